@@ -1,0 +1,57 @@
+"""Streaming range images of people, with the artifacts of a structured-light sensor made on the fly.
+
+    from bodyseg_data import RangeImages, loader
+
+Importing this package is light: each name below is loaded when it is first used, and nothing here needs a renderer.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from bodyseg_data.errors import BodysegError
+    from bodyseg_data.parts import BACKGROUND, PARTS
+    from bodyseg_data.rig import Rig, load_rig
+    from bodyseg_data.sample import Sample
+    from bodyseg_data.streaming import Batch, Loader, RangeImages, loader
+    from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation
+
+_HOME: Final = {
+    "BodysegError": "errors",
+    "BACKGROUND": "parts",
+    "PARTS": "parts",
+    "Rig": "rig",
+    "load_rig": "rig",
+    "Sample": "sample",
+    "Batch": "streaming",
+    "Loader": "streaming",
+    "RangeImages": "streaming",
+    "loader": "streaming",
+    "VARIANTS": "variants",
+    "Artifacts": "variants",
+    "Augmentation": "variants",
+}
+
+__all__ = [
+    "BACKGROUND",
+    "PARTS",
+    "VARIANTS",
+    "Artifacts",
+    "Augmentation",
+    "Batch",
+    "BodysegError",
+    "Loader",
+    "RangeImages",
+    "Rig",
+    "Sample",
+    "load_rig",
+    "loader",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

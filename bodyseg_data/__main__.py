@@ -1,0 +1,7 @@
+"""`python -m bodyseg_data` is `bodyseg`."""
+
+import sys
+
+from bodyseg_data.cli import main
+
+sys.exit(main())

@@ -1,0 +1,102 @@
+"""The 33 body parts: the only place that knows their names, order, sides and colours.
+
+A part is the surface nearest to one anatomical landmark. Landmark names are spelled as the CAESAR survey spells
+them; the position in `PARTS` is the label. "Rt." and "Lt." are the subject's own right and left.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Side = Literal["left", "right", "middle"]
+Face = Literal["front", "back", "both"]
+
+BACKGROUND: Final = 255
+"""The label of a pixel that sees no body; ignored by every loss and score."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One body part. `face` says whether it lies on the front or the back of trunk, head and knees."""
+
+    label: int
+    landmark: str
+    place: str
+    side: Side
+    face: Face
+
+
+def _part(label: int, landmark: str, place: str, face: Face) -> Part:
+    side: Side = "right" if landmark.startswith("Rt.") else "left" if landmark.startswith("Lt.") else "middle"
+    return Part(label, landmark, place, side, face)
+
+
+def _pair(label: int, landmark: str, place: str, face: Face) -> tuple[Part, Part]:
+    return _part(label, f"Rt. {landmark}", place, face), _part(label + 1, f"Lt. {landmark}", place, face)
+
+
+PARTS: Final[tuple[Part, ...]] = (
+    _part(0, "Sellion", "deepest point of the bridge of the nose", "front"),
+    _part(1, "Nuchale", "back of the head, lowest point of the occipital bone", "back"),
+    _part(2, "Supramenton", "below the lower lip", "front"),
+    _part(3, "Suprasternale", "notch at the top of the breastbone", "front"),
+    *_pair(4, "Thelion/Bustpoint", "nipple", "front"),
+    _part(6, "Substernale", "lower end of the breastbone", "front"),
+    *_pair(7, "ASIS", "front tip of the pelvic crest", "front"),
+    _part(9, "Cervicale", "seventh neck vertebra", "back"),
+    _part(10, "10th Rib Midspine", "on the spine at the height of the tenth rib", "back"),
+    *_pair(11, "PSIS", "dimple at the back of the pelvis", "back"),
+    *_pair(13, "Axilla, Post.", "rear fold of the armpit", "back"),
+    *_pair(15, "Acromion", "tip of the shoulder", "both"),
+    *_pair(17, "Olecranon", "point of the elbow", "both"),
+    *_pair(19, "Radial Styloid", "thumb side of the wrist", "both"),
+    *_pair(21, "Dactylion", "tip of the middle finger", "both"),
+    *_pair(23, "Trochanterion", "side of the hip", "both"),
+    *_pair(25, "Femoral Lateral Epicn", "outer side of the knee", "front"),
+    *_pair(27, "Knee Crease", "back of the knee", "back"),
+    *_pair(29, "Lateral Malleolus", "outer ankle bone", "both"),
+    *_pair(31, "Digit II", "tip of the second toe", "both"),
+)
+
+PART_COUNT: Final = len(PARTS)
+LANDMARKS: Final[tuple[str, ...]] = tuple(part.landmark for part in PARTS)
+
+
+_PAIR_HUES: Final = (2, 10, 5, 12, 8, 4, 11, 7, 0, 3, 9, 6, 1)
+
+
+def _part_colours() -> NDArray[np.uint8]:
+    """Colours [33, 3] in sRGB.
+
+    The 13 pairs have 13 hues, dealt out so that parts that touch are at least three hues apart. Left and right of a
+    pair share the hue, the left one lighter: a swap of sides shows as a change of lightness, which is also visible in
+    grey and to the colour-blind. The 7 parts of the middle have a lightness of their own.
+    """
+    colours = np.zeros((PART_COUNT, 3), np.uint8)
+    pairs = middles = 0
+    for part in PARTS:
+        if part.side == "middle":
+            hls = ((middles * 3 % 7) / 7 + 0.1, 0.55, 0.95)
+            middles += 1
+        else:
+            hls = (_PAIR_HUES[pairs] / 13, 0.4 if part.side == "right" else 0.7, 0.9)
+            pairs += part.side == "left"
+        colours[part.label] = np.rint(255 * np.asarray(colorsys.hls_to_rgb(*hls)))
+    return colours
+
+
+COLOURS: Final = _part_colours()
+"""sRGB of every part, uint8 [33, 3]."""
+
+
+def colour_labels(labels: NDArray[np.uint8], background: tuple[int, int, int] = (24, 26, 32)) -> NDArray[np.uint8]:
+    """Draw a label image: uint8 [H, W] with 0..32 or BACKGROUND -> sRGB uint8 [H, W, 3]."""
+    table = np.empty((256, 3), np.uint8)
+    table[:] = background
+    table[:PART_COUNT] = COLOURS
+    return table[labels]

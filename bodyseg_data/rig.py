@@ -1,0 +1,302 @@
+"""Cameras and the structured-light rig: frozen, validated, read from a TOML file.
+
+Axes follow the field's camera convention: x right, y down, z forward, in metres. Pixel (row r, column c) covers
+[c, c + 1) × [r, r + 1) in image coordinates, so its centre is at (c + 0.5, r + 0.5). *Range* is the z coordinate in
+the frame of the device that sees it (distance along the optical axis), not the length of the ray.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from dataclasses import asdict, dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.views import View
+
+RIG_FORMAT: Final = "bodyseg rig 1"
+_MAX_SIDE: Final = 8192
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera or, with light going the other way, a projector.
+
+    rows, columns: image size in pixels. focal_px: focal length in pixels (square pixels). centre_px: principal
+    point (x, y) in image coordinates. position_m: optical centre in the rig's frame. aims_at_m: the point of the
+    rig's frame on the optical axis; the image's x axis stays in the rig's xz plane (no roll).
+    """
+
+    rows: int
+    columns: int
+    focal_px: float
+    centre_px: tuple[float, float]
+    position_m: Vector
+    aims_at_m: Vector
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.rows <= _MAX_SIDE and 1 <= self.columns <= _MAX_SIDE):
+            raise BadConfig(f"an image side must be 1 to {_MAX_SIDE} pixels, found {self.rows} x {self.columns}")
+        if not (math.isfinite(self.focal_px) and self.focal_px > 0):
+            raise BadConfig(f"a focal length must be positive, found {self.focal_px} px")
+        numbers = (*self.centre_px, *self.position_m, *self.aims_at_m)
+        if not all(math.isfinite(number) for number in numbers):
+            raise BadConfig(f"a camera's position and aim must be finite, found {self.position_m}, {self.aims_at_m}")
+        axis = np.subtract(self.aims_at_m, self.position_m)
+        if np.hypot(axis[0], axis[2]) < 1e-6:
+            raise BadConfig(f"a camera must not look straight up or down, found an axis of {axis.tolist()}")
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Rows are this camera's x, y and z axes in the rig's frame, [3, 3]: local = axes @ (point - position)."""
+        forward = np.subtract(self.aims_at_m, self.position_m)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross((0.0, 1.0, 0.0), forward)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(forward, right), forward])
+
+    def pixel_rays(self) -> NDArray[np.float64]:
+        """Directions through all pixel centres in this camera's own frame, [rows, columns, 3], scaled to z = 1.
+
+        With that scale the parameter of a point on the ray *is* its range.
+        """
+        rays = np.ones((self.rows, self.columns, 3))
+        rays[..., 0] = (np.arange(self.columns) + 0.5 - self.centre_px[0]) / self.focal_px
+        rays[..., 1] = ((np.arange(self.rows) + 0.5 - self.centre_px[1]) / self.focal_px)[:, None]
+        return rays
+
+    def scaled(self, factor: int) -> Camera:
+        """The same view with `factor` times as many pixels a side."""
+        if factor < 1:
+            raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
+        return replace(
+            self,
+            rows=self.rows * factor,
+            columns=self.columns * factor,
+            focal_px=self.focal_px * factor,
+            centre_px=(self.centre_px[0] * factor, self.centre_px[1] * factor),
+        )
+
+
+@dataclass(frozen=True)
+class PlacedCamera:
+    """A camera in a body's frame: `axes` [3, 3] (rows: its x, y, z), `position` [3], both float64."""
+
+    camera: Camera
+    axes: NDArray[np.float64]
+    position: NDArray[np.float64]
+
+    def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the body's frame [..., 3] in this camera's frame, metres."""
+        return (points - self.position) @ self.axes.T
+
+    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of this camera's frame [..., 3] in the body's frame, metres."""
+        return points @ self.axes + self.position
+
+    def project(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Image coordinates [..., 2] (x, y) and range [...] of points [..., 3] in front of the camera."""
+        local = self.to_local(points)
+        return local[..., :2] / local[..., 2:] * self.camera.focal_px + self.camera.centre_px, local[..., 2]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A structured-light rig: what sees and what lights. The rig's frame is the camera's when its pose is the default.
+
+    stand_off_m: the distance the rig is made for, metres; kept for the record, nothing computes with it.
+    """
+
+    name: str
+    stand_off_m: float
+    camera: Camera
+    projector: Camera
+
+    def __post_init__(self) -> None:
+        if not self.name or any(character.isspace() for character in self.name):
+            raise BadConfig(f"a rig's name must be one word, found {self.name!r}")
+        if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
+            raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the optical centres of camera and projector, metres."""
+        return math.dist(self.camera.position_m, self.projector.position_m)
+
+    def placed(self, centre: NDArray[np.float64], view: View) -> tuple[PlacedCamera, PlacedCamera]:
+        """Camera and projector in the frame of a body whose bounding box is centred on `centre` [3].
+
+        The rig moves and the body stays, so that whatever was built for the body's mesh serves all its views.
+        Body frame: x to the subject's left, y up, z to the front, metres.
+        """
+        turn = math.radians(view.azimuth_deg)
+        back = np.array([math.sin(turn), 0.0, math.cos(turn)])  # from the body towards the camera
+        camera_axes = np.array([[math.cos(turn), 0.0, -math.sin(turn)], [0.0, -1.0, 0.0], -back])
+        camera_position = np.asarray(centre, np.float64) + view.distance_cm / 100 * back
+        # Axes of the rig in the body's frame, such that the camera gets exactly the pose above.
+        rig_axes = self.camera.axes.T @ camera_axes
+        rig_origin = camera_position - np.asarray(self.camera.position_m) @ rig_axes
+        projector_axes = self.projector.axes @ rig_axes
+        projector_position = np.asarray(self.projector.position_m) @ rig_axes + rig_origin
+        return (
+            PlacedCamera(self.camera, camera_axes, camera_position),
+            PlacedCamera(self.projector, projector_axes, projector_position),
+        )
+
+    def camera_to_projector(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation."""
+        rotation = self.projector.axes @ self.camera.axes.T
+        offset = np.subtract(self.camera.position_m, self.projector.position_m)
+        return rotation, self.projector.axes @ offset
+
+    def with_projector_scale(self, factor: int) -> Rig:
+        """The same rig with a projector-view image of `factor` times as many pixels a side."""
+        return replace(self, projector=self.projector.scaled(factor))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers and strings, for manifests."""
+        return {"format": RIG_FORMAT, **asdict(self)}
+
+    @property
+    def digest(self) -> str:
+        """A short hash of everything that shapes an image."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def load_rig(name_or_path: str | Path = "paper") -> Rig:
+    """Read a rig by the name of one that ships with the package, or from a TOML file (docs/rig.md).
+
+    Raises BadConfig, naming file and key, for anything missing, unknown or out of range.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        shipped = resources.files("bodyseg_data") / "rigs" / f"{name_or_path}.toml"
+        if not shipped.is_file():
+            raise BadConfig(f"no rig is called {str(name_or_path)!r}: give 'paper' or the path of a .toml file")
+        text = shipped.read_text(encoding="utf-8")
+    else:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadConfig(f"cannot read the rig file {path}: {error}") from error
+    return parse_rig(text, str(name_or_path))
+
+
+def parse_rig(text: str, where: str) -> Rig:
+    """A rig from TOML text; `where` names its origin in messages."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadConfig(f"rig {where} is not TOML: {error}") from error
+    if tree.pop("format", None) != RIG_FORMAT:
+        raise BadConfig(f"rig {where}: 'format' must be {RIG_FORMAT!r}")
+    table = _Table(tree, f"rig {where}")
+    name, stand_off = table.text("name"), table.number("stand_off_m")
+    camera, projector = (_camera(table.table(device)) for device in ("camera", "projector"))
+    table.finish()
+    try:
+        return Rig(name, stand_off, camera, projector)
+    except BadConfig as error:
+        raise BadConfig(f"rig {where}: {error}") from None
+
+
+def rig_from_json(tree: Any) -> Rig:
+    """The inverse of `Rig.to_json`. Raises BadConfig."""
+    if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
+        raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
+    try:
+        devices = [
+            Camera(
+                rows=int(tree[device]["rows"]),
+                columns=int(tree[device]["columns"]),
+                focal_px=float(tree[device]["focal_px"]),
+                centre_px=_numbers(tree[device]["centre_px"], 2),
+                position_m=_numbers(tree[device]["position_m"], 3),
+                aims_at_m=_numbers(tree[device]["aims_at_m"], 3),
+            )
+            for device in ("camera", "projector")
+        ]
+        return Rig(str(tree["name"]), float(tree["stand_off_m"]), devices[0], devices[1])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadConfig(f"a stored rig is incomplete: {error!r}") from error
+
+
+def _numbers(values: Any, count: int) -> Any:
+    numbers = tuple(float(value) for value in values)
+    if len(numbers) != count:
+        raise ValueError(f"{count} numbers needed, found {len(numbers)}")
+    return numbers
+
+
+class _Table:
+    """A TOML table that is read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
+
+    def __init__(self, tree: dict[str, Any], where: str) -> None:
+        self._tree, self.where = dict(tree), where
+
+    def _take(self, key: str, kind: str) -> Any:
+        try:
+            return self._tree.pop(key)
+        except KeyError:
+            raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
+
+    def number(self, key: str) -> float:
+        value = self._take(key, "number")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {value!r}")
+        return float(value)
+
+    def whole(self, key: str) -> int:
+        value = self.number(key)
+        if value != int(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
+        return int(value)
+
+    def text(self, key: str) -> str:
+        value = self._take(key, "text")
+        if not isinstance(value, str):
+            raise BadConfig(f"{self.where}: {key!r} must be text, found {value!r}")
+        return value
+
+    def numbers(self, key: str, count: int) -> Any:
+        values = self._take(key, "list")
+        try:
+            return _numbers(values, count)
+        except (TypeError, ValueError):
+            raise BadConfig(f"{self.where}: {key!r} must be {count} numbers, found {values!r}") from None
+
+    def table(self, key: str) -> _Table:
+        value = self._take(key, "table")
+        if not isinstance(value, dict):
+            raise BadConfig(f"{self.where}: {key!r} must be a table, found {value!r}")
+        return _Table(value, f"{self.where}, [{key}]")
+
+    def has(self, key: str) -> bool:
+        return key in self._tree
+
+    def finish(self) -> None:
+        if self._tree:
+            raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
+
+
+def _camera(table: _Table) -> Camera:
+    rows, columns = table.whole("rows"), table.whole("columns")
+    focal_px = table.number("focal_length_mm") / table.number("pixel_pitch_um") * 1000
+    # The middle of the image unless a calibration says otherwise.
+    centre = table.numbers("centre_px", 2) if table.has("centre_px") else (columns / 2, rows / 2)
+    position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
+    table.finish()
+    try:
+        return Camera(rows, columns, focal_px, centre, position, aim)
+    except BadConfig as error:
+        raise BadConfig(f"{table.where}: {error}") from None

@@ -1,0 +1,1 @@
+"""Networks that tell body parts apart in range images, and the scores they are judged by."""
