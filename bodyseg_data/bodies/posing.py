@@ -1,0 +1,246 @@
+"""From joint angles in degrees to a rotation for every bone of Anny's skeleton.
+
+Angles are those an anatomist would write down: zero is standing upright with the arms hanging, palms inwards. Every
+joint is worked out for the left side and reflected for the right, so that both sides always agree.
+
+Rotations here are in the body frame (x to the subject's left, y up, z front) and relative to the skeleton's own
+reference pose, in which the arms point 42 degrees down and outwards with bent elbows. Each applies in its parent's
+frame, so a bone's turn in the world is the product of those from the root down to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Angles:
+    """Numbers that are blended one by one."""
+
+    def blend(self, other: Self, share: float) -> Self:
+        """The way from here, at share 0, to `other`, at share 1."""
+        mixed: dict[str, Any] = {}
+        for field in fields(self):
+            a, b = getattr(self, field.name), getattr(other, field.name)
+            mixed[field.name] = a.blend(b, share) if isinstance(a, _Angles) else (1 - share) * a + share * b
+        return type(self)(**mixed)
+
+
+@dataclass(frozen=True)
+class Arm(_Angles):
+    """One arm, degrees.
+
+    flex: raised to the front, negative to the back. abduct: raised to the side; it comes first, so flex 90 with
+    abduct 30 points to the front and 30 outwards. twist: outwards about the upper arm. elbow: 0 straight.
+    supinate: thumb outwards. wrist: towards the palm. fist: 0 open to 1 closed.
+    """
+
+    flex: float = 0
+    abduct: float = 8
+    twist: float = 0
+    elbow: float = 12
+    supinate: float = 0
+    wrist: float = 0
+    fist: float = 0
+
+
+@dataclass(frozen=True)
+class Leg(_Angles):
+    """One leg, degrees.
+
+    flex: thigh raised to the front. abduct: to the side. twist: toes outwards. knee: 0 straight.
+    planted: 1 keeps the sole level as far as an ankle can, 0 leaves the foot square to the shin. ankle: toes
+    pointed downwards, on top of that. toes: bent up.
+    """
+
+    flex: float = 0
+    abduct: float = -2
+    twist: float = 5
+    knee: float = 0
+    planted: float = 1
+    ankle: float = 0
+    toes: float = 0
+
+
+@dataclass(frozen=True)
+class Trunk(_Angles):
+    """Trunk and head, degrees.
+
+    lean: the pelvis tilted to the front. roll: the pelvis tilted to the left. turn: the whole body turned to its
+    left. bend, side, twist: the spine to the front, to the left, turning left. nod, tilt, look: the same of the head.
+    """
+
+    lean: float = 0
+    roll: float = 0
+    turn: float = 0
+    bend: float = 0
+    side: float = 0
+    twist: float = 0
+    nod: float = 0
+    tilt: float = 0
+    look: float = 0
+
+    def mirrored(self) -> Trunk:
+        """The same movement with left and right exchanged."""
+        sideways = ("roll", "turn", "side", "twist", "tilt", "look")
+        return replace(self, **{name: -getattr(self, name) for name in sideways})
+
+
+@dataclass(frozen=True)
+class Pose(_Angles):
+    """A whole body's joint angles."""
+
+    trunk: Trunk = Trunk()
+    left_arm: Arm = Arm()
+    right_arm: Arm = Arm()
+    left_leg: Leg = Leg()
+    right_leg: Leg = Leg()
+
+    def mirrored(self) -> Pose:
+        """The mirror image: left and right exchanged."""
+        return Pose(self.trunk.mirrored(), self.right_arm, self.left_arm, self.right_leg, self.left_leg)
+
+
+def _unit(x: float, y: float, z: float) -> Matrix:
+    vector: Matrix = np.array([x, y, z])
+    vector /= np.linalg.norm(vector)
+    return vector
+
+
+# Directions of the left limbs in the skeleton's reference pose.
+_UPPER_ARM: Final = _unit(0.669, -0.743, 0.020)
+_FOREARM: Final = _unit(0.511, -0.521, 0.684)
+_KNUCKLES: Final = _unit(0.385, -0.418, -0.823)  # from the index to the little finger
+_ELBOW_AXIS: Final = _unit(*np.cross(_UPPER_ARM, _FOREARM))
+_ELBOW_AT_REST: Final = math.degrees(math.acos(float(_UPPER_ARM @ _FOREARM)))
+_THIGH: Final = _unit(0.079, -0.994, 0.080)
+_X, _Y, _Z = np.eye(3)
+_MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
+
+_SPINE: Final = {"spine05": 0.15, "spine04": 0.2, "spine03": 0.25, "spine02": 0.25, "spine01": 0.15}
+_NECK: Final = {"neck01": 0.2, "neck02": 0.2, "neck03": 0.2, "head": 0.4}
+_MOST_DORSIFLEXION: Final = 32
+_MOST_PLANTARFLEXION: Final = 50
+
+
+def bone_rotations(pose: Pose) -> dict[str, Matrix]:
+    """Rotations [3, 3] by bone name, body frame; bones not named stay as they are."""
+    trunk = pose.trunk
+    root = _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
+    rotations = {"root": root}
+    for shares, whole in (
+        (_SPINE, _bent(trunk.bend, trunk.side, trunk.twist)),
+        (_NECK, _bent(trunk.nod, trunk.tilt, trunk.look)),
+    ):
+        rotations |= {bone: _part_of(whole, share) for bone, share in shares.items()}
+    # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
+    rotations |= _named(_arm(pose.left_arm), "L") | _named(_leg(pose.left_leg, root), "L")
+    mirrored_root = _MIRROR @ root @ _MIRROR
+    right = _arm(pose.right_arm) | _leg(pose.right_leg, mirrored_root)
+    return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
+
+
+def _named(rotations: Mapping[str, Matrix], side: str) -> dict[str, Matrix]:
+    return {f"{bone}.{side}": rotation for bone, rotation in rotations.items()}
+
+
+def _arm(arm: Arm) -> dict[str, Matrix]:
+    hanging = _turn(_Z, -math.degrees(math.atan2(_UPPER_ARM[0], -_UPPER_ARM[1])))
+    whole = _turn(_X, -arm.flex) @ _turn(_Z, arm.abduct) @ _turn(_Y, arm.twist) @ hanging
+    way = whole @ _UPPER_ARM
+    # A raised arm lifts the shoulder and one reaching forward pulls it along, as the shoulder blade does.
+    raised = max(0.0, math.degrees(math.acos(float(np.clip(-way[1], -1, 1)))) - 40)
+    clavicle = _turn(_Y, -12 * float(way[2])) @ _turn(_Z, 0.12 * raised)
+    shoulder = _turn(_Z, 0.15 * raised)
+    swing, twist = _swing_and_twist(whole, _UPPER_ARM)
+    half = _turn(_UPPER_ARM, twist / 2)  # spread, or the skin would wring at the shoulder
+    third = _turn(-_FOREARM, arm.supinate / 3)
+    rotations = {
+        "clavicle": clavicle,
+        "shoulder01": shoulder,
+        "upperarm01": (clavicle @ shoulder).T @ swing @ half,
+        "upperarm02": half,
+        "lowerarm01": _turn(_ELBOW_AXIS, arm.elbow - _ELBOW_AT_REST) @ third,
+        "lowerarm02": third,
+        "wrist": third @ _turn(_KNUCKLES, arm.wrist),
+    }
+    for finger in (2, 3, 4, 5):
+        for joint, most in ((1, 62), (2, 75), (3, 45)):
+            rotations[f"finger{finger}-{joint}"] = _turn(_KNUCKLES, most * arm.fist)
+    for joint, most in ((1, 10), (2, 25), (3, 45)):
+        rotations[f"finger1-{joint}"] = _turn(_KNUCKLES, most * arm.fist)
+    return rotations
+
+
+def _leg(leg: Leg, root: Matrix) -> dict[str, Matrix]:
+    whole = _turn(_X, -leg.flex) @ _turn(_Z, leg.abduct) @ _turn(_Y, leg.twist)
+    swing, twist = _swing_and_twist(whole, _THIGH)
+    half = _turn(_THIGH, twist / 2)
+    knee = _turn(_X, leg.knee)
+    foot = _part_of(_levelling(root @ whole @ knee), leg.planted) @ _turn(_X, leg.ankle)
+    rotations = {"upperleg01": swing @ half, "upperleg02": half, "lowerleg01": knee, "foot": foot}
+    return rotations | {f"toe{toe}-1": _turn(_X, -leg.toes) for toe in (1, 2, 3, 4, 5)}
+
+
+def _levelling(shin: Matrix) -> Matrix:
+    """The turn of the ankle that lays the sole flat below a shin turned by `shin`, within what ankles can do."""
+    ahead = shin @ _Z
+    up = shin @ _Y
+    if abs(ahead[1]) > abs(up[1]):  # a shin nearer to lying than standing: its toes are where its front points
+        ahead = ahead - up * np.sign(ahead[1])
+    flat = _turn(_Y, math.degrees(math.atan2(ahead[0], ahead[2])))
+    angles = _rotation_vector(shin.T @ flat)
+    low = np.radians([-_MOST_DORSIFLEXION, -15, -20])
+    high = np.radians([_MOST_PLANTARFLEXION, 15, 20])
+    return _from_rotation_vector(np.clip(angles, low, high))
+
+
+def _bent(forward: float, left: float, turned: float) -> Matrix:
+    """Bent to the front, to the left, and turned to the left by degrees about one common axis."""
+    return _from_rotation_vector(np.radians([forward, turned, -left]))
+
+
+def _turn(axis: Matrix, degrees: float) -> Matrix:
+    return _from_rotation_vector(np.asarray(axis) * math.radians(degrees))
+
+
+def _from_rotation_vector(vector: Matrix) -> Matrix:
+    """Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation: Matrix = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
+    return rotation
+
+
+def _rotation_vector(rotation: Matrix) -> Matrix:
+    """Axis times angle in radians, for turns of less than half a revolution."""
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    length = float(np.linalg.norm(skew))
+    if length < 1e-12:
+        return np.zeros(3)
+    return skew / length * math.atan2(length, float(np.trace(rotation)) - 1)
+
+
+def _part_of(rotation: Matrix, share: float) -> Matrix:
+    return _from_rotation_vector(share * _rotation_vector(rotation))
+
+
+def _swing_and_twist(rotation: Matrix, axis: Matrix) -> tuple[Matrix, float]:
+    """Split a turn of a limb along `axis`: rotation = shortest swing of the limb @ twist about it (degrees)."""
+    way = rotation @ axis
+    across = np.cross(axis, way)
+    sine = float(np.linalg.norm(across))
+    swing = _turn(across / sine, math.degrees(math.atan2(sine, float(axis @ way)))) if sine > 1e-9 else np.eye(3)
+    twist = swing.T @ rotation
+    return swing, math.degrees(float(_rotation_vector(twist) @ axis))

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from shapes import ball
+
+from bodyseg_data.errors import BadMesh
+from bodyseg_data.mesh import Mesh
+
+Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
+
+
+def test_a_ball_has_its_volume_centre_and_outward_normals() -> None:
+    mesh = ball(0.5)
+    assert mesh.signed_volume() == pytest.approx(4 / 3 * np.pi * 0.5**3, rel=0.01)
+    assert mesh.centre == pytest.approx([0, 0.9, 0], abs=1e-9)
+    middles = mesh.vertices[mesh.faces].mean(axis=1) - mesh.centre
+    assert (np.einsum("ij,ij->i", middles, mesh.normals()) > 0).all()
+
+
+def test_a_mesh_cannot_be_changed() -> None:
+    mesh = ball()
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices[0] = 0
+
+
+def test_unused_vertices_do_not_move_the_centre() -> None:
+    mesh = ball()
+    assert Mesh("x", np.vstack([mesh.vertices, [50.0, 0, 0]]), mesh.faces).centre == pytest.approx(mesh.centre)
+
+
+def _nan(v: NDArray[np.float64], f: NDArray[np.int64]) -> Arrays:
+    v[7, 1] = np.nan
+    return v, f
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_nan, r"coordinates must be finite, found \[.*nan.*\] at vertex 7"),
+        (lambda v, f: (v[:0], f[:0]), "needs vertices and faces, found 0 and 0"),
+        (lambda v, f: (v, f[:0]), "needs vertices and faces, found 2562 and 0"),
+        (lambda v, f: (v, f + 1), "faces must use vertices 0 to 2561, found .* at face"),
+        (lambda v, f: (v, f - 1), "faces must use vertices 0 to 2561"),
+        (lambda v, f: (v * 1000, f), "must be 0.5 to 2.5 m at its largest, found 1e\\+03 m"),
+        (lambda v, f: (v / 100, f), "must be 0.5 to 2.5 m at its largest, found 0.01 m"),
+        (
+            lambda v, f: (v, f[:, ::-1]),
+            "faces must point outwards, found a signed volume of -0.522 m3 \\(inside out\\?\\)",
+        ),
+        (lambda v, f: (v[:, :2], f), "three columns"),
+        (lambda v, f: (v, f.astype(float)), "faces must be whole numbers, found float64"),
+    ],
+)
+def test_broken_meshes_are_refused_in_one_line_that_names_them(
+    spoil: Callable[[NDArray[np.float64], NDArray[np.int64]], Arrays], message: str
+) -> None:
+    good = ball()
+    vertices, faces = spoil(good.vertices.copy(), good.faces.astype(np.int64))
+    with pytest.raises(BadMesh, match=f"mesh bad: .*{message}") as caught:
+        Mesh("bad", vertices, faces)  # type: ignore[arg-type]  # on purpose
+    assert "\n" not in str(caught.value)
