@@ -1,0 +1,37 @@
+"""What all pictures share: paper, ink, font, and the legend of the 33 parts."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from PIL import Image, ImageDraw, ImageFont
+
+from bodyseg_data.parts import COLOURS, PART_COUNT, PARTS
+
+PAPER: Final = (250, 250, 247)
+INK: Final = (32, 34, 40)
+FAINT: Final = (110, 112, 118)
+
+_COLUMN: Final = 222  # fits the longest name
+_LINE: Final = 21
+
+
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font, so that pictures look the same on every machine."""
+    return ImageFont.load_default(size)
+
+
+def draw_legend(width: int) -> Image.Image:
+    """The 33 parts by colour, number and landmark, in as many columns as fit into `width` pixels."""
+    columns = max(1, width // _COLUMN)
+    lines = -(-PART_COUNT // columns)
+    columns = -(-PART_COUNT // lines)
+    legend = Image.new("RGB", (width, lines * _LINE), PAPER)
+    pen = ImageDraw.Draw(legend)
+    for part in PARTS:
+        column, line = divmod(part.label, lines)
+        left, top = column * width // columns, line * _LINE
+        pen.rounded_rectangle((left, top + 2, left + 15, top + 17), 3, tuple(COLOURS[part.label].tolist()))
+        pen.text((left + 38, top + 10), str(part.label), INK, font=font(13), anchor="rm")
+        pen.text((left + 46, top + 10), part.landmark, INK, font=font(13), anchor="lm")
+    return legend
