@@ -1,0 +1,275 @@
+"""Rasterising with OpenGL, through pyrender: the fast renderer where a graphics driver is at hand (docs/renderers.md).
+
+Needs system libraries (libEGL and libGL); without them importing this module raises MissingLibrary. Which platform
+draws is pyrender's choice by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, it is EGL.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.mesh import Mesh
+from bodyseg_data.rendering import Surface
+from bodyseg_data.rig import Camera, PlacedCamera
+from bodyseg_data.system_libraries import SOFTWARE_DRIVER, missing_library
+
+_FEATURE: Final = "the opengl renderer"
+_EMBREE: Final = "the embree renderer needs nothing from the system"
+if sys.platform.startswith("linux") and "DISPLAY" not in os.environ:
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # pyrender and PyOpenGL read it when they are imported
+_PLATFORM: Final = os.environ.get("PYOPENGL_PLATFORM", "")
+_NEEDS: Final = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}.get(_PLATFORM, ("GL", "X11"))
+
+try:
+    with warnings.catch_warnings():
+        # pyrender and PyOpenGL are no longer maintained, so what Python will drop next shows up in them first.
+        warnings.simplefilter("ignore")
+        import pyrender
+        from OpenGL import GL
+except (ImportError, OSError, AttributeError) as error:
+    raise MissingLibrary(f"{missing_library(_FEATURE, error, _NEEDS)}; {_EMBREE}") from error
+
+_NEAR_PLANE_M = 1e-2
+_MARGIN_M = 1e-3
+_MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
+
+
+class OpenGLRenderer:
+    """One mesh in the graphics driver's memory, asked for any number of cameras.
+
+    All renderers of a process share one OpenGL context, and use it one at a time, so that threads may share it too.
+    What lies nearer to the camera's plane than 10 mm is cut off, where Embree sees everything in front of that plane.
+
+    Raises BadMesh for a mesh of more than 16.7 million faces, MissingLibrary if no driver can be opened, BadConfig in
+    a process forked from one that has drawn.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        if len(mesh.faces) > _MOST_FACES:
+            raise BadMesh(f"mesh {mesh.name}: OpenGL draws at most {_MOST_FACES} faces, found {len(mesh.faces)}")
+        # Graphics hardware computes in single precision, so coordinates are kept small: around the body's centre.
+        self._origin = mesh.centre
+        self._used = mesh.vertices[np.unique(mesh.faces)]
+        corners = (mesh.vertices - self._origin)[mesh.faces].reshape(-1, 3)
+        self._drawing = pyrender.Mesh([pyrender.Primitive(positions=corners, color_0=_face_colours(len(mesh.faces)))])
+        self._scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))
+        self._scene.add(self._drawing)
+        self._eye = self._scene.add(_Projection(np.eye(4)))
+        self._canvas = _shared_canvas()
+
+    def see(self, camera: PlacedCamera) -> Surface:
+        """What `camera` sees of the mesh; the range is the depth at the very centre of each pixel."""
+        rows, columns = camera.camera.rows, camera.camera.columns
+        surface = Surface(np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32))
+        local_z = camera.to_local(self._used)[:, 2]
+        # The depth buffer's 24 bits are spread over the body's own depth only.
+        near = max(float(local_z.min()) - _MARGIN_M, _NEAR_PLANE_M)
+        far = float(local_z.max()) + _MARGIN_M
+        if far <= near:
+            return surface  # all of it is behind the camera
+        pose = np.eye(4)
+        pose[:3, :3] = (camera.axes * [[1], [-1], [-1]]).T  # OpenGL's cameras have y up and look along -z
+        pose[:3, 3] = camera.position - self._origin
+        self._scene.set_pose(self._eye, pose)
+        self._eye.camera = _Projection(_projection(camera.camera, near, far))
+        depth, colour = self._canvas.draw(self._scene, rows, columns)
+        body = colour[..., 3] > 0
+        surface.face[body] = colour[body][:, :3].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        # Window depth 0 to 1 is linear in 1 / z between the two planes.
+        surface.range[body] = 1 / (1 / near + depth[body].astype(np.float64) * (1 / far - 1 / near))
+        return surface
+
+    def close(self) -> None:
+        """Free the mesh's memory in the driver; the context stays for the process's next mesh. Safe to call twice."""
+        self._canvas.forget(self._drawing)
+
+
+class _Projection(pyrender.Camera):  # type: ignore[misc]
+    """A camera given by its matrix; pyrender's own changes focal lengths and image sizes on some platforms."""
+
+    def __init__(self, matrix: NDArray[np.float64]) -> None:
+        super().__init__()
+        self._matrix = matrix
+
+    def get_projection_matrix(self, width: int | None = None, height: int | None = None) -> NDArray[np.float64]:
+        return self._matrix
+
+
+class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
+    """pyrender's renderer with one sample a pixel, exact colours, and meshes that stay in memory until forgotten.
+
+    pyrender draws four samples a pixel and answers with the depth of the first, which lies off the pixel's centre.
+    The overridden methods are private, but pyrender 0.1.45 is its last release.
+    """
+
+    _main_fb_ms: int | None
+    _main_fb_dims: tuple[int, int]
+
+    def __init__(self) -> None:
+        super().__init__(1, 1)
+        self.dpscale = 1  # an image has the size asked for, also on displays with dense pixels
+
+    def _update_context(self, scene: Any, flags: int) -> None:
+        for mesh in scene.meshes - self._meshes:
+            for primitive in mesh.primitives:
+                primitive._add_to_context()
+            self._meshes.add(mesh)
+
+    def forget(self, mesh: Any) -> None:
+        if mesh in self._meshes:
+            self._meshes.remove(mesh)
+            for primitive in mesh.primitives:
+                primitive.delete()
+
+    def _configure_main_framebuffer(self) -> None:
+        """Make one plain framebuffer, as large as the largest image so far: making one for each view is slow."""
+        width, height = self._main_fb_dims if self._main_fb_ms else (0, 0)
+        if self.viewport_width <= width and self.viewport_height <= height:
+            return
+        size = max(self.viewport_width, width), max(self.viewport_height, height)
+        self._delete_main_framebuffer()
+        self._main_cb_ms, self._main_db_ms = GL.glGenRenderbuffers(2)
+        self._main_fb_ms = GL.glGenFramebuffers(1)
+        GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, self._main_fb_ms)
+        for buffer, kind, place in (
+            (self._main_cb_ms, GL.GL_RGBA8, GL.GL_COLOR_ATTACHMENT0),
+            (self._main_db_ms, GL.GL_DEPTH_COMPONENT24, GL.GL_DEPTH_ATTACHMENT),
+        ):
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
+            GL.glFramebufferRenderbuffer(GL.GL_DRAW_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, buffer)
+        self._main_fb_dims = size
+        # Colours are numbers here: what the shader wrote must be what is read.
+        GL.glDisable(GL.GL_DITHER)
+        GL.glDisable(GL.GL_FRAMEBUFFER_SRGB)
+
+    def _delete_main_framebuffer(self) -> None:
+        if self._main_fb_ms is not None:
+            GL.glDeleteFramebuffers(1, [self._main_fb_ms])
+            GL.glDeleteRenderbuffers(2, [self._main_cb_ms, self._main_db_ms])
+            self._main_fb_ms = None
+
+    def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Window depth 0 to 1 [H, W] and colour [H, W, 4], first row on top."""
+        width, height = self.viewport_width, self.viewport_height
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
+        depth = GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT)
+        colour = GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE)
+        return (
+            np.frombuffer(depth, np.float32).reshape(height, width)[::-1],
+            np.frombuffer(colour, np.uint8).reshape(height, width, 4)[::-1],
+        )
+
+
+class _Canvas:
+    """The process's OpenGL context. Any thread may draw; a lock lets them in one by one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process = os.getpid()
+        try:
+            self._window = pyrender.OffscreenRenderer(1, 1)
+        except Exception as error:  # every platform has its own kinds: EGL errors, assertions, X errors, lookups
+            raise _no_driver(error) from error
+        self._rasteriser = _Rasteriser()
+        self._window._renderer = self._rasteriser
+        self._release()
+
+    def check_process(self) -> None:
+        """Raise BadConfig in a fork of the process that opened the context: drivers hang there without a word."""
+        if self._process != os.getpid():
+            raise BadConfig(
+                f"{_FEATURE} cannot draw in a process forked from one that has drawn: start workers by 'spawn' or "
+                "'forkserver', or draw in the workers only"
+            )
+
+    def draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        self.check_process()
+        flags = pyrender.RenderFlags
+        with self._current():
+            self._rasteriser.viewport_width, self._rasteriser.viewport_height = columns, rows
+            # Embree hits both sides of a triangle, so both are drawn here.
+            picture: tuple[NDArray[np.float32], NDArray[np.uint8]] = self._rasteriser.render(
+                scene, flags.OFFSCREEN | flags.FLAT | flags.SKIP_CULL_FACES
+            )
+        return picture
+
+    def forget(self, mesh: Any) -> None:
+        if self._process == os.getpid():  # in a fork the context, and the mesh in it, are the parent's
+            with self._current():
+                self._rasteriser.forget(mesh)
+
+    @contextmanager
+    def _current(self) -> Iterator[None]:
+        with self._lock:
+            self._window._platform.make_current()
+            try:
+                yield
+            finally:
+                self._release()
+
+    def _release(self) -> None:
+        """Let go of the context, which only one thread at a time may hold."""
+        if _PLATFORM == "egl":  # where pyrender does nothing
+            from OpenGL import EGL
+
+            EGL.eglMakeCurrent(
+                self._window._platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+            )
+        else:
+            self._window._platform.make_uncurrent()
+
+
+_canvas: _Canvas | None = None
+_canvas_lock = threading.Lock()
+
+
+def _shared_canvas() -> _Canvas:
+    """One context serves a process: opening one is slow, and closing one on EGL closes the display of all."""
+    global _canvas
+    with _canvas_lock:
+        if _canvas is None:
+            _canvas = _Canvas()
+        _canvas.check_process()
+        return _canvas
+
+
+def _no_driver(error: Exception) -> MissingLibrary:
+    cause = " ".join(str(error).split()) or type(error).__name__
+    if _PLATFORM == "egl":
+        hint = (
+            f"no EGL device can be opened; a software driver is in {SOFTWARE_DRIVER}: apt-get install {SOFTWARE_DRIVER}"
+        )
+    elif _PLATFORM == "osmesa":
+        hint = "OSMesa needs a PyOpenGL newer than the 3.1.0 that pyrender asks for; PYOPENGL_PLATFORM=egl does not"
+    else:
+        hint = f"no window can be opened on PYOPENGL_PLATFORM={_PLATFORM!r}; PYOPENGL_PLATFORM=egl needs no display"
+    return MissingLibrary(f"{_FEATURE}: {hint} ({cause}); {_EMBREE}")
+
+
+def _face_colours(count: int) -> NDArray[np.float32]:
+    """Colours 0 to 1, float32 [3 * count, 4]: the bytes of a face's index, the same at its three corners; alpha 1."""
+    index = np.arange(count)
+    parts = np.stack([index & 255, index >> 8 & 255, index >> 16 & 255, np.full(count, 255)], axis=1)
+    return np.repeat(parts.astype(np.float32) / np.float32(255), 3, axis=0)
+
+
+def _projection(camera: Camera, near: float, far: float) -> NDArray[np.float64]:
+    """OpenGL's projection matrix [4, 4] of a pinhole camera between two planes."""
+    x, y = camera.centre_px
+    matrix = np.zeros((4, 4))
+    matrix[0, [0, 2]] = 2 * camera.focal_px / camera.columns, 1 - 2 * x / camera.columns
+    matrix[1, [1, 2]] = 2 * camera.focal_px / camera.rows, 2 * y / camera.rows - 1
+    matrix[2, [2, 3]] = (near + far) / (near - far), 2 * near * far / (near - far)
+    matrix[3, 2] = -1
+    return matrix
