@@ -1,0 +1,241 @@
+"""Shards: plain tars that WebDataset opens, written atomically, read by offset, checked on reading."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tarfile
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final
+
+from bodyseg_data.codec import decode_sample
+from bodyseg_data.errors import BadSample, BadShard
+from bodyseg_data.files import sync_folder
+from bodyseg_data.manifest import Manifest, ShardRecord
+from bodyseg_data.sample import Sample, check_key
+from bodyseg_data.splits import Split
+
+_BLOCK: Final = 512
+
+
+class ShardWriter:
+    """Writes one shard aside and renames it into place when closed without an error; after an error nothing is left.
+
+    Owners, modes and times in the tar are fixed, so the same samples give the same bytes.
+    """
+
+    def __init__(self, path: Path, aside: Path, split: Split) -> None:
+        self._path, self._aside, self._split = path, aside, split
+        self._sha256 = hashlib.sha256()
+        self._size = 0
+        self._keys: list[str] = []
+        self._offsets: list[int] = []
+        self._lengths: list[int] = []
+        self._crc32: list[int] = []
+        self.record: ShardRecord | None = None
+
+    def __enter__(self) -> ShardWriter:
+        self._file: IO[bytes] = self._aside.open("wb")
+        return self
+
+    def write(self, key: str, members: Mapping[str, bytes]) -> None:
+        """Append one sample: extension -> bytes. Raises BadSample for a key that cannot name members."""
+        check_key(key)
+        data = b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
+        self._keys.append(key)
+        self._offsets.append(self._size)
+        self._lengths.append(len(data))
+        self._crc32.append(zlib.crc32(data))
+        self._append(data)
+
+    def _append(self, data: bytes) -> None:
+        self._file.write(data)
+        self._sha256.update(data)
+        self._size += len(data)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                # Two empty blocks end an archive, which is then filled up to whole records.
+                self._append(
+                    bytes(-(-(self._size + 2 * _BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
+                )
+                self._file.flush()
+                os.fsync(self._file.fileno())
+                self._file.close()
+                self._aside.replace(self._path)
+                sync_folder(self._path.parent)
+                self.record = ShardRecord(
+                    name=self._path.name,
+                    split=self._split,
+                    size=self._size,
+                    sha256=self._sha256.hexdigest(),
+                    keys=tuple(self._keys),
+                    offsets=tuple(self._offsets),
+                    lengths=tuple(self._lengths),
+                    crc32=tuple(self._crc32),
+                )
+        finally:
+            if self.record is None:
+                # Closing flushes, which fails again on a full disk; the part file goes either way.
+                with contextlib.suppress(OSError):
+                    self._file.close()
+                self._aside.unlink(missing_ok=True)
+
+
+def _member(name: str, data: bytes) -> bytes:
+    """One tar member, padded to whole blocks, with nothing in its header that depends on when or by whom."""
+    header = tarfile.TarInfo(name)
+    header.size, header.mode, header.mtime = len(data), 0o644, 0
+    return header.tobuf(tarfile.USTAR_FORMAT) + data + bytes(-len(data) % _BLOCK)
+
+
+class ShardReader:
+    """Reads single samples of a set by their place in its manifest, each one checked against its CRC.
+
+    Safe to use after a fork and from several processes: files are opened where they are used, and read at absolute
+    offsets without a shared position.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest) -> None:
+        self._folder, self._manifest = folder, manifest
+        self._handles: dict[int, int] = {}
+        self._process = os.getpid()
+
+    def read(self, shard: int, index: int) -> Sample:
+        """Sample `index` of shard number `shard`.
+
+        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or not a sample.
+        """
+        record = self._manifest.shards[shard]
+        offset, length, key = record.offsets[index], record.lengths[index], record.keys[index]
+        where = f"{record.name}: {key}: offset {offset}"
+        try:
+            data = os.pread(self._handle(shard), length, offset)
+        except OSError as error:
+            raise BadShard(f"{where}: cannot be read: {error}") from error
+        check_bytes(data, record, index)
+        try:
+            return decode_sample(key, parse_members(key, data))
+        except BadSample as error:
+            raise BadShard(f"{where}: {error}") from error
+
+    def close(self) -> None:
+        """Close the files this process opened."""
+        if self._process == os.getpid():
+            for handle in self._handles.values():
+                os.close(handle)
+        self._handles = {}
+
+    def _handle(self, shard: int) -> int:
+        if self._process != os.getpid():  # handles inherited through a fork belong to the parent
+            self._handles, self._process = {}, os.getpid()
+        if shard not in self._handles:
+            if len(self._handles) >= 128:
+                os.close(self._handles.pop(next(iter(self._handles))))
+            self._handles[shard] = os.open(self._folder / self._manifest.shards[shard].name, os.O_RDONLY)
+        return self._handles[shard]
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_handles": {}}
+
+    def __del__(self) -> None:
+        if hasattr(self, "_handles"):
+            self.close()
+
+
+def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
+    """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is what was written."""
+    where = f"{record.name}: {record.keys[index]}: offset {record.offsets[index]}"
+    if len(data) != record.lengths[index]:
+        raise BadShard(f"{where}: cut short: {record.lengths[index]} bytes expected, found {len(data)}")
+    found = zlib.crc32(data)
+    if found != record.crc32[index]:
+        raise BadShard(f"{where}: altered: CRC-32 {record.crc32[index]:08x} expected, found {found:08x}")
+
+
+def parse_members(key: str, data: bytes) -> dict[str, bytes]:
+    """The tar members of one sample: extension -> bytes.
+
+    Raises BadSample for anything but plain files whose names start with `key`.
+    """
+    members: dict[str, bytes] = {}
+    position = 0
+    while position < len(data):
+        try:
+            header = tarfile.TarInfo.frombuf(data[position : position + _BLOCK], "utf-8", "strict")
+        except (tarfile.HeaderError, UnicodeDecodeError) as error:
+            raise BadSample(f"{key}: no tar header at byte {position} of the sample: {error}") from error
+        stem, _, extension = header.name.partition(".")
+        if not header.isreg() or stem != key or not extension or extension in members:
+            raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {header.name!r}")
+        start = position + _BLOCK
+        if not 0 <= header.size <= len(data) - start:
+            raise BadSample(f"{key}: {header.name} claims {header.size} bytes, the sample ends before")
+        members[extension] = data[start : start + header.size]
+        position = start + -(-header.size // _BLOCK) * _BLOCK
+    return members
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with a set of shards: which shard, which sample ("-" if none is concerned), where, what."""
+
+    shard: str
+    key: str
+    offset: int
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
+
+
+def find_faults(folder: Path, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
+    """Everything wrong with one shard: its size, every sample's bytes and content, its hash.
+
+    A fault inside a sample is reported at that sample; one elsewhere at the end of the archive.
+    """
+    path = folder / shard.name
+    sha256 = hashlib.sha256()
+    sound = True
+    try:
+        with path.open("rb") as file:
+            for index, key in enumerate(shard.keys):
+                data = file.read(shard.lengths[index])
+                sha256.update(data)
+                try:
+                    check_bytes(data, shard, index)
+                    _check_content(manifest, shard, key, data)
+                except (BadShard, BadSample) as error:
+                    sound = False
+                    yield Fault(shard.name, key, shard.offsets[index], str(error).rpartition(f"{key}: ")[2])
+            end = file.tell()
+            while rest := file.read(1 << 20):
+                sha256.update(rest)
+            size = file.tell()
+    except OSError as error:
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
+        return
+    if size != shard.size:
+        yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")
+    elif sound and sha256.hexdigest() != shard.sha256:
+        found = sha256.hexdigest()
+        yield Fault(shard.name, "-", end, f"end of archive altered: SHA-256 {shard.sha256} expected, found {found}")
+
+
+def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes) -> None:
+    sample = decode_sample(key, parse_members(key, data))
+    sample.check()
+    if sample.info.split != shard.split:
+        raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
+    for field, device in (("range", manifest.rig.camera), ("projector_range", manifest.rig.projector)):
+        shape = getattr(sample, field).shape
+        if shape != (device.rows, device.columns):
+            raise BadSample(f"{key}: {field} must be {device.rows} x {device.columns} as in the rig, found {shape}")

@@ -1,0 +1,46 @@
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fakes import Figures
+
+from bodyseg_data import packing
+from bodyseg_data.views import ViewGrid
+
+
+@pytest.fixture(scope="session")
+def mit_folder() -> Path:
+    """The folder of real MIT frames; their licence keeps them out of the repository."""
+    folder = Path(os.environ.get("BODYSEG_MIT", Path(__file__).parents[2] / "shared" / "data" / "mit"))
+    if not (folder / "I_crane").is_dir():
+        pytest.skip(f"real MIT frames are absent: no I_crane in {folder} (set BODYSEG_MIT to the folder that has it)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pack_figures() -> Callable[..., Path]:
+    """Pack the plain figures of `fakes` into a folder, in this process."""
+
+    def pack(out: Path, **options: Any) -> Path:
+        wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
+        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
+            patch.setattr(packing, "open_source", lambda name, path: Figures())
+            packing._source.cache_clear()
+            packing.pack(packing.Packing("open", **wanted), out, executor, 1)
+        packing._source.cache_clear()
+        return out
+
+    return pack
+
+
+@pytest.fixture(scope="session")
+def figures_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    """A set of 24 samples (16 train, 8 test) in shards of 5. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("figures") / "shards", shard_samples=5)
