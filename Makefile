@@ -1,0 +1,41 @@
+# Everything goes through .venv, made from exact versions; no command needs it activated.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+TORCH := torch==2.13.0
+
+.PHONY: install demo test check lock clean
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml tools/requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 tools/install_torch $(BIN) $(TORCH)
+	$(BIN)/pip install --quiet --disable-pip-version-check -r tools/requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: install
+	$(BIN)/bodyseg demo --out demo
+
+test: install
+	$(BIN)/pytest
+
+check: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -q tests/test_structure.py
+
+# Newest versions that pyproject.toml allows, as the next exact list.
+lock:
+	rm -rf $(VENV)/lock
+	$(PYTHON) -m venv $(VENV)/lock
+	tools/install_torch $(VENV)/lock/bin $(TORCH)
+	$(VENV)/lock/bin/pip install --quiet ".[render,dev]" setuptools
+	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed 's/+cpu$$//'; } > tools/requirements.new
+	mv tools/requirements.new tools/requirements.lock
+
+clean:
+	rm -rf $(VENV) demo build *.egg-info

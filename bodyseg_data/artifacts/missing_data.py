@@ -1,0 +1,41 @@
+"""Missing data: foreground pixels lost at random, one rate an image (paper, section 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadConfig
+
+
+@dataclass(frozen=True)
+class MissingData:
+    """Which share of the foreground is lost.
+
+    The paper's "randomly chosen between 0%, 5% and 50%" is read as one of `rates`, each as likely. With `between` set
+    to (low, high), the rate is drawn uniformly from that interval instead.
+    """
+
+    rates: tuple[float, ...] = (0.0, 0.05, 0.5)
+    between: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.rates or not all(0 <= rate <= 1 for rate in self.rates):
+            raise BadConfig(f"missing-data rates must be shares from 0 to 1, found {list(self.rates)}")
+        if self.between is not None and not 0 <= self.between[0] <= self.between[1] <= 1:
+            raise BadConfig(f"missing-data rates must lie between 0 <= low <= high <= 1, found {self.between}")
+
+    def draw_rate(self, generator: np.random.Generator) -> float:
+        """The share of pixels that one image loses."""
+        chance = float(generator.random())
+        if self.between is not None:
+            low, high = self.between
+            return low + (high - low) * chance
+        return self.rates[int(chance * len(self.rates))]
+
+
+def kept_pixels(count: int, rate: float, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """Which of `count` foreground pixels survive, bool [count]; each is lost independently with probability `rate`."""
+    return generator.random(count, np.float32) >= np.float32(rate)

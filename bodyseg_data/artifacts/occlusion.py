@@ -1,0 +1,173 @@
+"""Projector shadow: which of the camera's pixels the projector lights, from the stored range images alone.
+
+A shadow map (Williams, "Casting curved shadows on curved surfaces", SIGGRAPH 1978): the projector's range image says
+how far its light gets in every direction. A camera pixel is lit if its surface faces the projector, lies inside the
+projector's frame, and is not behind what that image shows there. The last question is put to the four texels around
+the point. Where they show one surface, their bilinear interpolation is its range, and the point may be at most
+`SURFACE_GAP_M` behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel
+votes instead ("not more than `EDGE_M` in front of the point") with its bilinear weight, and half the weight decides
+(percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). docs/occlusion.md measures this and its
+rivals; `occlusion_reference.py` says the same a pixel at a time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadSample
+from bodyseg_data.rig import Rig
+from bodyseg_data.sample import RANGE_STEP_M
+
+SURFACE_GAP_M: Final = 0.006
+"""How far behind the surface that the projector sees a point may be and still belong to it."""
+
+EDGE_M: Final = 0.020
+"""From this difference in range on, neighbouring texels show two surfaces and not one."""
+
+Floats = NDArray[np.float32]
+
+# Everything below computes in float32, in steps of a stored range image, in one fixed order of operations, so that
+# every form and every machine gives the same bits.
+GAP_STEPS: Final = np.float32(round(SURFACE_GAP_M / RANGE_STEP_M))
+EDGE_STEPS: Final = np.float32(round(EDGE_M / RANGE_STEP_M))
+FARTHEST: Final = np.float32(65535)
+_ONE: Final = np.float32(1)
+_HALF: Final = np.float32(0.5)
+
+
+class ShadowTest:
+    """The shadow test for one rig: built once, asked once a sample.
+
+    A camera pixel with ray r = (x, y, 1) and range z sees the point z r, which is z R r + t for the projector. So its
+    projector coordinates are quotients (z a + b) / (z c + d), where a and c depend on the pixel only, b and d on
+    nothing; the denominator is the point's range in the projector's frame.
+
+    slopes: float32 [3, H * W], a for the texel's x, a for its y, and c. offsets: float32 [3], both b and d, in steps.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        rotation, shift_m = rig.camera_to_projector()
+        rays = rig.camera.pixel_rays().reshape(-1, 3) @ rotation.T
+        focal, (centre_x, centre_y) = rig.projector.focal_px, rig.projector.centre_px
+        # Texel centres lie at half-integers of image coordinates; half a texel off, at integers.
+        image_plane = np.array([[focal, 0, centre_x - 0.5], [0, focal, centre_y - 0.5], [0, 0, 1]])
+        self.slopes: Floats = np.ascontiguousarray((rays @ image_plane.T).T, np.float32)
+        self.offsets: Floats = (image_plane @ shift_m / RANGE_STEP_M).astype(np.float32)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ShadowTest, (self.rig,)  # a rig is small, the arrays are not
+
+    def lit(
+        self,
+        camera_range: NDArray[np.uint16],
+        projector_range: NDArray[np.uint16],
+        faces_projector: NDArray[np.bool_],
+    ) -> NDArray[np.bool_]:
+        """Which camera pixels see a surface that the projector lights, bool [H, W]; False on background.
+
+        camera_range: uint16 [H, W] and projector_range: uint16 [Hp, Wp], steps of `RANGE_STEP_M` along the optical axis
+        of each device, 0 where there is nothing. faces_projector: bool [H, W], whether the triangle seen turns its
+        outside to the projector. Raises BadSample for arrays of another kind or shape than the rig's.
+        """
+        camera, projector = self.rig.camera, self.rig.projector
+        _check("the camera range", camera_range, np.uint16, (camera.rows, camera.columns))
+        _check("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
+        _check("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
+        answer = np.zeros(camera_range.shape, np.bool_)
+        pixels, x, y, away = self.project(camera_range, np.flatnonzero(faces_projector & (camera_range > 0)))
+        answer.ravel()[pixels] = reached(projector_range, x, y, away)
+        return answer
+
+    def project(
+        self, camera_range: NDArray[np.uint16], pixels: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
+        """Those of the given foreground pixels (flat indices [N]) that fall inside the projector's frame, with their
+        texel coordinates x and y (whole at texel centres) and their range in the projector's frame, in steps.
+        """
+        z = camera_range.ravel().take(pixels).astype(np.float32)
+        across, down, forward = (slope.take(pixels) for slope in self.slopes)
+        away = z * forward + self.offsets[2]
+        with np.errstate(
+            divide="ignore", invalid="ignore", over="ignore"
+        ):  # level with the projector: sorted out below
+            x = (z * across + self.offsets[0]) / away
+            y = (z * down + self.offsets[1]) / away
+        rows, columns = np.float32(self.rig.projector.rows), np.float32(self.rig.projector.columns)
+        inside = (away > 0) & (x >= -_HALF) & (x < columns - _HALF) & (y >= -_HALF) & (y < rows - _HALF)
+        if inside.all():
+            return pixels, x, y, away
+        return pixels[inside], x[inside], y[inside], away[inside]
+
+
+def reached(
+    projector_range: NDArray[np.uint16],
+    x: Floats,
+    y: Floats,
+    away: Floats,
+    gap: np.float32 = GAP_STEPS,
+    edge: np.float32 = EDGE_STEPS,
+) -> NDArray[np.bool_]:
+    """Whether light gets to points inside the projector's frame, bool [N].
+
+    projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
+    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. gap, edge: `SURFACE_GAP_M` and `EDGE_M`.
+    Ranges are in steps of `RANGE_STEP_M`.
+    """
+    texels, along, below = four_texels(projector_range, x, y)
+    away = np.minimum(away - _ONE, FARTHEST)  # one step off, as the texels are
+    nearest = np.minimum(np.minimum(texels[0], texels[1]), np.minimum(texels[2], texels[3]))
+    farthest = np.maximum(np.maximum(texels[0], texels[1]), np.maximum(texels[2], texels[3]))
+
+    # One surface: it is where the interpolated range says.
+    a, b, c, d = (texel.astype(np.float32) for texel in texels)
+    upper, lower = a + along * (b - a), c + along * (d - c)
+    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= gap
+
+    # An edge: votes.
+    torn = np.flatnonzero(farthest - nearest >= edge)
+    limit, right, low = (away - edge)[torn], along[torn], below[torn]
+    left, high = _ONE - right, _ONE - low
+    votes = [
+        weight * (texel[torn] >= limit)
+        for weight, texel in zip((high * left, high * right, low * left, low * right), (a, b, c, d), strict=True)
+    ]
+    lit[torn] = votes[0] + votes[1] + votes[2] + votes[3] >= _HALF
+    return lit
+
+
+def four_texels(
+    projector_range: NDArray[np.uint16], x: Floats, y: Floats
+) -> tuple[list[NDArray[np.uint16]], Floats, Floats]:
+    """The texels around points, [upper left, upper right, lower left, lower right], uint16 [N] each, *less one step*,
+    and how far each point is from the left and from the upper ones, float32 [N], 0 to 1.
+    """
+    image = framed(projector_range)
+    left, top = np.floor(x), np.floor(y)
+    width = image.shape[1]
+    start = ((top.astype(np.int32) + 1) * width + left.astype(np.int32) + 1).astype(np.intp)
+    flat = image.ravel()
+    # Shifting the image costs nothing; shifting the indices, a pass over all points.
+    return [flat[shift:].take(start) for shift in (0, 1, width, width + 1)], x - left, y - top
+
+
+def framed(projector_range: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The image less one step, uint16 [Hp + 2, Wp + 2]; its border is repeated, so each point has four texels around.
+
+    One step off, an empty texel wraps round from 0 to 65535, which is behind every point, as it should be.
+    """
+    rows, columns = projector_range.shape
+    image = np.empty((rows + 2, columns + 2), np.uint16)
+    np.subtract(projector_range, np.uint16(1), out=image[1:-1, 1:-1])
+    image[0, 1:-1], image[-1, 1:-1] = image[1, 1:-1], image[-2, 1:-1]
+    image[:, 0], image[:, -1] = image[:, 1], image[:, -2]
+    return image
+
+
+def _check(what: str, array: Any, kind: type[np.generic], shape: tuple[int, int]) -> None:
+    if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
+        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise BadSample(f"{what} must be {kind.__name__} {shape} for this rig's shadow test, found {found}")

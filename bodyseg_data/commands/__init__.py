@@ -1,0 +1,1 @@
+"""What `bodyseg <command>` runs: one module a command, each with its options, an example and `run`."""

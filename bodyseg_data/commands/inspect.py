@@ -1,0 +1,135 @@
+"""`bodyseg inspect`: draw a contact sheet of a set, or count what it holds."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import option
+from bodyseg_data.parts import PARTS
+from bodyseg_data.randomness import generator
+from bodyseg_data.sheet import Row, draw_sheet
+from bodyseg_data.splits import SPLITS, Split
+from bodyseg_data.streaming import RangeImages
+from bodyseg_data.variants import VARIANTS, Augmentation, VariantName
+
+EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    folder: Path = option("folder of a set of shards", positional=True)
+    variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
+    split: Split | None = option("only this split (default: both)", None)
+    out: Path | None = option("write a contact sheet to this PNG file", None)
+    json: bool = option("print what the set holds as JSON", False)
+    rows: int = option("samples on the sheet, evenly over the set", 6)
+    seed: int = option("of the artifacts' draws", 0)
+
+
+def run(options: Options) -> int:
+    """Write the sheet, print the counts, or both."""
+    if options.out is None and not options.json:
+        raise BadConfig("nothing to do: give --out FILE.png, --json, or both")
+    if options.out is not None and options.out.suffix.lower() != ".png":
+        raise BadConfig(f"--out must be a .png file, found {options.out}")
+    if options.rows < 1:
+        raise BadConfig(f"--rows must be at least 1, found {options.rows}")
+    images = RangeImages(options.folder, options.variant, options.split, options.seed)
+    if options.out is not None:
+        save_picture(contact_sheet(images, options.rows), options.out)
+        sys.stderr.write(f"wrote {options.out}\n")
+    if options.json:
+        sys.stdout.write(json.dumps(summarise(images), indent=2) + "\n")
+    return 0
+
+
+def save_picture(picture: Image.Image, path: Path) -> None:
+    """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        picture.save(aside, "PNG", optimize=True)
+        aside.replace(path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
+    """A sheet of `rows` samples spread over the set, or all of them if there are fewer."""
+    count = min(rows, len(images))
+    augmentations: dict[VariantName, Augmentation] = {
+        name: Augmentation(images.manifest.rig, name, images.seed, images.augmentation.artifacts) for name in VARIANTS
+    }
+    lines = []
+    for number in range(count):
+        sample = images.clean(_pick(number, count, len(images)))
+        lines.append(Row(sample, {name: make(sample, images.epoch) for name, make in augmentations.items()}))
+    title = f"{images.path.name}: {len(images)} samples, rig {images.manifest.rig.name}"
+    return draw_sheet(lines, images.augmentation.variant, title)
+
+
+def _pick(number: int, count: int, length: int) -> int:
+    """A sample from stretch `number` of `count`: drawn within it, since even steps would keep showing the same view."""
+    first, end = number * length // count, (number + 1) * length // count
+    return int(generator(0, 0, f"{number} of {count}", "contact sheet").integers(first, end))
+
+
+def summarise(images: RangeImages) -> dict[str, Any]:
+    """What a set holds and what a variant leaves of it; plain JSON. Shares are of the clean foreground."""
+    splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
+    pixels = np.zeros(len(PARTS), np.int64)
+    clean_pixels = kept_pixels = 0
+    sigmas, rates = [], []
+    with Progress("inspecting", "samples") as progress:
+        for index in range(len(images)):
+            sample = images.clean(index)
+            image = images.augmentation(sample, images.epoch)
+            splits[sample.info.split] += 1
+            subsets[sample.info.subset] += 1
+            subjects[sample.info.subject] += 1
+            pixels += np.bincount(image.labels.ravel(), minlength=256)[: len(PARTS)]
+            clean_pixels += int(np.count_nonzero(sample.range))
+            kept_pixels += int(np.count_nonzero(image.range))
+            if image.sigma_mm is not None:
+                sigmas.append(image.sigma_mm)
+            if image.missing_rate is not None:
+                rates.append(image.missing_rate)
+            progress.update(index + 1, len(images))
+    manifest = images.manifest
+    size = sum(shard.size for shard in manifest.shards)
+    return {
+        "path": str(images.path),
+        "source": manifest.source,
+        "renderer": manifest.renderer,
+        "codec": manifest.codec,
+        "rig": manifest.rig.name,
+        "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
+        "shards": len(manifest.shards),
+        "bytes": size,
+        "bytes_per_sample": round(size / manifest.samples()),
+        "samples": len(images),
+        "splits": {name: splits[name] for name in SPLITS},
+        "subsets": dict(subsets),
+        "subjects": len(subjects),
+        "variant": images.variant,
+        "foreground_pixels_per_image": round(clean_pixels / len(images)),
+        "kept": round(kept_pixels / max(clean_pixels, 1), 4),
+        "mean_sigma_mm": round(float(np.mean(sigmas)), 2) if sigmas else None,
+        "mean_missing_rate": round(float(np.mean(rates)), 4) if rates else None,
+        "part_shares": {
+            part.landmark: round(int(count) / max(int(pixels.sum()), 1), 4)
+            for part, count in zip(PARTS, pixels, strict=True)
+        },
+    }

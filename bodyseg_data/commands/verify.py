@@ -1,0 +1,51 @@
+"""`bodyseg verify`: check every byte of a set of shards."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.errors import BadConfig, BadShard
+from bodyseg_data.manifest import read_manifest
+from bodyseg_data.options import option
+from bodyseg_data.shards import find_faults
+
+EXAMPLE = "bodyseg verify shards"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    folder: Path = option("folder of a set of shards", positional=True)
+
+
+def run(options: Options) -> int:
+    """Print one line a fault and return 1, or say that there is none and return 0."""
+    if not options.folder.is_dir():
+        raise BadConfig(f"no such folder: {options.folder}")
+    try:
+        manifest = read_manifest(options.folder)
+    except BadShard as error:
+        sys.stdout.write(f"{error}\n")
+        return 1
+    faults = 0
+    with Progress("verifying", "samples") as progress:
+        done, total = 0, manifest.samples()
+        for shard in manifest.shards:
+            for fault in find_faults(options.folder, manifest, shard):
+                sys.stdout.write(f"{fault}\n")
+                faults += 1
+            done += len(shard)
+            progress.update(done, total)
+    listed = {shard.name for shard in manifest.shards}
+    for stray in sorted(path.name for path in options.folder.glob("*.tar") if path.name not in listed):
+        sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
+        faults += 1
+    if faults:
+        return 1
+    size = sum(shard.size for shard in manifest.shards)
+    sys.stdout.write(f"{options.folder}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
+    return 0

@@ -1,0 +1,95 @@
+"""One frozen dataclass a command drives both the command line and code; no default value is written anywhere else."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from bodyseg_data.errors import BadConfig
+
+Options = TypeVar("Options")
+
+
+def option(text: str, default: Any = dataclasses.MISSING, positional: bool = False) -> Any:
+    """A field of an options class: its help text, its default (none: required), and whether it has no dashes."""
+    return dataclasses.field(default=default, metadata={"help": text, "positional": positional})
+
+
+def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: str, example: str) -> Options:
+    """Read a command line into `kind`, a dataclass whose fields are made by `option`.
+
+    Fields may be str, int, float, Path, bool (a switch), a Literal, any of them or None, or a tuple of one kind
+    (several values). Raises BadConfig with one line for a bad argument; `--help` prints and exits with status 0.
+    """
+    parser = _Parser(
+        prog=program,
+        description=summary,
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]  # the caller gives a dataclass
+        _add(parser, field, hints[field.name])
+    return kind(**vars(parser.parse_args(list(arguments))))
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage block."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BadConfig(f"{message} (see {self.prog} --help)")
+
+
+def _add(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], hint: Any) -> None:
+    required = field.default is dataclasses.MISSING
+    settings: dict[str, Any] = {"help": field.metadata["help"]}
+    if hint is bool:
+        settings["action"] = "store_true"
+    else:
+        kind, many = _kind(hint)
+        if typing.get_origin(kind) is typing.Literal:
+            settings["choices"] = typing.get_args(kind)
+            settings["metavar"] = "|".join(typing.get_args(kind))
+        else:
+            settings["type"] = kind
+            settings["metavar"] = {Path: "PATH", int: "N", float: "X", str: "TEXT"}[kind]
+        if many:
+            settings["nargs"] = "+"
+            settings["action"] = _Tuple
+        if not required:
+            settings["default"] = field.default
+            default: Any = field.default
+            if default not in (None, ()):
+                shown = " ".join(map(str, default)) if many else default
+                settings["help"] += f" (default: {shown})"
+    if field.metadata["positional"]:
+        settings["metavar"] = field.name.upper()
+        parser.add_argument(field.name, **settings)
+    else:
+        if required:
+            settings["required"] = True
+        parser.add_argument("--" + field.name.replace("_", "-"), dest=field.name, **settings)
+
+
+def _kind(hint: Any) -> tuple[Any, bool]:
+    """The type of one value, and whether there may be several."""
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        (hint,) = (part for part in typing.get_args(hint) if part is not type(None))
+    if typing.get_origin(hint) is tuple:
+        return typing.get_args(hint)[0], True
+    return hint, False
+
+
+class _Tuple(argparse.Action):
+    """Keeps several values as a tuple, so that options stay frozen."""
+
+    def __call__(
+        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        setattr(namespace, self.dest, tuple(values))

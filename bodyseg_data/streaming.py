@@ -1,0 +1,281 @@
+"""Shards and a variant's name -> a PyTorch dataset and its loader.
+
+Nothing depends on position: the order of an epoch is a permutation of the samples' place in the manifest, and every
+draw belongs to a sample's key. So batches are the same bits for any number of workers and any shard size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from bodyseg_data.codec import decode_sample
+from bodyseg_data.errors import BadConfig, BodysegError
+from bodyseg_data.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.randomness import check_seed, permutation
+from bodyseg_data.sample import RANGE_STEP_M, Sample
+from bodyseg_data.shards import ShardReader
+from bodyseg_data.splits import SPLITS, Split
+from bodyseg_data.variants import Artifacts, Augmentation, RangeImage, check_variant
+
+Order = tuple[int, int]
+"""(epoch, index): what a worker is asked for, so that workers that outlive an epoch need not be told of the next."""
+
+
+class Batch(TypedDict):
+    """range: float32 [B, 1, H, W], metres, 0 background; labels: uint8 [B, H, W], 0..32 or 255; key: B names."""
+
+    range: torch.Tensor
+    labels: torch.Tensor
+    key: list[str]
+
+
+class RangeImages(Dataset[dict[str, Any]]):
+    """A set of shards seen as one of the five variants, made on the fly. Random access; `len()` is exact.
+
+    path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"). variant: "none", "occ",
+    "noise", "md" or "all". split: "train", "test", or None for both. seed: of all draws and of the order. epoch: the
+    first one. artifacts: how strong they are; the paper's by default.
+
+    Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        variant: str = "all",
+        split: Split | None = None,
+        seed: int = 0,
+        epoch: int = 0,
+        artifacts: Artifacts | None = None,
+    ) -> None:
+        check_seed(seed)
+        if split is not None and split not in SPLITS:
+            raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
+        folder, pattern = _locate(str(path))
+        self.path = folder
+        self.manifest = read_manifest(folder)
+        self.split, self.seed = split, seed
+        self.augmentation = Augmentation(
+            self.manifest.rig, check_variant(variant), seed, Artifacts() if artifacts is None else artifacts
+        )
+        chosen = [
+            (number, index)
+            for number, shard in enumerate(self.manifest.shards)
+            if split in (None, shard.split) and Path(shard.name).match(pattern)
+            for index in range(len(shard))
+        ]
+        if not chosen:
+            held = ", ".join(f"{self.manifest.samples(name)} {name}" for name in SPLITS)
+            raise BadConfig(f"{path} has no sample of split {split!r} that matches {pattern!r}; the set holds {held}")
+        self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
+        self._reader = ShardReader(folder, self.manifest)
+        self.epoch = 0
+        self.epochs_set = 0
+        self.set_epoch(epoch)
+
+    @property
+    def variant(self) -> str:
+        """The variant's name."""
+        return self.augmentation.variant
+
+    @property
+    def keys(self) -> list[str]:
+        """The keys of all samples, in stored order."""
+        return [self.manifest.shards[shard].keys[index] for shard, index in self._places.tolist()]
+
+    def set_epoch(self, epoch: int) -> None:
+        """The epoch that indexing draws for, and that a loader's next pass is."""
+        if isinstance(epoch, bool) or not isinstance(epoch, int) or epoch < 0:
+            raise BadConfig(f"an epoch must be a whole number of at least 0, found {epoch!r}")
+        self.epoch = epoch
+        self.epochs_set += 1
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def clean(self, index: int) -> Sample:
+        """The stored sample, without artifacts."""
+        shard, place = self._places[index].tolist()
+        return self._reader.read(shard, place)
+
+    def image(self, index: int, epoch: int | None = None) -> RangeImage:
+        """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
+        return self.augmentation(self.clean(index), self.epoch if epoch is None else epoch)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        """One sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} of {len(self)} samples")
+        return _single(self.image(index))
+
+    def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
+        """The order in which a pass visits the samples, int64 [len(self)]; a function of seed and epoch alone."""
+        return permutation(len(self), self.seed, epoch) if shuffle else np.arange(len(self))
+
+    def webdataset_stage(self, epoch: int | None = None) -> Callable[[dict[str, Any]], dict[str, Any]]:
+        """A `map` stage for a WebDataset pipeline over these shards: raw members in, the variant's image out.
+
+        For reading in stored order, where random access is slow: the images have the same bits as by index.
+
+            webdataset.WebDataset(images.urls(), shardshuffle=False).map(images.webdataset_stage())
+        """
+        chosen = self.epoch if epoch is None else epoch
+
+        def stage(raw: dict[str, Any]) -> dict[str, Any]:
+            members = {name: data for name, data in raw.items() if not name.startswith("_")}
+            image = self.augmentation(decode_sample(raw["__key__"], members), chosen)
+            return _single(image)
+
+        return stage
+
+    def urls(self) -> list[str]:
+        """The paths of the shards that hold the chosen samples, in stored order."""
+        return [str(self.path / self.manifest.shards[number].name) for number in np.unique(self._places[:, 0])]
+
+
+def _locate(path: str) -> tuple[Path, str]:
+    """Folder of the set and the pattern its shards must match."""
+    if "://" in path:
+        raise BadConfig(f"shards are read from local folders, found {path!r}")
+    place = Path(path)
+    if any(mark in place.name for mark in "*?["):
+        return place.parent, place.name
+    if place.name == MANIFEST_NAME:
+        return place.parent, "*"
+    if place.suffix == ".tar":
+        return place.parent, place.name
+    return place, "*"
+
+
+class _Packed(TypedDict):
+    """What crosses from a worker: 16 bits a pixel, not 32, because the copy between processes is the bottleneck."""
+
+    range: torch.Tensor
+    labels: torch.Tensor
+    key: list[str]
+
+
+def _pack(images: list[RangeImage]) -> _Packed:
+    return {
+        "range": torch.from_numpy(np.stack([image.range for image in images])[:, None]),
+        "labels": torch.from_numpy(np.stack([image.labels for image in images])),
+        "key": [image.key for image in images],
+    }
+
+
+def _metres(packed: _Packed) -> Batch:
+    steps = packed["range"]
+    return {"range": steps.to(torch.float32).mul_(RANGE_STEP_M), "labels": packed["labels"], "key": packed["key"]}
+
+
+def _single(image: RangeImage) -> dict[str, Any]:
+    batch = _metres(_pack([image]))
+    return {"range": batch["range"][0], "labels": batch["labels"][0], "key": image.key}
+
+
+class _Requests(Dataset["_Packed | BodysegError"]):
+    """What runs in a worker: a whole batch a request."""
+
+    def __init__(self, images: RangeImages) -> None:
+        self._images = images
+
+    def __getitem__(self, orders: list[Order]) -> _Packed | BodysegError:
+        try:
+            return _pack([self._images.image(index, epoch) for epoch, index in orders])
+        except BodysegError as error:
+            return error  # raised where the user is, as one line, without the traceback a worker would add
+
+
+class _Plan(Sampler[list[Order]]):
+    """The requests of the pass under way."""
+
+    def __init__(self) -> None:
+        self.requests: list[list[Order]] = []
+
+    def __iter__(self) -> Iterator[list[Order]]:
+        return iter(self.requests)
+
+    def __len__(self) -> int:
+        return len(self.requests)
+
+
+class Loader:
+    """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
+
+    The first pass is the images' `epoch`. `images.set_epoch(n)` makes the next pass epoch n.
+    """
+
+    def __init__(
+        self, images: RangeImages, batch_size: int, workers: int, shuffle: bool, drop_last: bool, pin_memory: bool
+    ) -> None:
+        for name, value, least in (("batch_size", batch_size, 1), ("workers", workers, 0)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
+        self.images, self.batch_size, self.shuffle, self.drop_last = images, batch_size, shuffle, drop_last
+        self._next_epoch, self._epochs_set = images.epoch, images.epochs_set
+        self._plan = _Plan()
+        self._worker_count, self._pin_memory = workers, pin_memory
+        self._workers = self._new_workers()
+
+    def _new_workers(self) -> DataLoader[_Packed | BodysegError]:
+        """Starts no process yet; the first pass does."""
+        return DataLoader(
+            _Requests(self.images),
+            batch_size=None,  # a request is a batch already
+            collate_fn=_as_it_is,
+            sampler=self._plan,
+            num_workers=self._worker_count,
+            persistent_workers=self._worker_count > 0,
+            pin_memory=self._pin_memory,
+        )
+
+    def __len__(self) -> int:
+        whole, rest = divmod(len(self.images), self.batch_size)
+        return whole + (rest > 0 and not self.drop_last)
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the next pass."""
+        return self.images.epoch if self._epochs_set != self.images.epochs_set else self._next_epoch
+
+    def __iter__(self) -> Iterator[Batch]:
+        epoch = self.epoch
+        self._next_epoch, self._epochs_set = epoch + 1, self.images.epochs_set
+        order = self.images.order(epoch, self.shuffle).tolist()
+        starts = range(0, len(self) * self.batch_size, self.batch_size)
+        self._plan.requests = [[(epoch, index) for index in order[s : s + self.batch_size]] for s in starts]
+        for packed in self._workers:
+            if isinstance(packed, BodysegError):
+                # Let the workers end now, and raise another object than `packed`, which would tie itself and this
+                # frame into a cycle: ended by the garbage collector, workers are waited for until a time-out.
+                self._workers = self._new_workers()
+                raise type(packed)(str(packed))
+            yield _metres(packed)
+
+
+def _as_it_is(packed: Any) -> Any:
+    return packed
+
+
+def loader(
+    images: RangeImages,
+    batch_size: int,
+    workers: int = 0,
+    shuffle: bool | None = None,
+    drop_last: bool = False,
+    pin_memory: bool = False,
+) -> Loader:
+    """Batches of `images`, made in `workers` processes (0: in this one); see `Batch` for what a batch holds.
+
+    shuffle: None shuffles the train split and nothing else. drop_last: leave out a last batch that is not full.
+    pin_memory: page-locked batches for quick copies to a GPU. Raises BadConfig.
+    """
+    shuffled = images.split == "train" if shuffle is None else shuffle
+    return Loader(images, batch_size, workers, shuffled, drop_last, pin_memory)

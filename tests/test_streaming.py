@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import gc
+import pickle
+import shutil
+import warnings
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import webdataset
+from torch.utils.data import DataLoader
+
+from bodyseg_data import Batch, RangeImages, loader
+from bodyseg_data.errors import BadConfig, BadShard
+from bodyseg_data.variants import VARIANTS, Artifacts, MissingData
+
+Bits = list[tuple[tuple[str, ...], bytes, bytes]]
+
+
+def bits(batches: Iterable[Batch]) -> Bits:
+    """All that a pass gives, batch by batch."""
+    return [
+        (tuple(batch["key"]), batch["range"].numpy().tobytes(), batch["labels"].numpy().tobytes()) for batch in batches
+    ]
+
+
+def keys(batches: Iterable[Batch]) -> list[str]:
+    return [key for batch in batches for key in batch["key"]]
+
+
+def test_a_batch_is_what_the_documentation_says(figures_set: Path) -> None:
+    batch = next(iter(loader(RangeImages(figures_set, variant="none"), batch_size=3)))
+    assert batch["range"].dtype == torch.float32
+    assert batch["range"].shape == (3, 1, 640, 329)
+    assert batch["labels"].dtype == torch.uint8
+    assert batch["labels"].shape == (3, 640, 329)
+    assert len(batch["key"]) == 3
+    clean = RangeImages(figures_set).clean(0)
+    assert np.array_equal(batch["range"][0, 0].numpy(), clean.range.astype(np.float32) * np.float32(1e-4))
+    foreground = batch["range"] > 0
+    assert 1.5 < batch["range"][foreground].min() < batch["range"].max() < 3.5
+    assert torch.equal(foreground[:, 0], batch["labels"] != 255)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_bits_do_not_depend_on_the_number_of_workers(figures_set: Path, variant: str) -> None:
+    one, two = (
+        [bits(batches), bits(batches)]
+        for batches in (loader(RangeImages(figures_set, variant), 5, workers, shuffle=True) for workers in (0, 2))
+    )
+    assert one == two
+    assert one[0] != one[1]
+
+
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # more workers than processors, on purpose
+@pytest.mark.parametrize("workers", [1, 3])
+def test_other_numbers_of_workers_give_the_same_bits_too(figures_set: Path, workers: int) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    assert bits(loader(images, 5, workers)) == bits(loader(images, 5, 0))
+
+
+def test_bits_do_not_depend_on_the_shard_size(
+    figures_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]
+) -> None:
+    other = pack_figures(tmp_path / "other", shard_samples=7)
+    assert bits(loader(RangeImages(other, "all", "train"), 5)) == bits(
+        loader(RangeImages(figures_set, "all", "train"), 5)
+    )
+
+
+def test_bits_do_not_depend_on_the_codec(figures_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]) -> None:
+    other = pack_figures(tmp_path / "png", codec="png")
+    assert bits(loader(RangeImages(other, "all"), 5)) == bits(loader(RangeImages(figures_set, "all"), 5))
+
+
+def test_every_pass_is_another_epoch_in_order_and_draws(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    batches = loader(images, 5)
+    first, second = bits(batches), bits(batches)
+    assert batches.epoch == 2
+    orders = [[key for batch in run for key in batch[0]] for run in (first, second)]
+    assert orders[0] != orders[1]
+    assert sorted(orders[0]) == sorted(orders[1]) == sorted(images.keys)
+    images.set_epoch(1)
+    assert bits(batches) == second, "an epoch asked for is that epoch"
+    images.set_epoch(0)
+    assert bits(batches) == first
+    assert bits(loader(RangeImages(figures_set, "all", "train", epoch=1), 5)) == second
+    assert bits(loader(RangeImages(figures_set, "all", "train", seed=1), 5)) != first
+
+
+def test_the_noise_of_one_image_differs_between_epochs(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "noise")
+    before = images[0]["range"]
+    images.set_epoch(1)
+    assert not torch.equal(before, images[0]["range"])
+
+
+def test_len_is_exact(figures_set: Path) -> None:
+    for split, count in ((None, 24), ("train", 16), ("test", 8)):
+        images = RangeImages(figures_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
+        assert len(images) == count
+        for size in (1, 5, 8, 100):
+            whole, short = loader(images, size), loader(images, size, drop_last=True)
+            assert len(list(whole)) == len(whole) == -(-count // size)
+            assert len(list(short)) == len(short) == count // size
+            assert len(keys(whole)) == count
+            assert len(keys(short)) == count // size * size
+
+
+def test_shuffling_is_for_training_unless_said_otherwise(figures_set: Path) -> None:
+    for split, shuffled in ((None, False), ("train", True), ("test", False)):
+        images = RangeImages(figures_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
+        assert (keys(loader(images, 4)) != images.keys) == shuffled
+        assert keys(loader(images, 4, shuffle=False)) == images.keys
+
+
+def test_paths_and_globs_choose_shards(figures_set: Path) -> None:
+    everything = RangeImages(figures_set).keys
+    assert RangeImages(str(figures_set) + "/").keys == everything
+    assert RangeImages(figures_set / "manifest.json").keys == everything
+    assert RangeImages(figures_set / "train-*.tar").keys == RangeImages(figures_set, split="train").keys
+    assert len(RangeImages(figures_set / "train-00000.tar")) == 5
+    assert [Path(url).name for url in RangeImages(figures_set, split="test").urls()] == [
+        "test-00000.tar",
+        "test-00001.tar",
+    ]
+
+
+def test_a_plain_dataloader_works_as_well(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all")
+    plain = list(DataLoader(images, batch_size=5, num_workers=2))
+    ours = list(loader(images, 5))
+    assert all(torch.equal(a["range"], b["range"]) for a, b in zip(plain, ours, strict=True))
+    assert all(torch.equal(a["labels"], b["labels"]) for a, b in zip(plain, ours, strict=True))
+
+
+def test_a_webdataset_pipeline_gives_the_same_bits(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # webdataset leaves closing its files to the garbage collector
+        pipeline = webdataset.WebDataset(images.urls(), shardshuffle=False).map(images.webdataset_stage())
+        streamed = list(pipeline)
+        gc.collect()
+    assert [sample["key"] for sample in streamed] == images.keys
+    for index in (0, 7, 23):
+        assert torch.equal(streamed[index]["range"], images[index]["range"])
+        assert torch.equal(streamed[index]["labels"], images[index]["labels"])
+
+
+def test_images_survive_pickling(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all", artifacts=Artifacts(missing_data=MissingData(rates=(0.5,))))
+    again = pickle.loads(pickle.dumps(images))
+    assert torch.equal(images[3]["range"], again[3]["range"])
+
+
+def test_indices_are_those_of_a_list(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    assert images[-1]["key"] == images.keys[-1]
+    for index in (24, -25):
+        with pytest.raises(IndexError, match=f"index {index} of 24 samples"):
+            images[index]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_bad_sample_stops_the_run_in_one_line(figures_set: Path, tmp_path: Path, workers: int) -> None:
+    copy = Path(shutil.copytree(figures_set, tmp_path / "copy"))
+    spoiled = bytearray((copy / "train-00001.tar").read_bytes())
+    spoiled[3000] ^= 1
+    (copy / "train-00001.tar").write_bytes(spoiled)
+    with pytest.raises(BadShard, match=r"^train-00001.tar: open-\S+: offset 0: altered: CRC-32") as caught:
+        list(loader(RangeImages(copy), 4, workers))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"variant": "everything"}, "the variant must be one of none, occ, noise, md, all"),
+        ({"split": "val"}, "the split must be one of train, test or None, found 'val'"),
+        ({"seed": -1}, "a seed must be a whole number"),
+        ({"epoch": -1}, "an epoch must be a whole number of at least 0, found -1"),
+    ],
+)
+def test_bad_options_are_refused(figures_set: Path, options: dict[str, object], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        RangeImages(figures_set, **options)  # type: ignore[arg-type]  # on purpose
+
+
+def test_bad_loader_options_are_refused(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    with pytest.raises(BadConfig, match="batch_size must be a whole number of at least 1, found 0"):
+        loader(images, 0)
+    with pytest.raises(BadConfig, match="workers must be a whole number of at least 0, found -1"):
+        loader(images, 4, workers=-1)
+
+
+def test_an_empty_selection_is_refused(tmp_path: Path, figures_set: Path) -> None:
+    with pytest.raises(
+        BadConfig, match="no sample of split None that matches 'val-\\*.tar'; the set holds 16 train, 8 test"
+    ):
+        RangeImages(figures_set / "val-*.tar")
+    with pytest.raises(BadShard, match="holds no manifest.json"):
+        RangeImages(tmp_path)
+    with pytest.raises(BadConfig, match="shards are read from local folders, found 'https://example.org/shards'"):
+        RangeImages("https://example.org/shards")

@@ -1,0 +1,124 @@
+"""Rules about the code as a whole: which way imports point, what importing costs, what no file may say."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# The way data flows: a module may import only from lines above its own (docs/architecture.md).
+ORDER = [
+    "errors",
+    "parts",
+    "splits",
+    "files",
+    "system_libraries",
+    "randomness",
+    "views",
+    "rig",
+    "mesh",
+    "mesh_repair",
+    "landmarks",
+    "bodies",
+    "partition",
+    "sample",
+    "rendering",
+    "codec",
+    "manifest",
+    "shards",
+    "packing_state",
+    "packing",
+    "artifacts",
+    "variants",
+    "streaming",
+    "legend",
+    "portrait",
+    "sheet",
+    "options",
+    "commands",
+    "cli",
+]
+
+HEAVY = ["OpenGL", "anny", "embreex", "numba", "pygeodesic", "pymeshlab", "pyrender", "scipy", "trimesh", "warp"]
+
+
+def room(module: str) -> str:
+    return module.removeprefix("bodyseg_data.").partition(".")[0]
+
+
+def modules() -> list[tuple[str, Path]]:
+    files = sorted((ROOT / "bodyseg_data").rglob("*.py"))
+    return [(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"), path) for path in files]
+
+
+def imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+    return found
+
+
+@pytest.mark.parametrize(("module", "path"), modules())
+def test_imports_point_backwards_only(module: str, path: Path) -> None:
+    if module in ("bodyseg_data", "bodyseg_data.__main__"):
+        return  # the front door knows the whole house
+    here = ORDER.index(room(module))
+    for name in imports(path):
+        assert not name.startswith("bodyseg_model"), f"{module} imports {name}: the data package knows no network"
+        if name.startswith("bodyseg_data."):
+            assert ORDER.index(room(name)) <= here, f"{module} imports {name}"
+
+
+def loaded_by(statement: str) -> list[str]:
+    script = f"import sys; {statement}; print(*sorted({{name.partition('.')[0] for name in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    return done.stdout.split()
+
+
+def test_importing_the_package_is_light() -> None:
+    loaded = loaded_by("import bodyseg_data")
+    assert not {"torch", "numpy", *HEAVY} & set(loaded)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from bodyseg_data import RangeImages, loader, load_rig, Augmentation",
+        "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
+        "import bodyseg_data.bodies; bodyseg_data.bodies.open_source('open').bodies()",
+        "import bodyseg_data.packing",
+    ],
+)
+def test_streaming_and_planning_need_no_renderer(statement: str) -> None:
+    assert not set(HEAVY) & set(loaded_by(statement))
+
+
+def test_streaming_installs_no_renderer() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    core = {name.partition(">")[0].partition("=")[0] for name in project["dependencies"]}
+    assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "tqdm"}
+
+
+def test_every_dependency_is_pinned_and_explained() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pinned = {line.partition("==")[0].lower() for line in (ROOT / "tools/requirements.lock").read_text().splitlines()}
+    explained = (ROOT / "docs" / "dependencies.md").read_text()
+    extras = [name for extra in project["optional-dependencies"].values() for name in extra]
+    for needed in [*project["dependencies"], *extras]:
+        name = needed.partition(">")[0].partition("=")[0].partition("[")[0]
+        assert name.lower() in pinned
+        assert f"`{name}`" in explained
+
+
+def test_files_stay_small() -> None:
+    long = {str(path): count for _, path in modules() if (count := len(path.read_text().splitlines())) > 310}
+    assert not long
