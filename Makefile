@@ -33,7 +33,7 @@ lock:
 	rm -rf $(VENV)/lock
 	$(PYTHON) -m venv $(VENV)/lock
 	tools/install_torch $(VENV)/lock/bin $(TORCH)
-	$(VENV)/lock/bin/pip install --quiet ".[render,dev]" setuptools
+	$(VENV)/lock/bin/pip install --quiet ".[dev]" setuptools
 	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed 's/+cpu$$//'; } > tools/requirements.new
 	mv tools/requirements.new tools/requirements.lock
 

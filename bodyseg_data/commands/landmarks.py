@@ -24,6 +24,7 @@ class Options:
     out: Path = option("write the picture to this PNG file")
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     meshes: tuple[str, ...] = option("names of the meshes to draw (default: the source's first)", ())
+    height: int = option("height of a body in the picture, pixels", 600)
 
 
 def run(options: Options) -> int:
@@ -38,6 +39,6 @@ def run(options: Options) -> int:
         built = source.build(bodies[name])
         labels = partition(built.mesh, built.landmarks).labels
         portraits.append((f"{bodies[name].subject}, {bodies[name].pose}", built.mesh, labels, built.landmarks))
-    save_picture(draw_portraits(portraits), options.out)
+    save_picture(draw_portraits(portraits, [options.height] * len(portraits)), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0
