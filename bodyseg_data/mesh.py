@@ -84,3 +84,14 @@ class Mesh:
         """Outward normals of all faces, [F, 3]; length twice the face's area, zero for a degenerate face."""
         corners = self.vertices[self.faces]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
+        a, b, c = np.moveaxis(self.vertices[self.faces[faces]], 1, 0)
+        ab, ac, ap = b - a, c - a, points - a
+        aa, bb, ab_ac = (np.einsum("ij,ij->i", x, y) for x, y in ((ab, ab), (ac, ac), (ab, ac)))
+        p_ab, p_ac = np.einsum("ij,ij->i", ap, ab), np.einsum("ij,ij->i", ap, ac)
+        area = aa * bb - ab_ac**2
+        area[area == 0] = 1  # a degenerate triangle: any corner is as good
+        v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
+        return np.stack([1 - v - w, v, w], axis=1)

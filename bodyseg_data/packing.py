@@ -156,10 +156,10 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...]) -> Enco
     """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views."""
     source = _source(packing.source, packing.path)
     built = source.build(body)
-    labels = partition(built.mesh, built.landmarks).labels
+    parts = partition(built.mesh, built.landmarks)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        samples = (take_sample(renderer, packing.rig, built.mesh, labels, source.name, body, view) for view in views)
+        samples = (take_sample(renderer, packing.rig, built.mesh, parts, source.name, body, view) for view in views)
         return [(sample.key, encode_sample(sample, packing.codec)) for sample in samples]
     finally:
         renderer.close()

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.borders import Borders, find_borders
 from bodyseg_data.errors import BadLandmarks, BadMesh
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.parts import LANDMARKS, PART_COUNT
@@ -18,15 +19,30 @@ _FEATURE: Final = "partitioning a body"
 
 @dataclass(frozen=True)
 class Partition:
-    """The part of every vertex of one mesh.
+    """The part of every vertex of one mesh, and of every point of its triangles.
 
     labels: uint8 [V], 0 to 32, position in `parts.PARTS`. distance: float64 [V], metres along the surface to the
     landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex that
-    no face uses), where the label is that of the nearest reached place through the air.
+    no face uses), where the label is that of the nearest reached place through the air. borders: the triangles that
+    parts share.
     """
 
     labels: NDArray[np.uint8]
     distance: NDArray[np.float64]
+    borders: Borders
+
+    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """The part of each of `points` [N, 3], which lie in the triangles `faces` [N] of `mesh`, uint8 [N].
+
+        Within a triangle that parts share, a point belongs to the landmark that is nearest to *it*: borders run
+        through triangles as smoothly as distances do, instead of along their edges.
+        """
+        corners = self.labels[mesh.faces[faces]]
+        chosen: NDArray[np.uint8] = corners[:, 0].copy()
+        shared = np.flatnonzero((corners != corners[:, :1]).any(axis=1))
+        nearest = self.borders.nearest_corner(faces[shared], mesh.barycentric(faces[shared], points[shared]))
+        chosen[shared] = corners[shared, nearest]
+        return chosen
 
 
 def partition(mesh: Mesh, landmarks: NDArray[np.int64]) -> Partition:
@@ -67,7 +83,7 @@ def partition(mesh: Mesh, landmarks: NDArray[np.int64]) -> Partition:
         labels[unreached] = labels[_nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached])]
     for array in (labels, distance):
         array.flags.writeable = False
-    return Partition(labels, distance)
+    return Partition(labels, distance, find_borders(mesh, labels, distance))
 
 
 def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -13,13 +13,14 @@ from PIL import Image, ImageDraw
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.legend import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.mesh import Mesh
+from bodyseg_data.partition import Partition
 from bodyseg_data.parts import COLOURS, PART_COUNT
 from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.sampling import barycentric, labels_at, surface_points
+from bodyseg_data.rendering.sampling import surface_points
 from bodyseg_data.rig import Camera, PlacedCamera
 
-Sitter = tuple[str, Mesh, NDArray[np.uint8], NDArray[np.int64]]
-"""Title, mesh, labels uint8 [V], landmarks int64 [33]."""
+Sitter = tuple[str, Mesh, Partition, NDArray[np.int64]]
+"""Title, mesh, its parts, landmarks int64 [33]."""
 
 SIDES: Final = (("front", 0), ("its left", 90), ("back", 180), ("its right", 270))
 """Caption and azimuth in degrees of each view."""
@@ -40,7 +41,7 @@ Box = tuple[float, float, float, float]
 def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None = None) -> Image.Image:
     """One picture with a row for each body, seen from its front, left, back and right, and a legend of the parts.
 
-    sitters: title, mesh, labels uint8 [V] and landmarks int64 [33] of each body. heights_px: height of each body in
+    sitters: title, mesh, parts and landmarks int64 [33] of each body. heights_px: height of each body in
     the picture, 600 pixels if not given. Returns an RGB image. A dot marks every landmark on the sides it faces, with
     its label as a number.
 
@@ -67,7 +68,7 @@ def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None =
 
 def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Image:
     """One body from one side with dots and numbers, RGB; 0 degrees sees its front, 90 its left, 180 its back."""
-    _, mesh, labels, landmarks = sitter
+    _, mesh, parts, landmarks = sitter
     normals = _vertex_normals(mesh)
     camera = _camera(mesh, azimuth_deg, pixels_per_m)
     renderer = open_renderer("embree", mesh)
@@ -78,14 +79,14 @@ def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Im
     rows, columns = np.nonzero(seen.face >= 0)
     faces = seen.face[rows, columns]
     points = surface_points(seen, fine, rows, columns)
-    weights = barycentric(mesh, faces, points)
+    weights = mesh.barycentric(faces, points)
     facing = np.einsum("nk,nkd->nd", weights, normals[mesh.faces[faces]])
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
     light = np.array([-0.35, -0.5, -1.0]) @ camera.axes  # from above the viewer's left shoulder
     brightness = 0.42 + 0.62 * np.clip(facing @ (light / np.linalg.norm(light)), 0, 1)
     canvas = np.empty((*seen.face.shape, 3), np.uint8)
     canvas[:] = PAPER
-    canvas[rows, columns] = np.clip(COLOURS[labels_at(mesh, labels, faces, points)] * brightness[:, None], 0, 255)
+    canvas[rows, columns] = np.clip(COLOURS[parts.labels_at(mesh, faces, points)] * brightness[:, None], 0, 255)
     image = Image.fromarray(canvas).reduce(_FINER)
 
     pixels, ranges = camera.project(mesh.vertices[landmarks])
@@ -98,9 +99,9 @@ def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Im
 
 
 def _row(sitter: Sitter, height_px: int) -> Image.Image:
-    title, mesh, labels, landmarks = sitter
-    if np.shape(labels) != (len(mesh.vertices),) or np.max(labels) >= PART_COUNT:
-        raise BadConfig(f"mesh {mesh.name}: each vertex needs a label 0 to {PART_COUNT - 1}, found {np.shape(labels)}")
+    title, mesh, parts, landmarks = sitter
+    if parts.labels.shape != (len(mesh.vertices),):
+        raise BadConfig(f"mesh {mesh.name}: each vertex needs a label, found {parts.labels.shape}")
     if np.shape(landmarks) != (PART_COUNT,) or not 0 <= np.min(landmarks) <= np.max(landmarks) < len(mesh.vertices):
         raise BadConfig(f"mesh {mesh.name}: {PART_COUNT} landmarks must be vertices of it, found {np.shape(landmarks)}")
     pixels_per_m = height_px / float(np.ptp(mesh.vertices[np.unique(mesh.faces), 1]))

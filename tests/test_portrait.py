@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from shapes import ball
 
 from bodyseg_data import portrait
+from bodyseg_data.borders import find_borders
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.mesh import Mesh
+from bodyseg_data.partition import Partition
 from bodyseg_data.parts import COLOURS
 from bodyseg_data.portrait import Sitter, draw_portraits, draw_side
 
@@ -21,7 +24,13 @@ def quartered() -> Sitter:
     x, y, z = (mesh.vertices - mesh.centre).T
     labels = np.where(np.abs(z) >= np.abs(x), np.where(z > 0, 0, 2), np.where(x > 0, 1, 3)).astype(np.uint8)
     ring = np.flatnonzero(np.abs(y) < 0.3)
-    return "ball", mesh, labels, ring[:: len(ring) // 33][:33].astype(np.int64)
+    return "ball", mesh, whole_corners(mesh, labels), ring[:: len(ring) // 33][:33].astype(np.int64)
+
+
+def whole_corners(mesh: Mesh, labels: NDArray[np.uint8]) -> Partition:
+    """Parts given by vertex alone: points take the part of their nearest corner."""
+    nowhere = np.full(len(mesh.vertices), np.inf)
+    return Partition(labels, nowhere, find_borders(mesh, labels, nowhere))
 
 
 def hue(colour: Any) -> Any:
@@ -44,8 +53,8 @@ def test_each_side_shows_its_own_parts(azimuth: int, label: int, monkeypatch: py
 def test_landmarks_are_marked_where_they_are_and_only_if_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     marked: list[dict[int, tuple[float, float]]] = []
     monkeypatch.setattr(portrait, "_mark", lambda image, dots: marked.append(dots))
-    title, mesh, labels, landmarks = quartered()
-    picture = draw_side((title, mesh, labels, landmarks), 0, 200)
+    title, mesh, parts, landmarks = quartered()
+    picture = draw_side((title, mesh, parts, landmarks), 0, 200)
     ways = mesh.vertices[landmarks] - mesh.centre
     (dots,) = marked
     assert set(dots) == set(np.flatnonzero(ways[:, 2] > 0.5 * 0.12 + 0.01)) | {
@@ -60,15 +69,15 @@ def test_landmarks_are_marked_where_they_are_and_only_if_seen(monkeypatch: pytes
 def test_a_landmark_behind_something_is_not_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     marked: list[dict[int, tuple[float, float]]] = []
     monkeypatch.setattr(portrait, "_mark", lambda image, dots: marked.append(dots))
-    _, whole, labels, landmarks = quartered()
+    _, whole, parts, landmarks = quartered()
     shield = ball(radius_m=0.45, centre=(0.0, 0.9, 1.1), subdivisions=4)
     mesh = Mesh(
         "hidden",
         np.concatenate([whole.vertices, shield.vertices]),
         np.concatenate([whole.faces, shield.faces + len(whole.vertices)]),
     )
-    both = np.concatenate([labels, np.full(len(shield.vertices), 9, np.uint8)])
-    draw_side(("hidden", mesh, both, landmarks), 0, 200)
+    both = np.concatenate([parts.labels, np.full(len(shield.vertices), 9, np.uint8)])
+    draw_side(("hidden", mesh, whole_corners(mesh, both), landmarks), 0, 200)
     ways = whole.vertices[landmarks] - whole.centre
     aside = np.hypot(ways[:, 0], ways[:, 1])
     assert not any(aside[label] < 0.40 for label in marked[0])
@@ -103,16 +112,15 @@ def test_a_picture_has_a_row_for_each_body_and_a_legend() -> None:
 
 
 def test_what_cannot_be_drawn_is_refused() -> None:
-    title, mesh, labels, landmarks = quartered()
-    good = (title, mesh, labels, landmarks)
+    title, mesh, parts, landmarks = quartered()
+    good = (title, mesh, parts, landmarks)
     for sitters, heights in (([], None), ([good], []), ([good], [200, 200]), ([good], [5])):
         with pytest.raises(BadConfig, match="a picture needs one height of 100 to 4000 pixels"):
             draw_portraits(sitters, heights)
     for broken, message in (
-        ((title, mesh, labels[:-1], landmarks), "mesh ball: each vertex needs a label 0 to 32"),
-        ((title, mesh, np.full_like(labels, 33), landmarks), "mesh ball: each vertex needs a label 0 to 32"),
-        ((title, mesh, labels, landmarks[:5]), "mesh ball: 33 landmarks must be vertices of it"),
-        ((title, mesh, labels, landmarks + 10_000), "mesh ball: 33 landmarks must be vertices of it"),
+        ((title, ball(subdivisions=3), parts, landmarks), "mesh ball: each vertex needs a label, found"),
+        ((title, mesh, parts, landmarks[:5]), "mesh ball: 33 landmarks must be vertices of it"),
+        ((title, mesh, parts, landmarks + 10_000), "mesh ball: 33 landmarks must be vertices of it"),
     ):
         with pytest.raises(BadConfig, match=message):
             draw_portraits([broken], [200])

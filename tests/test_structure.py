@@ -26,6 +26,7 @@ ORDER = [
     "mesh_repair",
     "landmarks",
     "bodies",
+    "borders",
     "partition",
     "sample",
     "rendering",

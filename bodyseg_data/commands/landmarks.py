@@ -37,8 +37,8 @@ def run(options: Options) -> int:
         if name not in bodies:
             raise BadConfig(f"the source {source.name} has no mesh {name!r}; the first is {next(iter(bodies))!r}")
         built = source.build(bodies[name])
-        labels = partition(built.mesh, built.landmarks).labels
-        portraits.append((f"{bodies[name].subject}, {bodies[name].pose}", built.mesh, labels, built.landmarks))
+        parts = partition(built.mesh, built.landmarks)
+        portraits.append((f"{bodies[name].subject}, {bodies[name].pose}", built.mesh, parts, built.landmarks))
     save_picture(draw_portraits(portraits, [options.height] * len(portraits)), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0

@@ -25,7 +25,6 @@ class EmbreeRenderer:
     """One mesh in an Embree tree, built once and asked for any number of cameras."""
 
     def __init__(self, mesh: Mesh) -> None:
-        self._mesh = mesh
         # Single-precision rays are accurate to about 0.3 um at 2.5 m when coordinates are small, so the tree is built
         # around the body's centre. "Robust" traversal never lets a ray slip between two triangles.
         self._origin = mesh.centre

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.mesh import Mesh
+from bodyseg_data.partition import Partition
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rendering import Renderer, Surface
 from bodyseg_data.rig import PlacedCamera, Rig
@@ -20,9 +21,9 @@ def sample_key(source: str, body: BodyRef, view: View) -> str:
 
 
 def take_sample(
-    renderer: Renderer, rig: Rig, mesh: Mesh, labels: NDArray[np.uint8], source: str, body: BodyRef, view: View
+    renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef, view: View
 ) -> Sample:
-    """Render one view of `mesh`, whose vertices carry `labels` (uint8 [V]), with `rig`. Raises BadSample."""
+    """Render one view of `mesh`, divided into `parts`, with `rig`. Raises BadSample."""
     key = sample_key(source, body, view)
     camera, projector = rig.placed(mesh.centre, view)
     seen = renderer.see(camera)
@@ -30,7 +31,7 @@ def take_sample(
     faces = seen.face[rows, columns]
     points = surface_points(seen, camera, rows, columns)
     label_image = np.full(seen.face.shape, BACKGROUND, np.uint8)
-    label_image[rows, columns] = labels_at(mesh, labels, faces, points)
+    label_image[rows, columns] = parts.labels_at(mesh, faces, points)
     facing = np.zeros(seen.face.shape, np.bool_)
     facing[rows, columns] = faces_towards(mesh, faces, points, projector.position)
     info = SampleInfo(
@@ -49,34 +50,6 @@ def surface_points(
     rays[:, 0] = (columns + 0.5 - camera.camera.centre_px[0]) / camera.camera.focal_px
     rays[:, 1] = (rows + 0.5 - camera.camera.centre_px[1]) / camera.camera.focal_px
     return camera.to_body(rays * seen.range[rows, columns, None])
-
-
-def labels_at(
-    mesh: Mesh, labels: NDArray[np.uint8], faces: NDArray[np.int32], points: NDArray[np.float64]
-) -> NDArray[np.uint8]:
-    """Part of each surface point, uint8 [N]: that of the triangle's corner with the largest barycentric weight.
-
-    A triangle between two parts is divided along its middle instead of going whole to one of them, which would
-    draw triangle-shaped teeth along every border.
-    """
-    corners = labels[mesh.faces[faces]]
-    chosen = corners[:, 0].copy()
-    mixed = np.flatnonzero((corners != corners[:, :1]).any(axis=1))
-    weights = barycentric(mesh, faces[mixed], points[mixed])
-    chosen[mixed] = corners[mixed, weights.argmax(axis=1)]
-    return chosen
-
-
-def barycentric(mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Barycentric weights [N, 3] of points [N, 3] projected onto the planes of their triangles (Ericson 2005, 3.4)."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[faces]], 1, 0)
-    ab, ac, ap = b - a, c - a, points - a
-    aa, bb, ab_ac = (np.einsum("ij,ij->i", x, y) for x, y in ((ab, ab), (ac, ac), (ab, ac)))
-    p_ab, p_ac = np.einsum("ij,ij->i", ap, ab), np.einsum("ij,ij->i", ap, ac)
-    area = aa * bb - ab_ac**2
-    area[area == 0] = 1  # a degenerate triangle: any corner is as good
-    v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
-    return np.stack([1 - v - w, v, w], axis=1)
 
 
 def faces_towards(
