@@ -46,7 +46,7 @@ def test_on_a_plane_parts_are_the_voronoi_cells_of_their_landmarks() -> None:
     away = nearest > 2 / 24
     assert away.mean() > 0.3
     # In rare triangles the nearest landmark is that of no corner.
-    assert np.mean((chosen - nearest)[away] > 0.02 / 24) < 0.002
+    assert np.mean((chosen - nearest)[away] > 0.1 / 24) < 0.005
 
 
 def test_labels_agree_with_distances_to_every_landmark_computed_alone() -> None:
