@@ -2,21 +2,21 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-TORCH := torch==2.13.0
 
 .PHONY: install demo test check lock clean
 
 install: $(VENV)/.installed
 
-$(VENV)/.installed: pyproject.toml tools/requirements.lock
+$(VENV)/.installed: pyproject.toml tools/requirements.lock tools/install_torch
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	@PIP_DISABLE_PIP_VERSION_CHECK=1 tools/install_torch $(BIN) $(TORCH)
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 tools/install_torch $(BIN)
 	$(BIN)/pip install --quiet --disable-pip-version-check -r tools/requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
 demo: install
+	rm -rf demo
 	$(BIN)/bodyseg demo --out demo
 
 test: install
@@ -28,11 +28,11 @@ check: install
 	$(BIN)/mypy
 	$(BIN)/pytest -q tests/test_structure.py
 
-# Newest versions that pyproject.toml allows, as the next exact list.
+# Newest versions that pyproject.toml allows, as the next exact list; a new PyTorch is chosen by hand in the list.
 lock:
 	rm -rf $(VENV)/lock
 	$(PYTHON) -m venv $(VENV)/lock
-	tools/install_torch $(VENV)/lock/bin $(TORCH)
+	tools/install_torch $(VENV)/lock/bin
 	$(VENV)/lock/bin/pip install --quiet ".[dev]" setuptools
 	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed 's/+cpu$$//'; } > tools/requirements.new
 	mv tools/requirements.new tools/requirements.lock

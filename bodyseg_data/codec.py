@@ -11,9 +11,10 @@ from __future__ import annotations
 import io
 import json
 import struct
+import threading
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from typing import Any, Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -35,9 +36,8 @@ MAX_SIDE: Final = 8192
 
 _IMAGES: Final = {"range": np.uint16, "projector": np.uint16, "labels": np.uint8}
 _MAGIC: Final = b"BSI1"
-_HEADER: Final = struct.Struct(
-    "<4sBBHHHHHH"
-)  # magic, bytes a pixel, background, rows, columns, top, left, height, width
+_FIELDS: Final = struct.Struct("<BBHHHHHH")  # bytes a pixel, background, rows, columns, top, left, height, width
+_HEADER: Final = 8 + _FIELDS.size  # the magic, a CRC-32 of all that follows it, the fields
 _ZSTD_LEVEL: Final = 9
 
 Image = NDArray[Any]
@@ -73,24 +73,26 @@ class BsiCodec:
     level: int = _ZSTD_LEVEL
 
     def encode(self, image: Image, background: int) -> bytes:
-        rows, columns = (
-            np.flatnonzero((image != background).any(axis=1)),
-            np.flatnonzero((image != background).any(axis=0)),
-        )
+        used = image != background
+        rows, columns = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
         top, left, height, width = 0, 0, 0, 0
         if len(rows):
             top, left = int(rows[0]), int(columns[0])
             height, width = int(rows[-1]) - top + 1, int(columns[-1]) - left + 1
         crop = image[top : top + height, left : left + width]
-        header = _HEADER.pack(_MAGIC, image.itemsize, background, *image.shape, top, left, height, width)
-        return header + zstandard.ZstdCompressor(level=self.level, write_checksum=True).compress(_to_planes(crop))
+        fields = _FIELDS.pack(image.itemsize, background, *image.shape, top, left, height, width)
+        checked = fields + zstandard.ZstdCompressor(level=self.level).compress(_to_planes(crop))
+        return _MAGIC + zlib.crc32(checked).to_bytes(4, "little") + checked
 
     def decode(self, data: bytes) -> Image:
-        if len(data) < _HEADER.size:
-            raise ValueError(f"an image has a header of {_HEADER.size} bytes, found {len(data)} bytes in all")
-        magic, size, background, rows, columns, top, left, height, width = _HEADER.unpack_from(data)
-        if magic != _MAGIC:
-            raise ValueError(f"an image starts with {_MAGIC!r}, found {magic!r}")
+        if len(data) < _HEADER:
+            raise ValueError(f"an image has a header of {_HEADER} bytes, found {len(data)} bytes in all")
+        if data[:4] != _MAGIC:
+            raise ValueError(f"an image starts with {_MAGIC!r}, found {data[:4]!r}")
+        stored, computed = int.from_bytes(data[4:8], "little"), zlib.crc32(memoryview(data)[8:])
+        if stored != computed:
+            raise ValueError(f"altered: CRC-32 {stored:08x} expected, found {computed:08x}")
+        size, background, rows, columns, top, left, height, width = _FIELDS.unpack_from(data, 8)
         if size not in (1, 2):
             raise ValueError(f"an image has 1 or 2 bytes a pixel, found {size}")
         if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
@@ -98,7 +100,7 @@ class BsiCodec:
         if top + height > rows or left + width > columns:
             raise ValueError(f"a crop of {height} x {width} at {top}, {left} does not fit {rows} x {columns} pixels")
         expected = height * width * size
-        payload = memoryview(data)[_HEADER.size :]
+        payload = memoryview(data)[_HEADER:]
         try:
             # Asked before decoding: zstd allocates whatever a frame claims to hold.
             claimed = zstandard.frame_content_size(payload)
@@ -136,9 +138,15 @@ def _from_planes(planes: bytes, size: int, height: int, width: int) -> Image:
     return image
 
 
-@lru_cache(maxsize=1)
+_of_thread = threading.local()
+
+
 def _decompressor() -> zstandard.ZstdDecompressor:
-    return zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
+    """One a thread: it is costly to make and must not be shared."""
+    if not hasattr(_of_thread, "decompressor"):
+        _of_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
+    decompressor: zstandard.ZstdDecompressor = _of_thread.decompressor
+    return decompressor
 
 
 @dataclass(frozen=True)
@@ -155,12 +163,14 @@ class PngCodec:
     def decode(self, data: bytes) -> Image:
         from PIL import Image as Pillow
 
+        # Asked before opening: Pillow allocates, and warns, by what a file claims.
+        columns, rows = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+        if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
+            raise ValueError(f"not a readable PNG: an image side is 1 to {MAX_SIDE} pixels, found {rows} x {columns}")
         try:
             with Pillow.open(io.BytesIO(data), formats=["PNG"]) as picture:
                 if picture.mode not in ("L", "I;16"):
                     raise ValueError(f"a PNG must be 8- or 16-bit greyscale, found mode {picture.mode}")
-                if max(picture.size) > MAX_SIDE:
-                    raise ValueError(f"an image side is 1 to {MAX_SIDE} pixels, found {picture.size}")
                 return np.asarray(picture).copy()
         except (OSError, SyntaxError) as error:
             raise ValueError(f"not a readable PNG: {error}") from error
@@ -204,7 +214,7 @@ def decode_sample(key: str, members: Mapping[str, bytes]) -> Sample:
             raise BadSample(f"{key}: {member}: must be {kind.__name__}, found {images[name].dtype}")
     try:
         info = info_from_json(json.loads(members["json"]), key)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
     labels, facing = split_labels(images["labels"])
     return Sample(key, images["range"], images["projector"], labels, facing, info)

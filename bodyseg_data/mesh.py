@@ -17,12 +17,15 @@ HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
 
 
+_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: an open piece, like an eyelid, may seem to enclose less
+
+
 @dataclass(frozen=True)
 class Mesh:
     """A body's surface. vertices: float64 [V, 3], metres, body frame; faces: int32 [F, 3], outward by right hand.
 
     Raises BadMesh, naming the mesh, for: no vertices or faces, coordinates that are not finite, indices outside the
-    vertices, a body not 0.5 to 2.5 m in its largest extent, faces that point inwards.
+    vertices, a body not 0.5 to 2.5 m in its largest extent, faces that point inwards or disagree with their neighbours.
     """
 
     name: str
@@ -62,16 +65,54 @@ class Mesh:
             raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
 
     def _check_orientation(self) -> None:
-        volume = self.signed_volume()
-        if volume <= 0:
+        """Outward means: neighbours agree, every closed piece encloses a positive volume, and so does the whole."""
+        clash = self._clashing_edge()
+        if clash is not None:
             raise BadMesh(
-                f"mesh {self.name}: faces must point outwards, found a signed volume of {volume:.3g} m3 (inside out?)"
+                f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
+                f"of vertices {clash[0]} and {clash[1]}"
+            )
+        pieces = self._signed_volumes()
+        if pieces.sum() <= 0 or pieces.min() < -_SLIGHT_VOLUME_M3:
+            raise BadMesh(
+                f"mesh {self.name}: faces must point outwards, found a signed volume of {pieces.min():.3g} m3 "
+                "(inside out?)"
             )
 
+    def _clashing_edge(self) -> tuple[int, int] | None:
+        """An edge that exactly two faces share and both go along in the same direction, if there is one."""
+        ways = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).astype(np.int64)
+        low, high = ways.min(axis=1), ways.max(axis=1)
+        edges, place, count = np.unique(low * len(self.vertices) + high, return_inverse=True, return_counts=True)
+        balance = np.bincount(place, weights=np.where(ways[:, 0] == low, 1, -1))
+        bad = np.flatnonzero((count == 2) & (balance != 0))
+        return (
+            None
+            if not len(bad)
+            else (int(edges[bad[0]] // len(self.vertices)), int(edges[bad[0]] % len(self.vertices)))
+        )
+
     def signed_volume(self) -> float:
-        """Volume enclosed, m3, by the divergence theorem about the centre; negative if faces point inwards."""
-        corners = self.vertices[self.faces] - self.centre
-        return float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+        """Volume enclosed, m3; negative if faces point inwards."""
+        return float(self._signed_volumes().sum())
+
+    def _signed_volumes(self) -> NDArray[np.float64]:
+        """Signed volume, m3, of every connected piece about its own centre; exact for closed pieces."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        rows, columns = self.faces.ravel(), np.roll(self.faces, 1, axis=1).ravel()
+        links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(self.vertices),) * 2)
+        _, piece_of = connected_components(links, directed=False)
+        _, piece = np.unique(piece_of[self.faces[:, 0]], return_inverse=True)
+        corners = self.vertices[self.faces]
+        middles = (
+            np.stack([np.bincount(piece, weights=corners[..., axis].mean(axis=1)) for axis in range(3)], axis=1)
+            / np.bincount(piece)[:, None]
+        )
+        corners = corners - middles[piece][:, None]
+        volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+        return np.asarray(np.bincount(piece, weights=volumes), np.float64)
 
     @property
     def centre(self) -> NDArray[np.float64]:

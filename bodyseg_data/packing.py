@@ -19,13 +19,13 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef, BodySource, open_source
 from bodyseg_data.codec import CodecName, encode_sample, image_codec
 from bodyseg_data.errors import BadConfig, BadShard
-from bodyseg_data.manifest import MANIFEST_FORMAT, Manifest, write_manifest
-from bodyseg_data.packing_state import STATE_NAME, claimed, finished_set, finished_shards, record_shard
+from bodyseg_data.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
+from bodyseg_data.packing_state import claimed, finished_shards, record_shard
 from bodyseg_data.partition import partition
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.rendering.sampling import take_sample
@@ -33,6 +33,9 @@ from bodyseg_data.rig import Rig, load_rig
 from bodyseg_data.shards import ShardWriter
 from bodyseg_data.splits import SPLITS, Split
 from bodyseg_data.views import View, ViewGrid
+
+PACKING_VERSION: Final = 1
+"""Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
 
 Progress = Callable[[int, int], None]
 """Called with (samples done, samples in all) after every mesh."""
@@ -65,7 +68,7 @@ class Packing:
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""
-        return spread(open_source(self.source, self.path).bodies(), self.meshes)
+        return spread(_source(self.source, self.path).bodies(), self.meshes)
 
 
 def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
@@ -134,10 +137,13 @@ def _cut(packing: Packing) -> list[_Shard]:
 
 def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
     """Everything that shapes the bytes, as plain JSON."""
+    bodies = packing.bodies()
     described = {
         "format": MANIFEST_FORMAT,
+        "version": PACKING_VERSION,
         "source": packing.source,
-        "meshes": [asdict(body) for body in packing.bodies()],
+        "meshes": [asdict(body) for body in bodies],
+        "fingerprint": _source(packing.source, packing.path).fingerprint(bodies),
         "views": [view.name for view in packing.views],
         "rig": packing.rig.to_json(),
         "renderer": packing.renderer,
@@ -178,18 +184,15 @@ def pack(
 
     executor: runs `render_run`; workers: how many of its workers to keep busy. Raises BadConfig if `out` holds
     something else or another packing is at work there, BadMesh, BadLandmarks or BadSample for a body that cannot be
-    packed. After an error, finished shards stay and the same call carries on from them.
+    packed. After an error, finished shards stay and the same call carries on from them. In a finished set, shards that
+    are missing or altered are made again.
     """
     shards = _cut(packing)
     description = _describe(packing, shards)
     digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
     total = sum(len(shard) for shard in shards)
     try:
-        finished = finished_set(out, digest)
-        if finished is not None:
-            progress(total, total)
-            return finished
-        with claimed(out, description) as state:
+        with claimed(out, description, digest) as state:
             records = finished_shards(out, state, [shard.name for shard in shards])
             done = sum(len(record) for record in records.values())
             progress(done, total)
@@ -214,8 +217,9 @@ def pack(
                 plan=digest,
                 shards=tuple(records[shard.name] for shard in shards),
             )
-            write_manifest(manifest, out)
-        shutil.rmtree(out / STATE_NAME)
+            if not (out / MANIFEST_NAME).exists():
+                write_manifest(manifest, out)
+            shutil.rmtree(state)
     except BrokenExecutor as error:
         raise BadConfig(
             f"a worker process was killed (out of memory?) while packing {out}: the same command carries on"

@@ -6,7 +6,7 @@ draw belongs to a sample's key. So batches are the same bits for any number of w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -15,8 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from bodyseg_data.codec import decode_sample
-from bodyseg_data.errors import BadConfig, BodysegError
+from bodyseg_data.errors import BadConfig, BadShard, BodysegError
 from bodyseg_data.manifest import MANIFEST_NAME, read_manifest
 from bodyseg_data.randomness import check_seed, permutation
 from bodyseg_data.sample import RANGE_STEP_M, Sample
@@ -119,21 +118,31 @@ class RangeImages(Dataset[dict[str, Any]]):
         """The order in which a pass visits the samples, int64 [len(self)]; a function of seed and epoch alone."""
         return permutation(len(self), self.seed, epoch) if shuffle else np.arange(len(self))
 
-    def webdataset_stage(self, epoch: int | None = None) -> Callable[[dict[str, Any]], dict[str, Any]]:
-        """A `map` stage for a WebDataset pipeline over these shards: raw members in, the variant's image out.
+    def webdataset(self, epoch: int | None = None) -> Any:
+        """A `webdataset.WebDataset` over the chosen shards that gives this variant's images, in stored order.
 
-        For reading in stored order, where random access is slow: the images have the same bits as by index.
-
-            webdataset.WebDataset(images.urls(), shardshuffle=False).map(images.webdataset_stage())
+        For reading where random access is slow, or in a pipeline of your own: chain `.shuffle(1000)` and so on. The
+        images have the same bits as by index, and each one's bytes are checked against the manifest: raises BadShard
+        for a sample that is altered or unknown. A tar cut between two samples only ends early, which no reader of a
+        stream can see; `bodyseg verify` does.
         """
+        import webdataset
+
         chosen = self.epoch if epoch is None else epoch
+        places = {self.manifest.shards[shard].keys[index]: (shard, index) for shard, index in self._places.tolist()}
 
-        def stage(raw: dict[str, Any]) -> dict[str, Any]:
+        def image(raw: dict[str, Any]) -> dict[str, Any]:
+            key = raw["__key__"]
+            if key not in places:
+                raise BadShard(f"{raw.get('__url__', self.path)}: {key}: not among the chosen samples of the manifest")
             members = {name: data for name, data in raw.items() if not name.startswith("_")}
-            image = self.augmentation(decode_sample(raw["__key__"], members), chosen)
-            return _single(image)
+            return _single(self.augmentation(self._reader.decode(*places[key], members), chosen))
 
-        return stage
+        return webdataset.WebDataset(self.urls(), shardshuffle=False).map(image)
+
+    def stored_bytes(self) -> int:
+        """Bytes that the chosen samples take in their shards, headers included."""
+        return sum(self.manifest.shards[shard].lengths[index] for shard, index in self._places.tolist())
 
     def urls(self) -> list[str]:
         """The paths of the shards that hold the chosen samples, in stored order."""
@@ -143,7 +152,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 def _locate(path: str) -> tuple[Path, str]:
     """Folder of the set and the pattern its shards must match."""
     if "://" in path:
-        raise BadConfig(f"shards are read from local folders, found {path!r}")
+        raise BadConfig(f"shards are read from local folders, found {path!r}: copy the set here first")
     place = Path(path)
     if any(mark in place.name for mark in "*?["):
         return place.parent, place.name
@@ -209,19 +218,19 @@ class _Plan(Sampler[list[Order]]):
 class Loader:
     """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
 
-    The first pass is the images' `epoch`. `images.set_epoch(n)` makes the next pass epoch n.
+    The first pass is the images' `epoch`. `images.set_epoch(n)` makes the next pass epoch n. Make one loader and use it
+    for all epochs: a new one starts where `images.epoch` says, and starts its workers anew. One pass runs at a time.
     """
 
-    def __init__(
-        self, images: RangeImages, batch_size: int, workers: int, shuffle: bool, drop_last: bool, pin_memory: bool
-    ) -> None:
+    def __init__(self, images: RangeImages, batch_size: int, workers: int, shuffle: bool, drop_last: bool) -> None:
         for name, value, least in (("batch_size", batch_size, 1), ("workers", workers, 0)):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
         self.images, self.batch_size, self.shuffle, self.drop_last = images, batch_size, shuffle, drop_last
         self._next_epoch, self._epochs_set = images.epoch, images.epochs_set
         self._plan = _Plan()
-        self._worker_count, self._pin_memory = workers, pin_memory
+        self._passes = 0
+        self._worker_count = workers
         self._workers = self._new_workers()
 
     def _new_workers(self) -> DataLoader[_Packed | BodysegError]:
@@ -233,7 +242,6 @@ class Loader:
             sampler=self._plan,
             num_workers=self._worker_count,
             persistent_workers=self._worker_count > 0,
-            pin_memory=self._pin_memory,
         )
 
     def __len__(self) -> int:
@@ -251,6 +259,8 @@ class Loader:
         order = self.images.order(epoch, self.shuffle).tolist()
         starts = range(0, len(self) * self.batch_size, self.batch_size)
         self._plan.requests = [[(epoch, index) for index in order[s : s + self.batch_size]] for s in starts]
+        self._passes += 1
+        this = self._passes
         for packed in self._workers:
             if isinstance(packed, BodysegError):
                 # Let the workers end now, and raise another object than `packed`, which would tie itself and this
@@ -258,6 +268,8 @@ class Loader:
                 self._workers = self._new_workers()
                 raise type(packed)(str(packed))
             yield _metres(packed)
+            if self._passes != this:
+                raise BadConfig("a loader gives one pass at a time, and a newer one has begun: make another loader")
 
 
 def _as_it_is(packed: Any) -> Any:
@@ -270,12 +282,12 @@ def loader(
     workers: int = 0,
     shuffle: bool | None = None,
     drop_last: bool = False,
-    pin_memory: bool = False,
 ) -> Loader:
     """Batches of `images`, made in `workers` processes (0: in this one); see `Batch` for what a batch holds.
 
     shuffle: None shuffles the train split and nothing else. drop_last: leave out a last batch that is not full.
-    pin_memory: page-locked batches for quick copies to a GPU. Raises BadConfig.
+
+    Raises BadConfig.
     """
     shuffled = images.split == "train" if shuffle is None else shuffle
-    return Loader(images, batch_size, workers, shuffled, drop_last, pin_memory)
+    return Loader(images, batch_size, workers, shuffled, drop_last)

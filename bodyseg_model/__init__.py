@@ -1,1 +1,1 @@
-"""Networks that tell body parts apart in range images, and the scores they are judged by."""
+"""Scores by which a segmentation of range images into body parts is judged."""

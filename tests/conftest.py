@@ -30,11 +30,13 @@ def pack_figures() -> Callable[..., Path]:
 
     def pack(out: Path, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
-        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
-            patch.setattr(packing, "open_source", lambda name, path: Figures())
-            packing._source.cache_clear()
-            packing.pack(packing.Packing("open", **wanted), out, executor, 1)
         packing._source.cache_clear()
+        try:
+            with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
+                patch.setattr(packing, "open_source", lambda name, path: Figures())
+                packing.pack(packing.Packing("open", **wanted), out, executor, 1)
+        finally:
+            packing._source.cache_clear()
         return out
 
     return pack

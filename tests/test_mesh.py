@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from shapes import ball
+from shapes import ball, figure
 
 from bodyseg_data.errors import BadMesh
 from bodyseg_data.mesh import Mesh
@@ -37,6 +37,12 @@ def _nan(v: NDArray[np.float64], f: NDArray[np.int64]) -> Arrays:
     return v, f
 
 
+def _some_turned(f: NDArray[np.int64]) -> NDArray[np.int64]:
+    turned = f.copy()
+    turned[::10] = turned[::10, ::-1]
+    return turned
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -51,6 +57,10 @@ def _nan(v: NDArray[np.float64], f: NDArray[np.int64]) -> Arrays:
             lambda v, f: (v, f[:, ::-1]),
             "faces must point outwards, found a signed volume of -0.522 m3 \\(inside out\\?\\)",
         ),
+        (
+            lambda v, f: (v, _some_turned(f)),
+            "neighbouring faces must agree on their outside, found faces that clash at",
+        ),
         (lambda v, f: (v[:, :2], f), "three columns"),
         (lambda v, f: (v, f.astype(float)), "faces must be whole numbers, found float64"),
     ],
@@ -63,3 +73,11 @@ def test_broken_meshes_are_refused_in_one_line_that_names_them(
     with pytest.raises(BadMesh, match=f"mesh bad: .*{message}") as caught:
         Mesh("bad", vertices, faces)  # type: ignore[arg-type]  # on purpose
     assert "\n" not in str(caught.value)
+
+
+def test_one_turned_piece_of_a_body_is_refused() -> None:
+    body = figure()
+    faces = body.faces.copy()
+    faces[-1280:] = faces[-1280:, ::-1]
+    with pytest.raises(BadMesh, match="mesh leg: faces must point outwards"):
+        Mesh("leg", body.vertices, faces)

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from shapes import ball, figure
 
 from bodyseg_data.artifacts import occlusion_reference
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.benches.occlusion import bench_occlusion, exact_view
+from bodyseg_data.benches.occlusion import bench_occlusion, exact_view, exact_views, postures
 from bodyseg_data.benches.occlusion_rivals import methods
+from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.errors import BadConfig, BadSample
+from bodyseg_data.mesh import Mesh
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rig import Camera, Rig, load_rig
 from bodyseg_data.sample import steps
@@ -258,9 +261,13 @@ def test_random_images_reach_both_answers_of_both_rules() -> None:
     assert 0.2 < lit.mean() < 0.8
 
 
+def standing(mesh: Mesh) -> tuple[Body, BodyRef]:
+    return Body(mesh, np.zeros(0, np.int64)), BodyRef("A", "A", mesh.name, "standing", "train")
+
+
 def test_fast_plain_and_compiled_form_agree_on_a_rendered_figure() -> None:
     mesh, rig = figure(), load_rig()
-    view = exact_view(rig, EmbreeRenderer(mesh), mesh, mesh.name, View(255, 20))
+    view = exact_view(rig, EmbreeRenderer(mesh), *standing(mesh), View(255, 20))
     assert_forms_agree(rig, view.images(1))
     pytest.importorskip("numba")
     from bodyseg_data.benches import occlusion_compiled
@@ -276,11 +283,40 @@ def test_the_default_is_within_one_percent_of_exact_shadow_rays() -> None:
     for mesh, azimuths in ((figure(), (0, 40, 130, 200, 290)), (ball(), (0,))):
         renderer = EmbreeRenderer(mesh)
         for azimuth in azimuths:
-            view = exact_view(rig, renderer, mesh, mesh.name, View(255, azimuth))
+            view = exact_view(rig, renderer, *standing(mesh), View(255, azimuth))
             wrong += int(((test.lit(*view.images(1)) != view.lit) & view.inside).sum())
             pixels += int(view.inside.sum())
     assert pixels > 100_000
     assert wrong / pixels < 0.005  # required: 0.01
+
+
+def test_fifty_views_of_ten_real_postures_are_within_one_percent_of_exact_shadow_rays() -> None:
+    rig = load_rig()
+    test = ShadowTest(rig)
+    wrong, pixels, shares = 0, 0, []
+    for view in exact_views(rig, postures(), 50):
+        differing = (test.lit(*view.images(1)) != view.lit) & view.inside
+        wrong, pixels = wrong + int(differing.sum()), pixels + int(view.inside.sum())
+        shares.append(float(differing.sum() / view.inside.sum()))
+    assert len(shares) == 50
+    assert pixels > 1_500_000
+    assert wrong / pixels < 0.005  # required: 0.01
+    assert max(shares) < 0.01
+
+
+def test_real_clothed_frames_are_within_one_percent_of_exact_shadow_rays(mit_folder: Path) -> None:
+    rig, source = load_rig(), open_source("mit", mit_folder)
+    test = ShadowTest(rig)
+    wrong = pixels = 0
+    for index, body in enumerate(source.bodies()[::7]):
+        built = source.build(body)
+        renderer = EmbreeRenderer(built.mesh)
+        for azimuth in range(0, 360, 120):
+            view = exact_view(rig, renderer, built, body, View(255, azimuth + 20 * index))
+            wrong += int(((test.lit(*view.images(1)) != view.lit) & view.inside).sum())
+            pixels += int(view.inside.sum())
+    assert pixels > 500_000
+    assert wrong / pixels < 0.006  # required: 0.01
 
 
 def test_bench_writes_what_it_promises() -> None:

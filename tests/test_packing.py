@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -123,6 +122,30 @@ def test_a_finished_set_is_left_as_it_is(tmp_path: Path, pack_figures: Pack) -> 
     assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == stamps
 
 
+@pytest.mark.parametrize("damage", ["gone", "altered"])
+def test_a_damaged_finished_set_is_mended(damage: str, tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
+    out = pack_figures(tmp_path / "shards", shard_samples=5)
+    shard = out / "train-00002.tar"
+    if damage == "gone":
+        shard.unlink()
+    else:
+        shard.write_bytes(shard.read_bytes()[:-100])
+    with dying_after(0), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    assert not (out / "manifest.json").exists(), "a set with a damaged shard is not finished"
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == contents(figures_set)
+
+
+def test_other_bodies_of_the_same_names_are_another_packing(
+    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = pack_figures(tmp_path / "shards", meshes=2)
+    monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+        pack_figures(out, meshes=2)
+
+
 def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: Pack) -> None:
     out = pack_figures(tmp_path / "shards", meshes=2)
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
@@ -146,7 +169,7 @@ def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: 
         pack_figures(out)
     description = json.loads((out / STATE_NAME / "plan.json").read_bytes())
     with (
-        claimed(out, description),
+        claimed(out, description, "digest"),
         pytest.raises(BadConfig, match="another packing is at work in"),
     ):
         pack_figures(out)
@@ -267,7 +290,6 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(real_set: Pat
     while any(_alive(child) for child in children):
         assert time.monotonic() < deadline, "workers outlive the process that started them"
         time.sleep(0.05)
-    shutil.copytree(out, tmp_path / "as-killed")
     subprocess.run(_shard(out, 2), check=True, capture_output=True, timeout=200)
     assert contents(out) == contents(real_set)
 

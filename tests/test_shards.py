@@ -9,6 +9,7 @@ import tarfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -236,6 +237,24 @@ def _tar(*members: tuple[str, bytes, bytes]) -> bytes:
 def test_tricks_in_tars_are_refused(data: bytes, message: str) -> None:
     with pytest.raises(BadSample, match=f"^k: .*{message}"):
         parse_members("k", data)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"labels": np.full_like(GOOD.labels, 3)}, "labels must be 255 exactly where range is 0"),
+        ({}, "range must be 640 x 329 as in the rig, found (2, 2)"),
+    ],
+)
+def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_right(
+    change: dict[str, Any], problem: str, figures_set: Path, tmp_path: Path
+) -> None:
+    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+        writer.write(GOOD.key, encode_sample(replace(GOOD, **change)))
+    assert writer.record is not None
+    manifest = replace(read_manifest(figures_set), shards=(writer.record,))
+    (fault,) = find_faults(tmp_path, manifest, writer.record)
+    assert (fault.key, fault.offset, fault.problem) == (GOOD.key, 0, problem)
 
 
 def test_a_sample_stored_in_the_wrong_split_is_a_fault(copy: Path) -> None:

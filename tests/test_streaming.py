@@ -2,15 +2,15 @@ from __future__ import annotations
 
 import gc
 import pickle
+import re
 import shutil
-import warnings
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-import webdataset
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
@@ -138,17 +138,80 @@ def test_a_plain_dataloader_works_as_well(figures_set: Path) -> None:
     assert all(torch.equal(a["labels"], b["labels"]) for a, b in zip(plain, ours, strict=True))
 
 
+# webdataset leaves closing its files to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
 def test_a_webdataset_pipeline_gives_the_same_bits(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # webdataset leaves closing its files to the garbage collector
-        pipeline = webdataset.WebDataset(images.urls(), shardshuffle=False).map(images.webdataset_stage())
-        streamed = list(pipeline)
-        gc.collect()
+    images = RangeImages(figures_set, "all", "train", epoch=3)
+    streamed = list(images.webdataset())
+    gc.collect()
     assert [sample["key"] for sample in streamed] == images.keys
-    for index in (0, 7, 23):
+    for index in (0, 7, 15):
         assert torch.equal(streamed[index]["range"], images[index]["range"])
         assert torch.equal(streamed[index]["labels"], images[index]["labels"])
+    assert not torch.equal(next(iter(images.webdataset(epoch=4)))["range"], images[0]["range"])
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
+def test_a_webdataset_pipeline_checks_every_sample(figures_set: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(figures_set, tmp_path / "copy"))
+    images = RangeImages(copy, "all", "train")
+    path = copy / "train-00000.tar"
+    whole = path.read_bytes()
+    for place in (1100, 3000):  # a label image, and its padding or another member
+        spoiled = bytearray(whole)
+        spoiled[place] ^= 1
+        path.write_bytes(spoiled)
+        with pytest.raises(BadShard, match="train-00000.tar: open-.*: (altered|cut short): "):
+            list(images.webdataset())
+    shutil.copy(copy / "test-00000.tar", path)
+    with pytest.raises(BadShard, match="not among the chosen samples of the manifest"):
+        list(images.webdataset())
+    gc.collect()
+
+
+def test_one_pass_of_a_loader_runs_at_a_time(figures_set: Path) -> None:
+    for workers in (0, 2):
+        batches = loader(RangeImages(figures_set), 4, workers)
+        older = iter(batches)
+        next(older)
+        assert len(keys(batches)) == 24
+        with pytest.raises(BadConfig, match="one pass at a time"):
+            next(older)
+
+
+def test_two_loaders_of_the_same_images_do_not_meet(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all")
+    pairs = list(zip(loader(images, 4, 2), loader(images, 4, 0), strict=True))
+    assert all(torch.equal(a["range"], b["range"]) for a, b in pairs)
+    assert len(pairs) == 6
+
+
+def test_threads_may_read_at_once(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all")
+    expected = [images[index]["range"] for index in range(24)]
+    with ThreadPoolExecutor(8) as executor:
+        read = list(executor.map(lambda index: images[index % 24]["range"], range(120)))
+    assert all(torch.equal(image, expected[number % 24]) for number, image in enumerate(read))
+
+
+def test_the_order_belongs_to_the_seed(figures_set: Path) -> None:
+    orders = [keys(loader(RangeImages(figures_set, "none", "train", seed=seed), 4)) for seed in (0, 0, 1)]
+    assert orders[0] == orders[1] != orders[2]
+
+
+def test_the_lines_of_the_readme_run_and_differ_by_epoch(
+    figures_set: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    (lines,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    lines = lines.replace("demo/shards", str(figures_set))
+    assert str(figures_set) in lines
+    seen: dict[int, list[bytes]] = {}
+    lines += "\n        seen.setdefault(epoch, []).append(range_m.numpy().tobytes())"
+    exec(lines, {"seen": seen})
+    assert capsys.readouterr().out == "16 images\n"
+    assert sorted(seen) == [0, 1]
+    assert seen[0] != seen[1]
 
 
 def test_images_survive_pickling(figures_set: Path) -> None:

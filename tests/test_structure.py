@@ -18,6 +18,7 @@ ORDER = [
     "parts",
     "splits",
     "files",
+    "machine",
     "system_libraries",
     "randomness",
     "views",
@@ -62,7 +63,10 @@ def modules() -> list[tuple[str, Path]]:
 def imports(path: Path) -> set[str]:
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
+        if isinstance(node, ast.ImportFrom) and node.module == "bodyseg_data":
+            found.update(f"bodyseg_data.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert not node.level, "imports are absolute"
             found.add(node.module)
         elif isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
@@ -78,6 +82,12 @@ def test_imports_point_backwards_only(module: str, path: Path) -> None:
         assert not name.startswith("bodyseg_model"), f"{module} imports {name}: the data package knows no network"
         if name.startswith("bodyseg_data."):
             assert ORDER.index(room(name)) <= here, f"{module} imports {name}"
+
+
+def test_an_import_against_the_flow_would_be_seen(tmp_path: Path) -> None:
+    file = tmp_path / "x.py"
+    file.write_text("from bodyseg_data import sheet, cli\nimport bodyseg_data.streaming\n")
+    assert imports(file) == {"bodyseg_data.sheet", "bodyseg_data.cli", "bodyseg_data.streaming"}
 
 
 def loaded_by(statement: str) -> list[str]:

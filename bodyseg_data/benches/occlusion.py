@@ -1,7 +1,6 @@
 """`bench occlusion`: every way to make the projector's shadow, against exact shadow rays.
 
-Exact means: a ray from the point that the camera sees, before any rounding, to the projector meets nothing, and the
-triangle there faces the projector.
+Exact means: a ray from the point that the camera sees, before any rounding, to the projector meets nothing.
 """
 
 from __future__ import annotations
@@ -18,12 +17,13 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import EDGE_M, SURFACE_GAP_M, ShadowTest
 from bodyseg_data.benches.occlusion_rivals import Images, Method, methods
-from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.borders import find_borders
 from bodyseg_data.codec import image_codec
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.mesh import Mesh
+from bodyseg_data.partition import Partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.sampling import faces_towards, surface_points
+from bodyseg_data.rendering.sampling import surface_points, take_sample
 from bodyseg_data.rig import Rig, load_rig
 from bodyseg_data.sample import steps
 from bodyseg_data.views import View, ViewGrid
@@ -79,8 +79,8 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     tallies = [_Tally(method, tests[method.projector_scale]) for method in methods()]
     compiled, exact, where = _Compiled(tests[1]), _Stopwatch(), _WhereWrong()
     mask_bytes: list[int] = []
-    bodies = _bodies()[: min(views, len(POSES))]
-    for done, view in enumerate(_exact_views(rig, bodies, views), start=1):
+    bodies = postures()[: min(views, len(POSES))]
+    for done, view in enumerate(exact_views(rig, bodies, views), start=1):
         for turn in range(len(tallies)):  # each view starts elsewhere: who comes first after rendering runs slower
             tallies[(turn + done) % len(tallies)].add(view)
         compiled.add(view)
@@ -106,17 +106,20 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     }
 
 
-def exact_view(rig: Rig, renderer: EmbreeRenderer, mesh: Mesh, name: str, view: View) -> ExactView:
-    """Render `mesh` for all projector scales and ask exact shadow rays."""
+def exact_view(rig: Rig, renderer: EmbreeRenderer, body: Body, ref: BodyRef, view: View) -> ExactView:
+    """One view as `take_sample` stores it, at all projector scales, and the answer of exact shadow rays."""
+    mesh = body.mesh
+    nowhere = np.full(len(mesh.vertices), np.inf)
+    labels = np.zeros(len(mesh.vertices), np.uint8)
+    one_part = Partition(labels, nowhere, find_borders(mesh, labels, nowhere))  # parts do not matter here
+    sample = take_sample(renderer, rig, mesh, one_part, "open", ref, view)
     camera, projector = rig.placed(mesh.centre, view)
     seen = renderer.see(camera)
     rows, columns = np.nonzero(seen.face >= 0)
-    faces = seen.face[rows, columns]
     points = surface_points(seen, camera, rows, columns)
     pixels, away = projector.project(points)
     inside = (away > 0) & (pixels >= 0).all(axis=1) & (pixels < (rig.projector.columns, rig.projector.rows)).all(axis=1)
-    facing = faces_towards(mesh, faces, points, projector.position)
-    normals, ways = mesh.normals()[faces], projector.position - points
+    normals, ways = mesh.normals()[seen.face[rows, columns]], projector.position - points
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(ways, axis=1)
     grazing = np.abs(np.einsum("ij,ij->i", normals, ways)) < _GRAZING * lengths
 
@@ -125,31 +128,33 @@ def exact_view(rig: Rig, renderer: EmbreeRenderer, mesh: Mesh, name: str, view: 
         whole[rows, columns] = values
         return whole
 
-    where = f"{name} {view.name}"
-    projector_range = {}
-    for scale in _SCALES:
+    projector_range = {1: sample.projector_range}
+    for scale in _SCALES[1:]:
         _, finer = rig.with_projector_scale(scale).placed(mesh.centre, view)
-        projector_range[scale] = steps(renderer.see(finer).range, where)
-    lit = renderer.lit(points, projector.position) & facing & inside
-    return ExactView(name, view, steps(seen.range, where), projector_range, *map(image, (facing, inside, lit, grazing)))
+        projector_range[scale] = steps(renderer.see(finer).range, sample.key)
+    lit = renderer.lit(points, projector.position) & inside
+    masks = map(image, (inside, lit, grazing))
+    return ExactView(ref.pose, view, sample.range, projector_range, sample.faces_projector, *masks)
 
 
-def _bodies() -> list[BodyRef]:
+def postures() -> list[BodyRef]:
+    """The ten bodies that are measured on."""
     by_pose: dict[str, BodyRef] = {}
     for body in open_source("open").bodies():
         by_pose.setdefault(body.pose, body)
     return [by_pose[pose] for pose in POSES]
 
 
-def _exact_views(rig: Rig, bodies: list[BodyRef], count: int) -> Iterator[ExactView]:
+def exact_views(rig: Rig, bodies: list[BodyRef], count: int) -> Iterator[ExactView]:
+    """`count` views of `bodies` of the open source, all round and at three distances."""
     source = open_source("open")
     grid = list(ViewGrid(span_deg=360, azimuths=18))
     for index, body in enumerate(bodies):
-        mesh = source.build(body).mesh
-        renderer = EmbreeRenderer(mesh)
+        built = source.build(body)
+        renderer = EmbreeRenderer(built.mesh)
         for turn in range(index, count, len(bodies)):
             # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
-            yield exact_view(rig, renderer, mesh, body.pose, grid[turn * 23 % len(grid)])
+            yield exact_view(rig, renderer, built, body, grid[turn * 23 % len(grid)])
         renderer.close()
 
 

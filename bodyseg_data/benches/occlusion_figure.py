@@ -51,8 +51,8 @@ def draw_occlusion(path: Path) -> None:
     axes: Any = figure.subplots(len(_SHOWN), 5, width_ratios=(1, 1, 1, 1, 1.3), squeeze=False)
     for row, (pose, view, detail) in zip(axes, _SHOWN, strict=True):
         body = next(body for body in source.bodies() if body.pose == pose)
-        mesh = source.build(body).mesh
-        exact = exact_view(rig, EmbreeRenderer(mesh), mesh, pose, view)
+        built = source.build(body)
+        exact = exact_view(rig, EmbreeRenderer(built.mesh), built, body, view)
         masks = exact.lit, test.lit(*exact.images(1)), simple.lit(test, exact.images(1))
         crop = _crop(exact.range > 0)
         titles = f"{pose}, {view.name}\nexact shadow rays", "default", "default: errors", f"{simple.name}: errors"

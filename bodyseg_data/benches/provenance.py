@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import subprocess
 from pathlib import Path
+
+from bodyseg_data.machine import hardware
 
 
 def provenance(command: str) -> dict[str, str]:
     """Command, commit (of the checkout this package runs from, "unknown" outside one) and hardware of a measurement."""
-    return {"command": command, "commit": _commit(), "hardware": _hardware()}
+    return {"command": command, "commit": _commit(), "hardware": hardware()}
 
 
 def _commit() -> str:
@@ -25,18 +25,3 @@ def _commit() -> str:
         return git("rev-parse", "--short=12", "HEAD") + changed
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-
-
-def _hardware() -> str:
-    names = [line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
-    kilobytes = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]
-    memory = f", {kilobytes[0] / 1024**2:.0f} GiB" if kilobytes else ""
-    processor = names[0] if names else platform.processor()
-    return f"{len(os.sched_getaffinity(0))} cores of {processor or 'unknown'} ({platform.machine()}){memory}"
-
-
-def _lines(path: str) -> list[str]:
-    try:
-        return Path(path).read_text().splitlines()
-    except OSError:
-        return []

@@ -52,6 +52,12 @@ class BodySource(Protocol):
     def bodies(self) -> Sequence[BodyRef]:
         """All bodies in their fixed order. Raises BodysegError naming whatever is missing."""
 
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """A digest of all that shapes these bodies beyond their names: files, models, landmarks.
+
+        Raises BodysegError for bodies that cannot be built, as far as that shows without building them.
+        """
+
     def build(self, body: BodyRef) -> Body:
         """The mesh and landmarks of one of `bodies()`. Raises BadMesh or BadLandmarks."""
 

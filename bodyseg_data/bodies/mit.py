@@ -7,6 +7,7 @@ another (D_*, subject "C"). All frames of a man number their vertices alike.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.errors import BadConfig, BadLandmarks, BadMesh
-from bodyseg_data.landmarks import load_landmarks
+from bodyseg_data.landmarks import LandmarkSet, load_landmarks
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.splits import split_by_motion
 
@@ -54,25 +55,40 @@ class MitBodies:
         """All frames found: sequences in the paper's order, frames by number."""
         return tuple(self._files)
 
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """Covers every byte of the frames' files and of the landmark sets. Raises BadLandmarks as `build` does."""
+        digest = hashlib.sha256()
+        for body in bodies:
+            digest.update(repr(self._landmarks(body).vertices).encode())
+            try:
+                digest.update(self._files[body].read_bytes())
+            except OSError as error:
+                raise BadMesh(f"cannot read {self._files[body]}: {error.strerror or error}") from error
+        return digest.hexdigest()
+
     def build(self, body: BodyRef) -> Body:
-        """One frame, turned to face the front as its sequence begins; where the man walks and turns to is kept.
+        """One frame, turned to face the front as I_crane begins; where the man walks and turns to is kept.
 
         Raises BadMesh, naming the file, for a file that cannot be read as a body; BadLandmarks for subject C, whose
         landmarks do not ship; BadConfig for a body of another source.
         """
-        if body not in self._files:
-            raise BadConfig(f"the source 'mit' has no body {body.mesh!r} of subset {body.subset!r}")
-        if body.subset not in _LANDMARK_SETS:
-            raise BadLandmarks(
-                f"a body needs a landmark set, found none for subject {body.subset} (sequences D_*) "
-                f"at mesh {body.mesh}: only I_* can be labelled"
-            )
+        landmarks = self._landmarks(body)
         vertices, faces = _read_obj(self._files[body])
         try:
             mesh = Mesh(body.mesh, _facing_front(vertices), faces)
         except BadMesh as error:
             raise BadMesh(f"{error} (read from {self._files[body]})") from None
-        return Body(mesh, load_landmarks(_LANDMARK_SETS[body.subset]).for_mesh(mesh))
+        return Body(mesh, landmarks.for_mesh(mesh))
+
+    def _landmarks(self, body: BodyRef) -> LandmarkSet:
+        if body not in self._files:
+            raise BadConfig(f"the source 'mit' has no body {body.mesh!r} of subset {body.subset!r}")
+        if body.subset not in _LANDMARK_SETS:
+            raise BadLandmarks(
+                f"a body needs a landmark set, found none for subject {body.subset} (sequences D_*) "
+                f"at mesh {body.mesh}: only I_* can be labelled, so move D_* out of the folder"
+            )
+        return load_landmarks(_LANDMARK_SETS[body.subset])
 
 
 def _frames(folder: Path) -> list[tuple[str, Path]]:
@@ -84,7 +100,7 @@ def _frames(folder: Path) -> list[tuple[str, Path]]:
 
 
 def _facing_front(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A quarter turn about y: the sequences begin with the man facing -x."""
+    """A quarter turn about y: in I_crane the man begins facing -x."""
     x, y, z = vertices.T
     return np.stack([z, y, -x], axis=1)
 

@@ -7,6 +7,8 @@ parses that data for about 40 seconds and keeps the result in ~/.cache/anny (or 
 from __future__ import annotations
 
 import fcntl
+import hashlib
+import importlib.metadata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
@@ -49,6 +51,17 @@ class OpenBodies:
         """All 654 bodies, subset A first."""
         return tuple(self._bodies)
 
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """Covers who the bodies are, their poses, the landmarks, and the version of Anny. Raises MissingLibrary."""
+        from bodyseg_data.landmarks import load_landmarks
+
+        try:
+            version = importlib.metadata.version("anny")
+        except importlib.metadata.PackageNotFoundError as error:
+            raise _no_anny(error) from error
+        shaped = [self._bodies[body] for body in bodies]
+        return hashlib.sha256(repr((version, load_landmarks("open").vertices, shaped)).encode()).hexdigest()
+
     def build(self, body: BodyRef) -> Body:
         """Mesh of 13 718 vertices and 27 420 triangles, lowest point at y = 0, centred over the origin.
 
@@ -66,6 +79,10 @@ class OpenBodies:
         return Body(mesh, load_landmarks("open").for_mesh(mesh))
 
 
+def _no_anny(error: Exception) -> MissingLibrary:
+    return MissingLibrary(f"the source 'open' needs the package 'anny': pip install 'bodyseg[render]' ({error})")
+
+
 class _Model:
     """Anny, asked for one body at a time."""
 
@@ -74,9 +91,7 @@ class _Model:
             import torch
             from anny import Anny
         except ImportError as error:
-            raise MissingLibrary(
-                f"the source 'open' needs the package 'anny': pip install 'bodyseg[render]' ({error})"
-            ) from error
+            raise _no_anny(error) from error
         self._torch = torch
         with _one_thread(), _one_process(), _cache_faults():
             # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on
@@ -94,7 +109,7 @@ class _Model:
             vertices: NDArray[np.float64] = output["vertices"][0].numpy() @ _BODY_FROM_ANNY.T
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         vertices = vertices - [(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]
-        # To the micrometre: differences in the last bit between processors' arithmetic end here.
+        # To the micrometre: differences in the last bit between processors' arithmetic hardly ever get through.
         return np.round(vertices, _DECIMALS) + 0.0  # which makes -0 into 0
 
     def _crown_and_soles(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import time
 from dataclasses import dataclass
@@ -13,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.commands.inspect import contact_sheet, save_picture
-from bodyseg_data.commands.shard import pack_in_processes, processors
+from bodyseg_data.commands.shard import pack_in_processes
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import write_atomically
-from bodyseg_data.manifest import MANIFEST_NAME, Manifest
+from bodyseg_data.machine import processors
 from bodyseg_data.options import option
 from bodyseg_data.packing import Packing
-from bodyseg_data.packing_state import STATE_NAME
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.streaming import RangeImages, loader
 from bodyseg_data.variants import VARIANTS
@@ -46,7 +44,7 @@ def run(options: Options) -> int:
     _say(f"1/3 packing {options.meshes} bodies x {options.views} views into {shards}")
     _say("    (the very first time, the body model unpacks its data: about a minute more)")
     start = time.monotonic()
-    manifest = _pack_afresh(packing, shards, workers)
+    manifest = pack_in_processes(packing, shards, workers, "    packing")
     packed = time.monotonic() - start
     _say(f"    {manifest.samples()} samples in {packed:.1f} s")
     _say("2/3 streaming the five variants from those shards, two passes each")
@@ -66,12 +64,6 @@ def run(options: Options) -> int:
     write_atomically(options.out / "summary.json", json.dumps(summary, indent=2).encode() + b"\n")
     _say(f"wrote {options.out / 'variants.png'} and {options.out / 'summary.json'}")
     return 0
-
-
-def _pack_afresh(packing: Packing, shards: Path, workers: int) -> Manifest:
-    if (shards / MANIFEST_NAME).exists() or (shards / STATE_NAME).exists():
-        shutil.rmtree(shards)  # of an earlier demonstration
-    return pack_in_processes(packing, shards, workers, "    packing")
 
 
 def _stream(shards: Path, variant: str, workers: int) -> dict[str, Any]:

@@ -42,8 +42,8 @@ def run(options: Options) -> int:
     """Write the sheet, print the counts, or both."""
     if options.out is None and not options.json:
         raise BadConfig("nothing to do: give --out FILE.png, --json, or both")
-    if options.out is not None and options.out.suffix.lower() != ".png":
-        raise BadConfig(f"--out must be a .png file, found {options.out}")
+    if options.out is not None:
+        check_picture(options.out)
     if options.rows < 1:
         raise BadConfig(f"--rows must be at least 1, found {options.rows}")
     images = RangeImages(options.folder, options.variant, options.split, options.seed)
@@ -53,6 +53,12 @@ def run(options: Options) -> int:
     if options.json:
         sys.stdout.write(json.dumps(summarise(images), indent=2) + "\n")
     return 0
+
+
+def check_picture(path: Path) -> None:
+    """Raise BadConfig unless `path` can name a picture."""
+    if path.suffix.lower() != ".png":
+        raise BadConfig(f"--out must be a .png file, found {path}")
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
@@ -108,7 +114,6 @@ def summarise(images: RangeImages) -> dict[str, Any]:
                 rates.append(image.missing_rate)
             progress.update(index + 1, len(images))
     manifest = images.manifest
-    size = sum(shard.size for shard in manifest.shards)
     return {
         "path": str(images.path),
         "source": manifest.source,
@@ -116,9 +121,9 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "codec": manifest.codec,
         "rig": manifest.rig.name,
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
-        "shards": len(manifest.shards),
-        "bytes": size,
-        "bytes_per_sample": round(size / manifest.samples()),
+        "shards": len(images.urls()),
+        "bytes": images.stored_bytes(),
+        "bytes_per_sample": round(images.stored_bytes() / len(images)),
         "samples": len(images),
         "splits": {name: splits[name] for name in SPLITS},
         "subsets": dict(subsets),

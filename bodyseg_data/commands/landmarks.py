@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bodyseg_data.bodies import SourceName, open_source
-from bodyseg_data.commands.inspect import save_picture
+from bodyseg_data.commands.inspect import check_picture, save_picture
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import option
 from bodyseg_data.partition import partition
@@ -29,6 +29,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Draw and write the picture."""
+    check_picture(options.out)
     source = open_source(options.source, options.path)
     bodies = {body.mesh: body for body in source.bodies()}
     names = options.meshes or (next(iter(bodies)),)

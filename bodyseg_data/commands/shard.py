@@ -15,6 +15,7 @@ from bodyseg_data.bodies import SourceName
 from bodyseg_data.codec import CodecName
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.machine import processors
 from bodyseg_data.manifest import Manifest
 from bodyseg_data.options import option
 from bodyseg_data.packing import Packing, pack, plan
@@ -75,11 +76,6 @@ def run(options: Options) -> int:
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
     return 0
-
-
-def processors() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def pack_in_processes(packing: Packing, out: Path, workers: int, title: str) -> Manifest:
