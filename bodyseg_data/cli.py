@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bodyseg_data.errors import BadConfig, BodysegError
@@ -33,33 +37,65 @@ class Command(Protocol):
     def run(self, options: Any) -> int: ...
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as tidily as Ctrl-C."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, each said in one line."""
+    """Run one command and say what goes wrong in one line.
+
+    Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 nobody reads the output, 143
+    terminated, 70 a fault of this program.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if not words or words[0] in ("-h", "--help"):
-        sys.stdout.write(_overview())
-        return 0
-    name = words[0]
+    name = words[0] if words else ""
+    for stream in ("stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed by whoever started this process
+            setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
+    before = _on_sigterm(_terminate)
     try:
-        return _run(name, words[1:])
+        status = _run(name, words[1:])
+        sys.stdout.flush()
+        return status
     except BodysegError as error:
-        _say(name, str(error))
-        return 2
+        return _say(name, str(error), 2)
+    except _Terminated:
+        return _say(name, "terminated", 143)
     except KeyboardInterrupt:
-        _say(name, "interrupted")
-        return 130
+        return _say(name, "interrupted", 130)
     except BrokenPipeError:
-        # Whoever read our output went away; nothing more can be said to them.
+        # What is left in the buffer has no reader; without a place to go it would raise again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return 141
+    except OSError as error:
+        if os.environ.get("BODYSEG_TRACEBACK"):
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(name, f"{where}{error.strerror or error}", 2)
     except Exception as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
-        _say(name, f"internal error: {type(error).__name__}: {error} (BODYSEG_TRACEBACK=1 shows where)")
-        return INTERNAL_ERROR
+        what = f"{type(error).__name__}: {error}"
+        return _say(name, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
+    finally:
+        _on_sigterm(before)
+
+
+def _terminate(number: int, frame: Any) -> None:
+    raise _Terminated
+
+
+def _on_sigterm(action: Any) -> Any:
+    """Set what SIGTERM does and return what it did; threads other than the main one may not, and need not."""
+    if threading.current_thread() is not threading.main_thread():
+        return None
+    return signal.signal(signal.SIGTERM, action)
 
 
 def _run(name: str, words: list[str]) -> int:
+    if name in ("", "-h", "--help"):
+        sys.stdout.write(_overview())
+        return 0
     if name not in COMMANDS:
         raise BadConfig(f"no such command; there are {', '.join(COMMANDS)}")
     module, summary = COMMANDS[name]
@@ -68,8 +104,10 @@ def _run(name: str, words: list[str]) -> int:
     return command.run(options)
 
 
-def _say(name: str, message: str) -> None:
-    sys.stderr.write(f"bodyseg {name}: {' '.join(message.split())}\n")
+def _say(name: str, message: str, status: int) -> int:
+    with contextlib.suppress(OSError):  # nobody listens
+        sys.stderr.write(f"{' '.join(('bodyseg', name)).strip()}: {' '.join(message.split())}\n")
+    return status
 
 
 def _overview() -> str:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.codec import CODECS
 from bodyseg_data.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.files import write_atomically
 from bodyseg_data.parts import LANDMARKS
@@ -19,9 +20,12 @@ from bodyseg_data.splits import SPLITS, Split
 MANIFEST_NAME: Final = "manifest.json"
 MANIFEST_FORMAT: Final = "bodyseg shards 1"
 
+_FIELDS: Final = {"format", "range_step_m", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
 _SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BLOCK: Final = 512
+_LARGEST_SAMPLE: Final = 1 << 30
+_LARGEST_SHARD: Final = 1 << 40
 
 
 @dataclass(frozen=True)
@@ -107,16 +111,21 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         kind = str if column == "keys" else int
         if not all(type(value) is kind for value in values):
             raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
-    if type(tree["size"]) is not int:
-        raise BadShard(f"{where}: 'size' must be a number of bytes")
+    if type(tree["size"]) is not int or not 0 <= tree["size"] <= _LARGEST_SHARD:
+        raise BadShard(f"{where}: 'size' must be a number of bytes, at most {_LARGEST_SHARD}")
+    if not tree["keys"]:
+        raise BadShard(f"{where}: a shard holds at least one sample")
     end = 0
     for key, offset, length in zip(tree["keys"], tree["offsets"], tree["lengths"], strict=True):
         try:
             check_key(key)
         except BadSample as error:
             raise BadShard(f"{where}: {error}") from error
-        if offset != end or length <= 0 or length % _BLOCK:
-            raise BadShard(f"{where}: {key}: samples must follow each other in whole blocks of {_BLOCK} bytes")
+        if offset != end or not 0 < length <= _LARGEST_SAMPLE or length % _BLOCK:
+            raise BadShard(
+                f"{where}: {key}: samples must follow each other in whole blocks of {_BLOCK} bytes, each of at most "
+                f"{_LARGEST_SAMPLE}"
+            )
         end = offset + length
     if end > tree["size"]:
         raise BadShard(f"{where}: samples end at byte {end}, the shard at {tree['size']}")
@@ -151,10 +160,14 @@ def read_manifest(folder: Path) -> Manifest:
     for field, expected in (("parts", list(LANDMARKS)), ("range_step_m", RANGE_STEP_M)):
         if tree.get(field) != expected:
             raise BadShard(f"{path}: {field!r} are not those of format {MANIFEST_FORMAT!r}")
+    if set(tree) != _FIELDS:
+        raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
     texts = {field: tree.get(field) for field in ("codec", "source", "renderer", "plan")}
     for field, value in texts.items():
         if not isinstance(value, str):
             raise BadShard(f"{path}: {field!r} must be text, found {value!r}")
+    if texts["codec"] not in CODECS:
+        raise BadShard(f"{path}: 'codec' must be one of {', '.join(CODECS)}, found {texts['codec']!r}")
     if not isinstance(tree.get("shards"), list):
         raise BadShard(f"{path}: 'shards' must be a list")
     try:

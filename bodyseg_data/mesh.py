@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.errors import BadMesh
+from bodyseg_data.system_libraries import missing_library
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -98,8 +99,11 @@ class Mesh:
 
     def _signed_volumes(self) -> NDArray[np.float64]:
         """Signed volume, m3, of every connected piece about its own centre; exact for closed pieces."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
+        try:
+            from scipy.sparse import coo_matrix
+            from scipy.sparse.csgraph import connected_components
+        except ImportError as error:
+            raise missing_library("checking a mesh", error) from error
 
         rows, columns = self.faces.ravel(), np.roll(self.faces, 1, axis=1).ravel()
         links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(self.vertices),) * 2)

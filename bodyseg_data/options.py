@@ -57,7 +57,7 @@ def _add(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], hint: A
             settings["choices"] = typing.get_args(kind)
             settings["metavar"] = "|".join(typing.get_args(kind))
         else:
-            settings["type"] = kind
+            settings["type"] = _path if kind is Path else kind
             settings["metavar"] = {Path: "PATH", int: "N", float: "X", str: "TEXT"}[kind]
         if many:
             settings["nargs"] = "+"
@@ -75,6 +75,12 @@ def _add(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], hint: A
         if required:
             settings["required"] = True
         parser.add_argument("--" + field.name.replace("_", "-"), dest=field.name, **settings)
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a path must not be empty")
+    return Path(text)
 
 
 def _kind(hint: Any) -> tuple[Any, bool]:

@@ -41,7 +41,9 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
     state = out / STATE_NAME
     if (out / MANIFEST_NAME).exists():
         if read_manifest(out).plan != digest:
-            raise BadConfig(f"{out} already holds a set of shards packed with other options: choose another folder")
+            raise BadConfig(
+                f"{out} already holds a set of shards packed with other options: choose another folder, or delete it"
+            )
     elif not state.exists() and out.exists() and any(out.glob("*.tar")):
         raise BadConfig(f"{out} holds tars that no packing here knows of: choose another folder")
     state.mkdir(parents=True, exist_ok=True)

@@ -17,10 +17,18 @@ from bodyseg_data.errors import BadConfig
 _LARGEST: Final = 2**63
 
 
-def check_seed(seed: int) -> None:
-    """Raise BadConfig unless `seed` is a whole number from 0 to 2**63 - 1."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < _LARGEST:
+def check_seed(seed: int) -> int:
+    """`seed` as an int. Raises BadConfig unless it is a whole number from 0 to 2**63 - 1."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < _LARGEST:
         raise BadConfig(f"a seed must be a whole number from 0 to 2**63 - 1, found {seed!r}")
+    return int(seed)
+
+
+def check_epoch(epoch: int) -> int:
+    """`epoch` as an int. Raises BadConfig unless it is a whole number of at least 0."""
+    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer) or epoch < 0:
+        raise BadConfig(f"an epoch must be a whole number of at least 0, found {epoch!r}")
+    return int(epoch)
 
 
 def _bits(seed: int, epoch: int, key: str, purpose: str) -> np.random.Philox:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
@@ -20,10 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.tables import Table, numbers
 from bodyseg_data.views import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
 _MAX_SIDE: Final = 8192
+_MAX_FOCAL_PX: Final = 1e6
+_MAX_DISTANCE_M: Final = 100.0
+_NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 Vector = tuple[float, float, float]
 
@@ -47,11 +52,17 @@ class Camera:
     def __post_init__(self) -> None:
         if not (1 <= self.rows <= _MAX_SIDE and 1 <= self.columns <= _MAX_SIDE):
             raise BadConfig(f"an image side must be 1 to {_MAX_SIDE} pixels, found {self.rows} x {self.columns}")
-        if not (math.isfinite(self.focal_px) and self.focal_px > 0):
-            raise BadConfig(f"a focal length must be positive, found {self.focal_px} px")
-        numbers = (*self.centre_px, *self.position_m, *self.aims_at_m)
-        if not all(math.isfinite(number) for number in numbers):
-            raise BadConfig(f"a camera's position and aim must be finite, found {self.position_m}, {self.aims_at_m}")
+        if not 0 < self.focal_px <= _MAX_FOCAL_PX:
+            raise BadConfig(
+                f"a focal length must be positive, at most {_MAX_FOCAL_PX:g} px, found {self.focal_px:g} px"
+            )
+        if not all(abs(number) <= _MAX_DISTANCE_M for number in (*self.position_m, *self.aims_at_m)):
+            raise BadConfig(
+                f"a camera's position and aim must lie within {_MAX_DISTANCE_M:g} m, found {self.position_m}, "
+                f"{self.aims_at_m}"
+            )
+        if not all(abs(number) <= _MAX_FOCAL_PX for number in self.centre_px):
+            raise BadConfig(f"a principal point must lie near the image, found {self.centre_px}")
         axis = np.subtract(self.aims_at_m, self.position_m)
         if np.hypot(axis[0], axis[2]) < 1e-6:
             raise BadConfig(f"a camera must not look straight up or down, found an axis of {axis.tolist()}")
@@ -123,8 +134,8 @@ class Rig:
     projector: Camera
 
     def __post_init__(self) -> None:
-        if not self.name or any(character.isspace() for character in self.name):
-            raise BadConfig(f"a rig's name must be one word, found {self.name!r}")
+        if not _NAME.fullmatch(self.name):
+            raise BadConfig(f"a rig's name must be one plain word of at most 40 letters, found {self.name[:60]!r}")
         if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
             raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
 
@@ -200,7 +211,7 @@ def parse_rig(text: str, where: str) -> Rig:
         raise BadConfig(f"rig {where} is not TOML: {error}") from error
     if tree.pop("format", None) != RIG_FORMAT:
         raise BadConfig(f"rig {where}: 'format' must be {RIG_FORMAT!r}")
-    table = _Table(tree, f"rig {where}")
+    table = Table(tree, f"rig {where}")
     name, stand_off = table.text("name"), table.number("stand_off_m")
     camera, projector = (_camera(table.table(device)) for device in ("camera", "projector"))
     table.finish()
@@ -220,78 +231,20 @@ def rig_from_json(tree: Any) -> Rig:
                 rows=int(tree[device]["rows"]),
                 columns=int(tree[device]["columns"]),
                 focal_px=float(tree[device]["focal_px"]),
-                centre_px=_numbers(tree[device]["centre_px"], 2),
-                position_m=_numbers(tree[device]["position_m"], 3),
-                aims_at_m=_numbers(tree[device]["aims_at_m"], 3),
+                centre_px=numbers(tree[device]["centre_px"], 2),
+                position_m=numbers(tree[device]["position_m"], 3),
+                aims_at_m=numbers(tree[device]["aims_at_m"], 3),
             )
             for device in ("camera", "projector")
         ]
         return Rig(str(tree["name"]), float(tree["stand_off_m"]), devices[0], devices[1])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadConfig(f"a stored rig is incomplete: {error!r}") from error
 
 
-def _numbers(values: Any, count: int) -> Any:
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != count:
-        raise ValueError(f"{count} numbers needed, found {len(numbers)}")
-    return numbers
-
-
-class _Table:
-    """A TOML table that is read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
-
-    def __init__(self, tree: dict[str, Any], where: str) -> None:
-        self._tree, self.where = dict(tree), where
-
-    def _take(self, key: str, kind: str) -> Any:
-        try:
-            return self._tree.pop(key)
-        except KeyError:
-            raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
-
-    def number(self, key: str) -> float:
-        value = self._take(key, "number")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {value!r}")
-        return float(value)
-
-    def whole(self, key: str) -> int:
-        value = self.number(key)
-        if value != int(value):
-            raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
-        return int(value)
-
-    def text(self, key: str) -> str:
-        value = self._take(key, "text")
-        if not isinstance(value, str):
-            raise BadConfig(f"{self.where}: {key!r} must be text, found {value!r}")
-        return value
-
-    def numbers(self, key: str, count: int) -> Any:
-        values = self._take(key, "list")
-        try:
-            return _numbers(values, count)
-        except (TypeError, ValueError):
-            raise BadConfig(f"{self.where}: {key!r} must be {count} numbers, found {values!r}") from None
-
-    def table(self, key: str) -> _Table:
-        value = self._take(key, "table")
-        if not isinstance(value, dict):
-            raise BadConfig(f"{self.where}: {key!r} must be a table, found {value!r}")
-        return _Table(value, f"{self.where}, [{key}]")
-
-    def has(self, key: str) -> bool:
-        return key in self._tree
-
-    def finish(self) -> None:
-        if self._tree:
-            raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
-
-
-def _camera(table: _Table) -> Camera:
+def _camera(table: Table) -> Camera:
     rows, columns = table.whole("rows"), table.whole("columns")
-    focal_px = table.number("focal_length_mm") / table.number("pixel_pitch_um") * 1000
+    focal_px = table.positive("focal_length_mm") / table.positive("pixel_pitch_um") * 1000
     # The middle of the image unless a calibration says otherwise.
     centre = table.numbers("centre_px", 2) if table.has("centre_px") else (columns / 2, rows / 2)
     position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)

@@ -211,7 +211,8 @@ def find_faults(folder: Path, manifest: Manifest, shard: ShardRecord) -> Iterato
                     _check_content(manifest, shard, key, data)
                 except (BadShard, BadSample) as error:
                     sound = False
-                    yield Fault(shard.name, key, shard.offsets[index], str(error).rpartition(f"{key}: ")[2])
+                    problem = str(error).removeprefix(f"{place(shard, index)}: ").removeprefix(f"{key}: ")
+                    yield Fault(shard.name, key, shard.offsets[index], problem)
             end = file.tell()
             while rest := file.read(1 << 20):
                 sha256.update(rest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -22,6 +23,7 @@ _GAP: Final = 6
 _CAPTION: Final = 20
 _NOTE: Final = 18
 _PANEL_ROWS: Final = 320
+_PANEL_COLUMNS: Final = 480
 
 # Near to far: light to dark as well as warm to cold, so that it also reads in grey.
 _RAMP: Final = np.array(
@@ -49,7 +51,11 @@ def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.u
 def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Image:
     """One line of panels a sample: camera range, projector range, labels, the five variants, labels in `shown`."""
     panels = [_panels(row, shown) for row in rows]
-    widths = [max(line[column][1].width for line in panels) for column in range(len(panels[0]))]
+    heads = ["camera range", "projector range", "labels", *VARIANTS, f"labels in {shown}"]
+    widths = [
+        max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
+        for column, head in enumerate(heads)
+    ]
     width = sum(widths) + _GAP * (len(widths) + 1)
     legend = _legend(width - 2 * _GAP)
     line_height = _CAPTION + _PANEL_ROWS + _NOTE + _GAP
@@ -57,7 +63,6 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Ima
     sheet = Image.new("RGB", (width, top + line_height * len(rows) + legend.height + 2 * _GAP), PAPER)
     pen = ImageDraw.Draw(sheet)
     pen.text((_GAP, 8), title, INK, font=font(17))
-    heads = ["camera range", "projector range", "labels", *VARIANTS, f"labels in {shown}"]
     for number, (row, line) in enumerate(zip(rows, panels, strict=True)):
         left, line_top = _GAP, top + number * line_height
         pen.text((left, line_top + 2), _caption(row.sample), FAINT, font=font(12))
@@ -74,29 +79,38 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Ima
 def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
     """Notes and pictures of one line. All range panels share the scale of the clean camera range."""
     sample = row.sample
-    foreground = sample.range[sample.range > 0]
-    near, far = (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
-    lit = sample.projector_range[sample.projector_range > 0]
-    from_projector = (int(lit.min()), int(lit.max())) if len(lit) else (0, 1)
+    span, projector_span = _span(sample.range), _span(sample.projector_range)
     panels = [
-        (f"{near * RANGE_STEP_M:.2f} to {far * RANGE_STEP_M:.2f} m", colour_range(sample.range, near, far)),
-        (
-            f"{from_projector[0] * RANGE_STEP_M:.2f} to {from_projector[1] * RANGE_STEP_M:.2f} m",
-            colour_range(sample.projector_range, *from_projector),
-        ),
+        (_metres(sample.range), colour_range(sample.range, *span)),
+        (_metres(sample.projector_range), colour_range(sample.projector_range, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
-    panels += [(_note(image), colour_range(image.range, near, far)) for image in row.variants.values()]
+    panels += [(_note(image), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
     return [(note, _fit(picture)) for note, picture in panels]
 
 
+def _text_width(text: str, size: int) -> int:
+    return math.ceil(font(size).getlength(text)) + 4
+
+
+def _span(image: NDArray[np.uint16]) -> tuple[int, int]:
+    """Nearest and farthest range, steps."""
+    foreground = image[image > 0]
+    return (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
+
+
+def _metres(image: NDArray[np.uint16]) -> str:
+    near, far = _span(image)
+    return f"{near * RANGE_STEP_M:.2f} to {far * RANGE_STEP_M:.2f} m" if near else "nothing in view"
+
+
 def _fit(picture: NDArray[np.uint8]) -> Image.Image:
-    """Scale to the panels' height by picking pixels: averaging would hide missing ones."""
+    """Scale into a panel by picking pixels: averaging would hide missing ones."""
     height, width = picture.shape[:2]
-    return Image.fromarray(picture).resize(
-        (max(1, width * _PANEL_ROWS // height), _PANEL_ROWS), Image.Resampling.NEAREST
-    )
+    scale = min(_PANEL_ROWS / height, _PANEL_COLUMNS / width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return Image.fromarray(picture).resize(size, Image.Resampling.NEAREST)
 
 
 def _note(image: RangeImage) -> str:

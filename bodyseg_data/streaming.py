@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from bodyseg_data.errors import BadConfig, BadShard, BodysegError
 from bodyseg_data.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.randomness import check_seed, permutation
+from bodyseg_data.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.shards import ShardReader
 from bodyseg_data.splits import SPLITS, Split
@@ -54,7 +54,9 @@ class RangeImages(Dataset[dict[str, Any]]):
         epoch: int = 0,
         artifacts: Artifacts | None = None,
     ) -> None:
-        check_seed(seed)
+        seed = check_seed(seed)
+        if artifacts is not None and not isinstance(artifacts, Artifacts):
+            raise BadConfig(f"artifacts must be an Artifacts, found {type(artifacts).__name__}")
         if split is not None and split not in SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
         folder, pattern = _locate(str(path))
@@ -91,9 +93,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def set_epoch(self, epoch: int) -> None:
         """The epoch that indexing draws for, and that a loader's next pass is."""
-        if isinstance(epoch, bool) or not isinstance(epoch, int) or epoch < 0:
-            raise BadConfig(f"an epoch must be a whole number of at least 0, found {epoch!r}")
-        self.epoch = epoch
+        self.epoch = check_epoch(epoch)
         self.epochs_set += 1
 
     def __len__(self) -> int:
@@ -106,7 +106,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
-        return self.augmentation(self.clean(index), self.epoch if epoch is None else epoch)
+        return self.augmentation(self.clean(index), self.epoch if epoch is None else check_epoch(epoch))
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """One sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key."""
@@ -128,7 +128,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         """
         import webdataset
 
-        chosen = self.epoch if epoch is None else epoch
+        chosen = self.epoch if epoch is None else check_epoch(epoch)
         places = {self.manifest.shards[shard].keys[index]: (shard, index) for shard, index in self._places.tolist()}
 
         def image(raw: dict[str, Any]) -> dict[str, Any]:
@@ -138,7 +138,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             members = {name: data for name, data in raw.items() if not name.startswith("_")}
             return _single(self.augmentation(self._reader.decode(*places[key], members), chosen))
 
-        return webdataset.WebDataset(self.urls(), shardshuffle=False).map(image)
+        return webdataset.WebDataset(self.urls(), shardshuffle=False, handler=_refuse).map(image)
 
     def stored_bytes(self) -> int:
         """Bytes that the chosen samples take in their shards, headers included."""
@@ -147,6 +147,11 @@ class RangeImages(Dataset[dict[str, Any]]):
     def urls(self) -> list[str]:
         """The paths of the shards that hold the chosen samples, in stored order."""
         return [str(self.path / self.manifest.shards[number].name) for number in np.unique(self._places[:, 0])]
+
+
+def _refuse(error: Exception) -> bool:
+    """What a pipeline does with a tar it cannot read."""
+    raise error if isinstance(error, BodysegError) else BadShard(f"a shard cannot be read: {error}") from error
 
 
 def _locate(path: str) -> tuple[Path, str]:

@@ -62,6 +62,7 @@ def test_a_dataclass_is_the_command_line() -> None:
         (["x", "--kind", "c"], "argument --kind: invalid choice: 'c'"),
         (["x", "--colour", "red"], "unrecognized arguments: --colour red"),
         (["x", "--lou"], "unrecognized arguments: --lou"),
+        (["x", "--out", ""], "argument --out: a path must not be empty"),
     ],
 )
 def test_a_bad_argument_is_one_line(words: list[str], message: str) -> None:
@@ -163,11 +164,26 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
 
 
-def test_a_reader_that_goes_away_is_no_error(figures_set: Path) -> None:
-    script = f"{sys.executable} -m bodyseg_data inspect {figures_set} --json | head -n 1; exit ${{PIPESTATUS[0]}}"
+@pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help"])
+def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, figures_set: Path) -> None:
+    command = f"{sys.executable} -m bodyseg_data {words.format(set=figures_set)}"
+    script = f"{command} 2> >(grep -v 'verifying\\|inspecting' >&2) | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 141
+    assert done.stderr == ""
+
+
+def test_output_that_cannot_be_written_is_one_line(figures_set: Path) -> None:
+    script = f"{sys.executable} -m bodyseg_data verify {figures_set} >/dev/full"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "bodyseg verify: No space left on device"
+
+
+def test_closed_streams_change_no_status(figures_set: Path) -> None:
+    for closed in (">&-", "2>&-", ">&- 2>&-"):
+        script = f"{sys.executable} -m bodyseg_data verify {figures_set} {closed}"
+        assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
 
 
 @pytest.mark.parametrize("variant", ["none", "all"])

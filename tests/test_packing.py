@@ -294,6 +294,36 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(real_set: Pat
     assert contents(out) == contents(real_set)
 
 
+@pytest.mark.parametrize(
+    ("signals", "said", "status"),
+    [
+        ([signal.SIGINT], "interrupted", 130),
+        ([signal.SIGINT, signal.SIGINT], "interrupted", 130),
+        ([signal.SIGTERM], "terminated", 143),
+    ],
+)
+def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
+    signals: list[signal.Signals], said: str, status: int, tmp_path: Path
+) -> None:
+    command = _shard(tmp_path / "shards", 2)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    workers = _children(process.pid)
+    for number in signals:
+        os.killpg(process.pid, number)  # as a terminal does
+        time.sleep(0.1)
+    _, printed = process.communicate(timeout=20)
+    assert process.returncode == status
+    lines = [line for line in printed.splitlines() if not line.startswith("packing: ")]
+    assert lines == [f"bodyseg shard: {said}"]
+    while any(_alive(worker) for worker in workers):
+        assert time.monotonic() < deadline, "workers outlive the process that started them"
+        time.sleep(0.05)
+
+
 def _children(pid: int) -> list[int]:
     listed = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(word) for word in listed.split()]

@@ -19,7 +19,7 @@ from test_sample import GOOD
 from bodyseg_data.cli import main
 from bodyseg_data.codec import encode_sample
 from bodyseg_data.errors import BadSample, BadShard
-from bodyseg_data.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.manifest import MANIFEST_NAME, _digest, read_manifest
 from bodyseg_data.shards import ShardReader, ShardWriter, find_faults, parse_members
 
 
@@ -135,6 +135,7 @@ def test_faults_are_one_line_each_on_the_command_line(copy: Path, capsys: pytest
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("train-00001.tar: open-")
+    assert lines[0].count("offset") == 1
     assert ": offset 0: altered: CRC-32" in lines[0]
     assert lines[1] == "test-00000.tar: -: offset 0: cannot be read: No such file or directory"
     assert lines[2] == "stray.tar: -: offset 0: not in the manifest"
@@ -177,6 +178,48 @@ def test_a_broken_manifest_is_one_line_and_exit_status_1(
         read_manifest(copy)
     assert main(["verify", str(copy)]) == 1
     assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def _with(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    def changed(tree: dict[str, Any]) -> dict[str, Any]:
+        change(tree)
+        return tree
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_with(lambda tree: tree.update(extra=1)), "has the fields"),
+        (_with(lambda tree: tree.update(codec="jpg")), "'codec' must be one of bsi, png, found 'jpg'"),
+        (_with(lambda tree: tree.update(parts=["nose"])), "'parts' are not those of format"),
+        (_with(lambda tree: tree.update(source=3)), "'source' must be text, found 3"),
+        (_with(lambda tree: tree.update(shards={})), "'shards' must be a list"),
+        (_with(lambda tree: tree["rig"]["camera"].update(rows=float("inf"))), "a stored rig is incomplete"),
+        (_with(lambda tree: tree["shards"][0].update(size=1 << 70)), "'size' must be a number of bytes"),
+        (_with(lambda tree: tree["shards"][0].update(size=512)), "samples end at byte"),
+        (_with(lambda tree: tree["shards"][0].update(name="../x.tar")), "a shard's name must be like train-00000.tar"),
+        (_with(lambda tree: tree["shards"][0].update(name="test-00009.tar")), "must be one of train, test and start"),
+        (_with(lambda tree: tree["shards"][0].update(sha256="0")), "'sha256' must be 64 hexadecimal digits"),
+        (_with(lambda tree: tree["shards"][0]["lengths"].__setitem__(0, 1 << 62)), "samples must follow each other"),
+        (_with(lambda tree: tree["shards"][0]["offsets"].__setitem__(0, 512)), "samples must follow each other"),
+        (_with(lambda tree: tree["shards"][0]["keys"].__setitem__(0, "a.b")), "a sample key must be"),
+        (_with(lambda tree: tree["shards"][0]["crc32"].pop()), "'crc32' must have one entry a sample"),
+        (_with(lambda tree: tree["shards"][0]["crc32"].__setitem__(0, "x")), "'crc32' must hold int only"),
+        (_with(lambda tree: tree["shards"][0].pop("split")), "has not the fields of format"),
+        (_with(lambda tree: tree["shards"].append(tree["shards"][0])), "must be unique"),
+    ],
+)
+def test_a_manifest_that_lies_consistently_is_refused(
+    copy: Path, change: Callable[[dict[str, Any]], dict[str, Any]], message: str
+) -> None:
+    tree = json.loads((copy / MANIFEST_NAME).read_bytes())
+    del tree["digest"]
+    tree = change(tree)
+    (copy / MANIFEST_NAME).write_text(json.dumps({**tree, "digest": _digest(tree)}))
+    with pytest.raises(BadShard, match=message):
+        read_manifest(copy)
 
 
 def test_a_folder_without_a_manifest_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

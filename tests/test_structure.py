@@ -20,6 +20,7 @@ ORDER = [
     "files",
     "machine",
     "system_libraries",
+    "tables",
     "randomness",
     "views",
     "rig",

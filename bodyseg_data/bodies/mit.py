@@ -95,7 +95,7 @@ def _frames(folder: Path) -> list[tuple[str, Path]]:
     """(number as written, file) of every frame in a folder, by number; empty if there is no such folder."""
     if not folder.is_dir():
         return []
-    matches = ((_FRAME.fullmatch(file.name), file) for file in folder.iterdir())
+    matches = ((_FRAME.fullmatch(file.name), file) for file in folder.iterdir() if file.is_file())
     return sorted(((match[1], file) for match, file in matches if match), key=lambda frame: (int(frame[0]), frame[0]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from collections import Counter
@@ -68,7 +69,8 @@ def save_picture(picture: Image.Image, path: Path) -> None:
         picture.save(aside, "PNG", optimize=True)
         aside.replace(path)
     except OSError as error:
-        aside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
         raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import signal
 import sys
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bodyseg_data.bodies import SourceName
 from bodyseg_data.codec import CodecName
@@ -87,12 +90,29 @@ def pack_in_processes(packing: Packing, out: Path, workers: int, title: str) -> 
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
     context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
+    executor = _Workers(workers, mp_context=context, initializer=_end_with_parent)
     try:
         with Progress(title, "views") as progress:
             return pack(packing, out, executor, workers, progress.update)
+    except BaseException:
+        # Nothing of what the workers are at will be used: the user need not wait for it.
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        raise
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
+
+
+class _Workers(ProcessPoolExecutor):
+    """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # Workers are started in here, and start with the signals blocked that are blocked now.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:

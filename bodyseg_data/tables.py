@@ -1,0 +1,76 @@
+"""Reading tables that people write: key by key, with one clear line for whatever is missing, wrong or unknown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bodyseg_data.errors import BadConfig
+
+
+def numbers(values: Any, count: int) -> Any:
+    """`count` floats as a tuple. Raises TypeError or ValueError."""
+    found = tuple(float(value) for value in values)
+    if len(found) != count:
+        raise ValueError(f"{count} numbers needed, found {len(found)}")
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    """Finite, and small enough for a float: TOML allows whole numbers of any length."""
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
+
+
+class Table:
+    """A TOML table that is read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
+
+    def __init__(self, tree: dict[str, Any], where: str) -> None:
+        self._tree, self.where = dict(tree), where
+
+    def _take(self, key: str, kind: str) -> Any:
+        try:
+            return self._tree.pop(key)
+        except KeyError:
+            raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
+
+    def number(self, key: str) -> float:
+        value = self._take(key, "number")
+        if not _is_number(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {str(value)[:60]!r}")
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        value = self.number(key)
+        if value <= 0:
+            raise BadConfig(f"{self.where}: {key!r} must be positive, found {value:g}")
+        return value
+
+    def whole(self, key: str) -> int:
+        value = self.number(key)
+        if value != int(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
+        return int(value)
+
+    def text(self, key: str) -> str:
+        value = self._take(key, "text")
+        if not isinstance(value, str):
+            raise BadConfig(f"{self.where}: {key!r} must be text, found {value!r}")
+        return value
+
+    def numbers(self, key: str, count: int) -> Any:
+        values = self._take(key, "list")
+        if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {str(values)[:60]}")
+        return numbers(values, count)
+
+    def table(self, key: str) -> Table:
+        value = self._take(key, "table")
+        if not isinstance(value, dict):
+            raise BadConfig(f"{self.where}: {key!r} must be a table, found {value!r}")
+        return Table(value, f"{self.where}, [{key}]")
+
+    def has(self, key: str) -> bool:
+        return key in self._tree
+
+    def finish(self) -> None:
+        if self._tree:
+            raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
