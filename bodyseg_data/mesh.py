@@ -6,6 +6,7 @@ Body frame: x to the subject's left, y up, z to the front; metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -118,13 +119,18 @@ class Mesh:
         volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
         return np.asarray(np.bincount(piece, weights=volumes), np.float64)
 
-    @property
+    @cached_property
+    def surface_vertices(self) -> NDArray[np.float64]:
+        """Those vertices [N, 3] that faces use."""
+        return self.vertices[np.unique(self.faces)]
+
+    @cached_property
     def centre(self) -> NDArray[np.float64]:
         """Centre [3] of the bounding box of the surface."""
-        used = self.vertices[np.unique(self.faces)]
-        middle: NDArray[np.float64] = (used.min(axis=0) + used.max(axis=0)) / 2
+        middle: NDArray[np.float64] = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
         return middle
 
+    @cached_property
     def normals(self) -> NDArray[np.float64]:
         """Outward normals of all faces, [F, 3]; length twice the face's area, zero for a degenerate face."""
         corners = self.vertices[self.faces]

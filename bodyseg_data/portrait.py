@@ -104,7 +104,7 @@ def _row(sitter: Sitter, height_px: int) -> Image.Image:
         raise BadConfig(f"mesh {mesh.name}: each vertex needs a label, found {parts.labels.shape}")
     if np.shape(landmarks) != (PART_COUNT,) or not 0 <= np.min(landmarks) <= np.max(landmarks) < len(mesh.vertices):
         raise BadConfig(f"mesh {mesh.name}: {PART_COUNT} landmarks must be vertices of it, found {np.shape(landmarks)}")
-    pixels_per_m = height_px / float(np.ptp(mesh.vertices[np.unique(mesh.faces), 1]))
+    pixels_per_m = height_px / float(np.ptp(mesh.surface_vertices[:, 1]))
     views = [draw_side(sitter, azimuth, pixels_per_m) for _, azimuth in SIDES]
     width = sum(view.width for view in views) + 2 * _MARGIN
     row = Image.new("RGB", (width, _TITLE_HEIGHT + views[0].height), PAPER)
@@ -123,7 +123,7 @@ def _camera(mesh: Mesh, azimuth_deg: int, pixels_per_m: float) -> PlacedCamera:
     turn = math.radians(azimuth_deg)
     back = np.array([math.sin(turn), 0.0, math.cos(turn)])
     axes = np.array([[math.cos(turn), 0.0, -math.sin(turn)], [0.0, -1.0, 0.0], -back])
-    local = (mesh.vertices[np.unique(mesh.faces)] - mesh.centre) @ axes.T
+    local = (mesh.surface_vertices - mesh.centre) @ axes.T
     size = 2 * np.abs(local[:, :2]).max(axis=0) * pixels_per_m * 1.05 + 2 * _BODY_MARGIN  # nearer looks larger
     columns, rows = (math.ceil(side) for side in size)
     camera = Camera(rows, columns, pixels_per_m * _DISTANCE_M, (columns / 2, rows / 2), (0, 0, 0), (0, 0, 1))
@@ -134,7 +134,7 @@ def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
     """Mean outward normal of the faces around each vertex by area, unit length, [V, 3]."""
     normals = np.zeros_like(mesh.vertices)
     for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], mesh.normals())
+        np.add.at(normals, mesh.faces[:, corner], mesh.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return normals
 

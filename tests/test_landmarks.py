@@ -155,7 +155,7 @@ def test_the_open_body_has_its_own_left_and_right_and_front_and_back(standing: A
     # A point on the front looks to the front.
     normals = np.zeros_like(mesh.vertices)
     for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], mesh.normals())
+        np.add.at(normals, mesh.faces[:, corner], mesh.normals)
     for part in PARTS:
         z = normals[landmarks[part.label], 2]
         assert {"front": z > 0, "back": z < 0, "both": True}[part.face], part.landmark

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.errors import BadMesh
+from bodyseg_data.errors import BadMesh, MissingLibrary
 from bodyseg_data.mesh import Mesh
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -18,7 +19,7 @@ def test_a_ball_has_its_volume_centre_and_outward_normals() -> None:
     assert mesh.signed_volume() == pytest.approx(4 / 3 * np.pi * 0.5**3, rel=0.01)
     assert mesh.centre == pytest.approx([0, 0.9, 0], abs=1e-9)
     middles = mesh.vertices[mesh.faces].mean(axis=1) - mesh.centre
-    assert (np.einsum("ij,ij->i", middles, mesh.normals()) > 0).all()
+    assert (np.einsum("ij,ij->i", middles, mesh.normals) > 0).all()
 
 
 def test_a_mesh_cannot_be_changed() -> None:
@@ -81,3 +82,9 @@ def test_one_turned_piece_of_a_body_is_refused() -> None:
     faces[-1280:] = faces[-1280:, ::-1]
     with pytest.raises(BadMesh, match="mesh leg: faces must point outwards"):
         Mesh("leg", body.vertices, faces)
+
+
+def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.sparse", None)
+    with pytest.raises(MissingLibrary, match=r"checking a mesh needs the package .*: pip install 'bodyseg\[render\]'"):
+        ball()

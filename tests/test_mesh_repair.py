@@ -126,7 +126,7 @@ def test_a_hole_stays_a_hole_and_faces_stay_outward() -> None:
     vertices, faces = repair("holed", whole.vertices, whole.faces[20:, ::-1])
     mended = Mesh("mended", vertices, faces)
     assert len(faces) == len(whole.faces) - 20 and not is_closed(mended)
-    outward = np.einsum("ij,ij->i", mended.normals(), mended.vertices[mended.faces].mean(axis=1) - whole.centre)
+    outward = np.einsum("ij,ij->i", mended.normals, mended.vertices[mended.faces].mean(axis=1) - whole.centre)
     assert (outward > 0).all()
 
 

@@ -236,8 +236,8 @@ def test_a_surface_with_a_hole_and_with_slivers_is_labelled() -> None:
 
 @pytest.mark.parametrize("package", ["pygeodesic.geodesic", "scipy.sparse"])
 def test_a_missing_package_says_how_to_install_it(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
     mesh = ball(subdivisions=3)
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[render\]'"):
         partition(mesh, spread(mesh))
 

@@ -74,7 +74,7 @@ def test_a_ball_lies_between_the_spheres_outside_and_inside_its_triangles(render
     mesh = ball(subdivisions=5)
     camera = RIG.placed(mesh.centre, View(215, azimuth))[device]
     (surface,) = see(renderer, mesh, camera)
-    normals = mesh.normals() / np.linalg.norm(mesh.normals(), axis=1)[:, None]
+    normals = mesh.normals / np.linalg.norm(mesh.normals, axis=1)[:, None]
     inner = np.einsum("ij,ij->i", normals, mesh.vertices[mesh.faces[:, 0]] - mesh.centre).min()
     first, last = sphere_range(camera, mesh.centre, 0.5), sphere_range(camera, mesh.centre, inner)
     assert 0.5 - inner < 2e-4, "the bound is tight enough to mean something"
@@ -149,7 +149,7 @@ def test_the_inside_of_an_open_shell_is_seen(renderer) -> None:
     inside = second > 2.55 + 0.1  # well behind the rim
     assert inside.sum() > 30_000
     assert np.abs(surface.range - second)[inside].max() < 1e-3
-    toward = np.einsum("ij,ij->i", mesh.normals()[surface.face[inside]], -rays[inside])
+    toward = np.einsum("ij,ij->i", mesh.normals[surface.face[inside]], -rays[inside])
     assert (toward < 0).all(), "all of it is seen from behind"
 
 

@@ -119,7 +119,7 @@ def exact_view(rig: Rig, renderer: EmbreeRenderer, body: Body, ref: BodyRef, vie
     points = surface_points(seen, camera, rows, columns)
     pixels, away = projector.project(points)
     inside = (away > 0) & (pixels >= 0).all(axis=1) & (pixels < (rig.projector.columns, rig.projector.rows)).all(axis=1)
-    normals, ways = mesh.normals()[seen.face[rows, columns]], projector.position - points
+    normals, ways = mesh.normals[seen.face[rows, columns]], projector.position - points
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(ways, axis=1)
     grazing = np.abs(np.einsum("ij,ij->i", normals, ways)) < _GRAZING * lengths
 

@@ -30,7 +30,7 @@ class EmbreeRenderer:
         self._origin = mesh.centre
         self._scene = EmbreeScene(robust=True)
         TriangleMesh(self._scene, (mesh.vertices - self._origin).astype(np.float32), mesh.faces)
-        self._used = mesh.vertices[np.unique(mesh.faces)]
+        self._used = mesh.surface_vertices
 
     def see(self, camera: PlacedCamera) -> Surface:
         rows, columns = camera.camera.rows, camera.camera.columns

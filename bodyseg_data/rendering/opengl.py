@@ -59,7 +59,7 @@ class OpenGLRenderer:
             raise BadMesh(f"mesh {mesh.name}: OpenGL draws at most {_MOST_FACES} faces, found {len(mesh.faces)}")
         # Graphics hardware computes in single precision, so coordinates are kept small: around the body's centre.
         self._origin = mesh.centre
-        self._used = mesh.vertices[np.unique(mesh.faces)]
+        self._used = mesh.surface_vertices
         corners = (mesh.vertices - self._origin)[mesh.faces].reshape(-1, 3)
         self._drawing = pyrender.Mesh([pyrender.Primitive(positions=corners, color_0=_face_colours(len(mesh.faces)))])
         self._scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))

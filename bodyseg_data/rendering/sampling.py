@@ -56,6 +56,6 @@ def faces_towards(
     mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64], source: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Whether the triangles seen at `points` [N, 3] turn their outside to a light at `source` [3], bool [N]."""
-    normals = mesh.normals()[faces]
+    normals = mesh.normals[faces]
     towards: NDArray[np.bool_] = np.einsum("ij,ij->i", normals, source - points) > 0
     return towards
