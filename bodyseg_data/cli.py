@@ -81,7 +81,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _on_sigterm(before)
 
 
+_COMMAND: Final = os.getpid()
+
+
 def _terminate(number: int, frame: Any) -> None:
+    if os.getpid() != _COMMAND:  # a fork, like a loader's worker: not the one that has something to say
+        os._exit(143)
     raise _Terminated
 
 

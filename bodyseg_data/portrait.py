@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.legend import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.partition import Partition
 from bodyseg_data.parts import COLOURS, PART_COUNT
+from bodyseg_data.pictures import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.sampling import surface_points
 from bodyseg_data.rig import Camera, PlacedCamera

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.legend import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.parts import colour_labels
+from bodyseg_data.pictures import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.variants import VARIANTS, RangeImage, VariantName
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from pygeodesic.geodesic import PyGeodesicAlgorithmExact
 from shapes import ball, figure
 from test_partition import box_mesh, spread
 
+from bodyseg_data.benches import borders as benches
 from bodyseg_data.borders import find_borders
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.partition import Partition, partition
@@ -90,3 +92,16 @@ def test_a_body_of_one_part_has_no_borders() -> None:
     borders = find_borders(mesh, np.zeros(len(mesh.vertices), np.uint8), np.zeros(len(mesh.vertices)))
     assert borders.faces.shape == (0,)
     assert borders.distance.shape == (0, 3, 3)
+
+
+def test_the_bench_writes_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("anny")
+    monkeypatch.setattr(benches, "POSES", ("a_pose",))
+    steps: list[tuple[int, int]] = []
+    figures = benches.bench_borders(1, lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 1)]
+    methods = figures["methods"]
+    assert set(methods) == set(benches.METHODS)
+    assert all(set(row) == {"ms", "wrong_surface", "wrong_pixels"} for row in methods.values())
+    for measure in ("wrong_surface", "wrong_pixels"):
+        assert methods["inside the triangle"][measure] < 0.003 < 0.03 < methods["nearest corner"][measure]

@@ -40,7 +40,7 @@ ORDER = [
     "artifacts",
     "variants",
     "streaming",
-    "legend",
+    "pictures",
     "portrait",
     "sheet",
     "options",

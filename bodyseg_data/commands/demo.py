@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bodyseg_data.commands.inspect import contact_sheet, save_picture
+from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.shard import pack_in_processes
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import write_atomically
@@ -19,6 +19,7 @@ from bodyseg_data.machine import processors
 from bodyseg_data.options import option
 from bodyseg_data.packing import Packing
 from bodyseg_data.parts import BACKGROUND
+from bodyseg_data.pictures import save_picture
 from bodyseg_data.streaming import RangeImages, loader
 from bodyseg_data.variants import VARIANTS
 from bodyseg_data.views import ViewGrid

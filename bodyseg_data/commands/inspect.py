@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 from collections import Counter
@@ -17,6 +16,7 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import option
 from bodyseg_data.parts import PARTS
+from bodyseg_data.pictures import check_picture, save_picture
 from bodyseg_data.randomness import generator
 from bodyseg_data.sheet import Row, draw_sheet
 from bodyseg_data.splits import SPLITS, Split
@@ -54,24 +54,6 @@ def run(options: Options) -> int:
     if options.json:
         sys.stdout.write(json.dumps(summarise(images), indent=2) + "\n")
     return 0
-
-
-def check_picture(path: Path) -> None:
-    """Raise BadConfig unless `path` can name a picture."""
-    if path.suffix.lower() != ".png":
-        raise BadConfig(f"--out must be a .png file, found {path}")
-
-
-def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        picture.save(aside, "PNG", optimize=True)
-        aside.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def contact_sheet(images: RangeImages, rows: int) -> Image.Image:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bodyseg_data.bodies import SourceName, open_source
-from bodyseg_data.commands.inspect import check_picture, save_picture
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import option
 from bodyseg_data.partition import partition
+from bodyseg_data.pictures import check_picture, save_picture
 from bodyseg_data.portrait import draw_portraits
 
 EXAMPLE = "bodyseg landmarks --source open --out landmarks.png"

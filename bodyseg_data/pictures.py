@@ -1,11 +1,14 @@
-"""What all pictures share: paper, ink, font, and the legend of the 33 parts."""
+"""What all pictures share: paper, ink, font, the legend of the 33 parts, and how they are written."""
 
 from __future__ import annotations
 
+import contextlib
+from pathlib import Path
 from typing import Final
 
 from PIL import Image, ImageDraw, ImageFont
 
+from bodyseg_data.errors import BadConfig
 from bodyseg_data.parts import COLOURS, PART_COUNT, PARTS
 
 PAPER: Final = (250, 250, 247)
@@ -35,3 +38,21 @@ def draw_legend(width: int) -> Image.Image:
         pen.text((left + 38, top + 10), str(part.label), INK, font=font(13), anchor="rm")
         pen.text((left + 46, top + 10), part.landmark, INK, font=font(13), anchor="lm")
     return legend
+
+
+def check_picture(path: Path) -> None:
+    """Raise BadConfig unless `path` can name a picture."""
+    if path.suffix.lower() != ".png":
+        raise BadConfig(f"--out must be a .png file, found {path}")
+
+
+def save_picture(picture: Image.Image, path: Path) -> None:
+    """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        picture.save(aside, "PNG", optimize=True)
+        aside.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            aside.unlink(missing_ok=True)
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
