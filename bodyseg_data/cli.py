@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by whoever started this process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
-    before = _on_sigterm(_terminate)
+    before = _handle_signals()
     try:
         status = _run(name, words[1:])
         sys.stdout.flush()
@@ -78,23 +78,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         what = f"{type(error).__name__}: {error}"
         return _say(name, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
-        _on_sigterm(before)
+        if signal.getsignal(signal.SIGTERM) is _stop:  # else this process is ending
+            for number, action in before.items():
+                signal.signal(number, action)
 
 
 _COMMAND: Final = os.getpid()
 
 
-def _terminate(number: int, frame: Any) -> None:
-    if os.getpid() != _COMMAND:  # a fork, like a loader's worker: not the one that has something to say
-        os._exit(143)
-    raise _Terminated
-
-
-def _on_sigterm(action: Any) -> Any:
-    """Set what SIGTERM does and return what it did; threads other than the main one may not, and need not."""
+def _handle_signals() -> dict[signal.Signals, Any]:
+    """Let SIGINT and SIGTERM end the command tidily; returns what they did before, for those that now differ."""
     if threading.current_thread() is not threading.main_thread():
-        return None
-    return signal.signal(signal.SIGTERM, action)
+        return {}  # only the main thread may, and the others get no signals
+    numbers = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+    return {number: signal.signal(number, _stop) for number in numbers}
+
+
+def _stop(number: int, frame: Any) -> None:
+    if os.getpid() != _COMMAND:  # a fork, like a loader's worker: not the one that has something to say
+        os._exit(128 + number)
+    # Once is enough: people press Ctrl-C again while things are being tidied up.
+    for again in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(again, signal.SIG_IGN)
+    raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
 
 def _run(name: str, words: list[str]) -> int:

@@ -8,7 +8,6 @@ finished one. The manifest is written last; then the folder goes.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import itertools
 import json
@@ -184,8 +183,8 @@ def pack(
 
     executor: runs `render_run`; workers: how many of its workers to keep busy. Raises BadConfig if `out` holds
     something else or another packing is at work there, BadMesh, BadLandmarks or BadSample for a body that cannot be
-    packed. After an error, finished shards stay and the same call carries on from them. In a finished set, shards that
-    are missing or altered are made again.
+    packed. After an error, finished shards stay and the same call carries on from them; what the executor was handed
+    and has not begun is its owner's to cancel. In a finished set, shards that are missing or altered are made again.
     """
     shards = _cut(packing)
     description = _describe(packing, shards)
@@ -197,18 +196,18 @@ def pack(
             done = sum(len(record) for record in records.values())
             progress(done, total)
             todo = [shard for shard in shards if shard.name not in records]
-            with contextlib.closing(_results(packing, todo, executor, workers)) as results:
-                for shard in todo:
-                    with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
-                        for _ in shard.runs:
-                            for key, members in next(results):
-                                writer.write(key, members)
-                                done += 1
-                            progress(done, total)
-                    if writer.record is None:
-                        raise BadShard(f"{shard.name} was not written")
-                    records[shard.name] = writer.record
-                    record_shard(state, writer.record)
+            results = _results(packing, todo, executor, workers)
+            for shard in todo:
+                with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
+                    for _ in shard.runs:
+                        for key, members in next(results):
+                            writer.write(key, members)
+                            done += 1
+                        progress(done, total)
+                if writer.record is None:
+                    raise BadShard(f"{shard.name} was not written")
+                records[shard.name] = writer.record
+                record_shard(state, writer.record)
             manifest = Manifest(
                 rig=packing.rig,
                 codec=packing.codec,
@@ -235,16 +234,12 @@ def _results(
     """The results of all runs in order, with a bounded number under way, so that memory stays flat."""
     runs = iter([(body, views) for shard in shards for body, views in shard.runs])
     waiting: deque[Future[Encoded]] = deque()
-    try:
-        # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
-        for body, views in itertools.islice(runs, 1):
-            yield executor.submit(render_run, packing, body, views).result()
-        for body, views in runs:
-            waiting.append(executor.submit(render_run, packing, body, views))
-            if len(waiting) > 2 * max(workers, 1):
-                yield waiting.popleft().result()
-        while waiting:
+    # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
+    for body, views in itertools.islice(runs, 1):
+        yield executor.submit(render_run, packing, body, views).result()
+    for body, views in runs:
+        waiting.append(executor.submit(render_run, packing, body, views))
+        if len(waiting) > 2 * max(workers, 1):
             yield waiting.popleft().result()
-    finally:
-        for future in waiting:
-            future.cancel()
+    while waiting:
+        yield waiting.popleft().result()
