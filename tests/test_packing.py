@@ -315,7 +315,10 @@ def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     workers = _children(process.pid)
     for number in signals:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, number)  # as a terminal does
+            if number == signal.SIGINT:
+                os.killpg(process.pid, number)  # a terminal's Ctrl-C goes to all
+            else:
+                os.kill(process.pid, number)
         time.sleep(0.03)
     _, printed = process.communicate(timeout=20)
     assert process.returncode == status
