@@ -100,16 +100,7 @@ class Mesh:
 
     def _signed_volumes(self) -> NDArray[np.float64]:
         """Signed volume, m3, of every connected piece about its own centre; exact for closed pieces."""
-        try:
-            from scipy.sparse import coo_matrix
-            from scipy.sparse.csgraph import connected_components
-        except ImportError as error:
-            raise missing_library("checking a mesh", error) from error
-
-        rows, columns = self.faces.ravel(), np.roll(self.faces, 1, axis=1).ravel()
-        links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(self.vertices),) * 2)
-        _, piece_of = connected_components(links, directed=False)
-        _, piece = np.unique(piece_of[self.faces[:, 0]], return_inverse=True)
+        _, piece = np.unique(self.pieces("checking a mesh")[self.faces[:, 0]], return_inverse=True)
         corners = self.vertices[self.faces]
         middles = (
             np.stack([np.bincount(piece, weights=corners[..., axis].mean(axis=1)) for axis in range(3)], axis=1)
@@ -118,6 +109,21 @@ class Mesh:
         corners = corners - middles[piece][:, None]
         volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
         return np.asarray(np.bincount(piece, weights=volumes), np.float64)
+
+    def pieces(self, feature: str) -> NDArray[np.int32]:
+        """Which connected piece of the surface each vertex belongs to, [V].
+
+        feature: what they are wanted for, for the message of the MissingLibrary that is raised without scipy.
+        """
+        try:
+            from scipy.sparse import coo_matrix
+            from scipy.sparse.csgraph import connected_components
+        except ImportError as error:
+            raise missing_library(feature, error) from error
+        rows, columns = self.faces.ravel(), np.roll(self.faces, 1, axis=1).ravel()
+        links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(self.vertices),) * 2)
+        piece: NDArray[np.int32] = connected_components(links, directed=False)[1]
+        return piece
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:

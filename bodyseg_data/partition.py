@@ -145,15 +145,7 @@ def _check_edges(mesh: Mesh) -> None:
 
 def _near_landmarks(mesh: Mesh, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which faces belong to pieces of the surface that hold a landmark, bool [F]."""
-    try:
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-    except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
-    rows, columns = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
-    count = len(mesh.vertices)
-    links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(count, count))
-    _, piece = connected_components(links, directed=False)
+    piece = mesh.pieces(_FEATURE)
     inside: NDArray[np.bool_] = np.isin(piece[mesh.faces[:, 0]], piece[landmarks])
     return inside
 

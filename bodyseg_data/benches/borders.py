@@ -49,7 +49,7 @@ def bench_borders(views: int = 12, progress: Callable[[int, int], None] = lambda
         start = time.perf_counter()
         find_borders(body.mesh, parts.labels, parts.distance)
         seconds.append(time.perf_counter() - start)
-        fields = landmark_fields(body)
+        fields = landmark_fields(body, parts)
         surface += _wrong_surface(body, parts, fields) / len(POSES)
         shared.append(len(parts.borders.faces) / len(body.mesh.faces))
         for view in grid:
@@ -75,13 +75,13 @@ def bench_borders(views: int = 12, progress: Callable[[int, int], None] = lambda
     }
 
 
-def landmark_fields(body: Body) -> NDArray[np.float64]:
+def landmark_fields(body: Body, parts: Partition) -> NDArray[np.float64]:
     """Exact distance from each landmark alone to every vertex, float64 [33, V], metres; infinite where none leads."""
     from pygeodesic.geodesic import PyGeodesicAlgorithmExact
 
     mesh = body.mesh
     # The landmarks' piece of the surface, numbered afresh: pygeodesic takes no vertices without faces.
-    reached = np.isfinite(partition(mesh, body.landmarks).distance)
+    reached = np.isfinite(parts.distance)
     used, corners = np.unique(mesh.faces[reached[mesh.faces].all(axis=1)], return_inverse=True)
     solver = PyGeodesicAlgorithmExact(mesh.vertices[used], corners.reshape(-1, 3))
     fields = np.full((len(body.landmarks), len(mesh.vertices)), np.inf)

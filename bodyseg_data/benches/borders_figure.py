@@ -27,7 +27,8 @@ def draw_borders(path: Path) -> None:
     """Write a PNG: the same detail labelled by each method. Raises BadConfig if it cannot be written."""
     rig, source = load_rig(), open_source("open")
     body = source.build(next(body for body in source.bodies() if body.pose == _POSE))
-    parts, fields = partition(body.mesh, body.landmarks), landmark_fields(body)
+    parts = partition(body.mesh, body.landmarks)
+    fields = landmark_fields(body, parts)
     camera, _ = rig.placed(body.mesh.centre, _VIEW)
     seen = EmbreeRenderer(body.mesh).see(camera)
     labels, exact = labelled_pixels(rig, body, parts, fields, _VIEW)
