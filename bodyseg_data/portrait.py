@@ -17,7 +17,7 @@ from bodyseg_data.parts import COLOURS, PART_COUNT
 from bodyseg_data.pictures import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.sampling import surface_points
-from bodyseg_data.rig import Camera, PlacedCamera
+from bodyseg_data.rig import Camera, PlacedCamera, axes_at
 
 Sitter = tuple[str, Mesh, Partition, NDArray[np.int64]]
 """Title, mesh, its parts, landmarks int64 [33]."""
@@ -120,14 +120,12 @@ def _row(sitter: Sitter, height_px: int) -> Image.Image:
 
 def _camera(mesh: Mesh, azimuth_deg: int, pixels_per_m: float) -> PlacedCamera:
     """A camera far off whose image just holds the body, a margin included."""
-    turn = math.radians(azimuth_deg)
-    back = np.array([math.sin(turn), 0.0, math.cos(turn)])
-    axes = np.array([[math.cos(turn), 0.0, -math.sin(turn)], [0.0, -1.0, 0.0], -back])
+    axes = axes_at(azimuth_deg)
     local = (mesh.surface_vertices - mesh.centre) @ axes.T
     size = 2 * np.abs(local[:, :2]).max(axis=0) * pixels_per_m * 1.05 + 2 * _BODY_MARGIN  # nearer looks larger
     columns, rows = (math.ceil(side) for side in size)
     camera = Camera(rows, columns, pixels_per_m * _DISTANCE_M, (columns / 2, rows / 2), (0, 0, 0), (0, 0, 1))
-    return PlacedCamera(camera, axes, mesh.centre + _DISTANCE_M * back)
+    return PlacedCamera(camera, axes, mesh.centre - _DISTANCE_M * axes[2])
 
 
 def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:

@@ -121,6 +121,13 @@ class PlacedCamera:
         return local[..., :2] / local[..., 2:] * self.camera.focal_px + self.camera.centre_px, local[..., 2]
 
 
+def axes_at(azimuth_deg: int) -> NDArray[np.float64]:
+    """Axes [3, 3], rows x, y, z in the body's frame, of an upright camera that looks at the body from an azimuth."""
+    turn = math.radians(azimuth_deg)
+    right, back = [math.cos(turn), 0.0, -math.sin(turn)], np.array([math.sin(turn), 0.0, math.cos(turn)])
+    return np.array([right, [0.0, -1.0, 0.0], -back])
+
+
 @dataclass(frozen=True)
 class Rig:
     """A structured-light rig: what sees and what lights. The rig's frame is the camera's when its pose is the default.
@@ -150,10 +157,8 @@ class Rig:
         The rig moves and the body stays, so that whatever was built for the body's mesh serves all its views.
         Body frame: x to the subject's left, y up, z to the front, metres.
         """
-        turn = math.radians(view.azimuth_deg)
-        back = np.array([math.sin(turn), 0.0, math.cos(turn)])  # from the body towards the camera
-        camera_axes = np.array([[math.cos(turn), 0.0, -math.sin(turn)], [0.0, -1.0, 0.0], -back])
-        camera_position = np.asarray(centre, np.float64) + view.distance_cm / 100 * back
+        camera_axes = axes_at(view.azimuth_deg)
+        camera_position = np.asarray(centre, np.float64) - view.distance_cm / 100 * camera_axes[2]
         # Axes of the rig in the body's frame, such that the camera gets exactly the pose above.
         rig_axes = self.camera.axes.T @ camera_axes
         rig_origin = camera_position - np.asarray(self.camera.position_m) @ rig_axes
