@@ -43,6 +43,7 @@ ORDER = [
     "pictures",
     "portrait",
     "sheet",
+    "gallery",
     "options",
     "benches",
     "commands",

@@ -1,0 +1,41 @@
+"""`bodyseg gallery`: many views of one or several sets in one picture."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.gallery import choose, draw_gallery
+from bodyseg_data.options import option
+from bodyseg_data.pictures import check_picture, save_picture
+from bodyseg_data.streaming import RangeImages
+
+EXAMPLE = "bodyseg gallery shards hard-shards --views 48 --out gallery.png"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    folders: tuple[Path, ...] = option("folders of sets of shards, all of one rig", positional=True)
+    out: Path = option("write the picture to this PNG file")
+    views: int = option("how many views, evenly over the sets' subjects and meshes", 48)
+
+
+def run(options: Options) -> int:
+    """Draw and write the picture."""
+    check_picture(options.out)
+    sets = [RangeImages(folder, "none") for folder in options.folders]
+    camera = sets[0].manifest.rig.camera
+    for images in sets:
+        if images.manifest.rig.camera != camera:
+            raise BadConfig(f"a gallery shows sets of one rig, found another in {images.path} than in {sets[0].path}")
+    places = [(images, index) for images in sets for index in range(len(images))]
+    chosen = choose([key for images in sets for key in images.keys], options.views)
+    samples = [places[place][0].clean(places[place][1]) for place in chosen]
+    title = f"{len(samples)} of {len(places)} views, rig {sets[0].manifest.rig.name}"
+    save_picture(draw_gallery(samples, camera, title), options.out)
+    sys.stderr.write(f"wrote {options.out}\n")
+    return 0
