@@ -112,8 +112,8 @@ def shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
     light = np.array([-0.3, -0.45, -1.0]) / np.linalg.norm([-0.3, -0.45, -1.0])
     shade = np.divide(normals @ light, length, out=np.zeros_like(depth), where=length > 0)
     shade[image == 0] = 0
-    shade = np.clip(shade, 0, 1)
-    return shade
+    clipped: NDArray[np.float64] = np.clip(shade, 0, 1)
+    return clipped
 
 
 def _slope(points: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
