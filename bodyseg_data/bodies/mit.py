@@ -1,129 +1,87 @@
 """The motion sequences of "Articulated Mesh Animation from Multi-view Silhouettes" (MIT), read from a user's copy.
 
-Layout: PATH/<SEQUENCE>/meshes/mesh_NNNN.obj, in metres, y up. Whichever of the paper's sequences and frames are there
-are read: crane, jumping, march and squat of one man (I_*, subject "B"), bouncing, handstand, march and squat of
-another (D_*, subject "C"). All frames of a man number their vertices alike.
+Layout: PATH/<SEQUENCE>/meshes/mesh_NNNN.obj (also gzipped), y up: crane, jumping, march and squat of one man (I_*, the
+paper's subject "B"), bouncing, handstand, march and squat of another (D_*, subject "C"). All frames of a man number
+their vertices alike. Landmarks of I_* ship with the package; those of D_* are the user's: PATH/landmarks_C.json.
 """
 
 from __future__ import annotations
 
-import hashlib
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bodyseg_data.bodies import Body, BodyRef
-from bodyseg_data.errors import BadConfig, BadLandmarks, BadMesh
-from bodyseg_data.landmarks import LandmarkSet, load_landmarks
-from bodyseg_data.mesh import Mesh
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.bodies.file_search import given_landmarks, landmark_file, meshes_in
+from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.splits import split_by_motion
 
-_SUBJECTS: Final[dict[Literal["B", "C"], tuple[str, ...]]] = {
-    "B": ("I_crane", "I_jumping", "I_march", "I_squat"),
-    "C": ("D_bouncing", "D_handstand", "D_march", "D_squat"),
+SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
+    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
+    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
 }
-_LANDMARK_SETS: Final = {"B": "mit_I"}
-_FRAME: Final = re.compile(r"mesh_(\d{4,})\.obj")
+"""Frames of every sequence, by subject."""
+
+MESHES: Final = tuple(
+    f"{sequence}/meshes/mesh_{number:04d}.obj"
+    for sequences in SEQUENCES.values()
+    for sequence, frames in sequences.items()
+    for number in range(frames)
+)
+"""What a complete copy holds."""
+
+_SHIPPED: Final = {"B": "mit_I"}
+_STEM: Final = re.compile(r"mesh_(\d{4,6})")
 
 
-class MitBodies:
-    """The frames found below `path`, sequence by sequence in the paper's order. Raises BadConfig if there are none."""
+class MitBodies(MeshBodies):
+    """The frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
+
+    Every sequence is turned as a whole, so that the man faces the front as it begins; where he walks and turns to is
+    kept. landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
+    landmarks_B.json.
+    """
 
     name = "mit"
 
-    def __init__(self, path: Path | str) -> None:
-        self._files: dict[BodyRef, Path] = {}
-        root = Path(path)
-        for subject, sequences in _SUBJECTS.items():
-            for sequence in sequences:
-                motion = sequence.partition("_")[2]
-                for number, file in _frames(root / sequence / "meshes"):
-                    mesh, split = f"{sequence}_{number}", split_by_motion(subject, motion)
-                    self._files[BodyRef(subject, subject, mesh, motion, split)] = file
-        if not self._files:
-            wanted = ", ".join(sequence for sequences in _SUBJECTS.values() for sequence in sequences)
+    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+        given, folder = given_landmarks(path, landmarks)
+        files: dict[BodyRef, MeshFile] = {}
+        missing: list[str] = []
+        for subject, sequences in SEQUENCES.items():
+            labelled = landmark_file([folder], f"landmarks_{subject}") or _SHIPPED.get(subject)
+            if subject == "C" and given is not None:
+                labelled = given
+            wanted = f"subject {subject} ({', '.join(sequences)}): put landmarks_{subject}.json into {folder}, give "
+            wanted += "it with --landmarks, or move these sequences out of the folder"
+            for sequence, count in sequences.items():
+                motion, found = sequence.partition("_")[2], _frames(path / sequence / "meshes", count)
+                for number in range(count):
+                    mesh = f"mesh_{number:04d}"
+                    if number in found:
+                        ref = BodyRef(
+                            subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
+                        )
+                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
+                    else:
+                        missing.append(f"{sequence}/meshes/{mesh}.obj")
+        if not files:
             raise BadConfig(
-                f"the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of {wanted}: "
-                f"found none in {root}"
+                "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
+                f"{', '.join(name for names in SEQUENCES.values() for name in names)}: found none in {path}"
             )
-
-    def bodies(self) -> Sequence[BodyRef]:
-        """All frames found: sequences in the paper's order, frames by number."""
-        return tuple(self._files)
-
-    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Covers every byte of the frames' files and of the landmark sets. Raises BadLandmarks as `build` does."""
-        digest = hashlib.sha256()
-        for body in bodies:
-            digest.update(repr(self._landmarks(body).vertices).encode())
-            try:
-                digest.update(self._files[body].read_bytes())
-            except OSError as error:
-                raise BadMesh(f"cannot read {self._files[body]}: {error.strerror or error}") from error
-        return digest.hexdigest()
-
-    def build(self, body: BodyRef) -> Body:
-        """One frame, turned to face the front as I_crane begins; where the man walks and turns to is kept.
-
-        Raises BadMesh, naming the file, for a file that cannot be read as a body; BadLandmarks for subject C, whose
-        landmarks do not ship; BadConfig for a body of another source.
-        """
-        landmarks = self._landmarks(body)
-        vertices, faces = _read_obj(self._files[body])
-        try:
-            mesh = Mesh(body.mesh, _facing_front(vertices), faces)
-        except BadMesh as error:
-            raise BadMesh(f"{error} (read from {self._files[body]})") from None
-        return Body(mesh, landmarks.for_mesh(mesh))
-
-    def _landmarks(self, body: BodyRef) -> LandmarkSet:
-        if body not in self._files:
-            raise BadConfig(f"the source 'mit' has no body {body.mesh!r} of subset {body.subset!r}")
-        if body.subset not in _LANDMARK_SETS:
-            raise BadLandmarks(
-                f"a body needs a landmark set, found none for subject {body.subset} (sequences D_*) "
-                f"at mesh {body.mesh}: only I_* can be labelled, so move D_* out of the folder"
+        if given is not None and not any(ref.subject == "C" for ref in files):
+            raise BadConfig(
+                f"a landmark file is for subject C (D_*), found no frame of his in {path}: to replace the landmarks of "
+                "subject B give a folder that holds landmarks_B.json"
             )
-        return load_landmarks(_LANDMARK_SETS[body.subset])
+        # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
+        super().__init__(files, missing, units, "y" if up == "auto" else up)
 
 
-def _frames(folder: Path) -> list[tuple[str, Path]]:
-    """(number as written, file) of every frame in a folder, by number; empty if there is no such folder."""
-    if not folder.is_dir():
-        return []
-    matches = ((_FRAME.fullmatch(file.name), file) for file in folder.iterdir() if file.is_file())
-    return sorted(((match[1], file) for match, file in matches if match), key=lambda frame: (int(frame[0]), frame[0]))
-
-
-def _facing_front(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A quarter turn about y: in I_crane the man begins facing -x."""
-    x, y, z = vertices.T
-    return np.stack([z, y, -x], axis=1)
-
-
-def _read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices [V, 3] and triangles [F, 3] of an OBJ file, both in the file's order, which landmarks rely on.
-
-    Reads what the sequences use: lines "v x y z" and "f a b c" (or "a/t/n"), vertices counted from 1.
-    """
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    try:
-        with path.open(encoding="ascii") as lines:
-            for number, line in enumerate(lines, 1):
-                kind, *words = line.split() or ("",)
-                if kind == "v":
-                    vertices.append([float(word) for word in words[:3]])
-                elif kind == "f":
-                    faces.append([int(word.partition("/")[0]) - 1 for word in words])
-                if kind in ("v", "f") and (len(words) < 3 or (kind == "f" and len(words) != 3)):
-                    raise BadMesh(f"{path}, line {number}: three numbers must follow {kind!r}, found {len(words)}")
-        return np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int32).reshape(-1, 3)
-    except OSError as error:
-        raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, OverflowError) as error:  # not a number, not text at all, or an index beyond 32 bits
-        raise BadMesh(f"{path} is not an OBJ file of plain triangles: {error}") from error
+def _frames(folder: Path, count: int) -> dict[int, Path]:
+    """Number -> file of the frames in a folder, of those that the complete sequence has."""
+    matches = [(_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
+    return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}

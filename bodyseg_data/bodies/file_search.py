@@ -1,0 +1,73 @@
+"""Finding mesh files and landmark files on disk, in a fixed order."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.mesh_files import mesh_stem, mesh_suffix, preferred
+
+LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
+"""What a landmark file's name ends in; of several for one mesh, the first in this order is read."""
+
+
+def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Path]:
+    """A landmark file given for all meshes, if one was; and the folder in which others are looked for.
+
+    path: the source's folder. landmarks: what the user gave. Raises BadConfig if that is neither file nor folder.
+    """
+    if landmarks is None:
+        return None, path
+    if landmarks.is_dir():
+        return None, landmarks
+    if landmarks.is_file():
+        return landmarks, path
+    raise BadConfig(f"landmarks are a file or a folder, found neither at {landmarks}")
+
+
+def files_below(root: Path) -> list[Path]:
+    """All files in a folder and its sub-folders, sorted; none whose name, or whose folder's, begins with a dot.
+
+    Raises BadConfig for a folder that cannot be listed.
+    """
+
+    def refuse(error: OSError) -> None:
+        raise BadConfig(f"cannot list {error.filename}: {error.strerror or error}") from error
+
+    found = []
+    for folder, folders, names in os.walk(root, onerror=refuse):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += [Path(folder, name) for name in names if not name.startswith(".")]
+    return sorted(found)
+
+
+def meshes_in(folder: Path) -> dict[str, Path]:
+    """Stem -> file of all meshes right in a folder, sorted; of several forms of one mesh, the one to read.
+
+    Empty if there is no such folder. Raises BadConfig for one that cannot be listed.
+    """
+    try:
+        names = [entry.name for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
+    except OSError as error:
+        raise BadConfig(f"cannot list {folder}: {error.strerror or error}") from error
+    forms: dict[str, list[str]] = {}
+    for name in sorted(names):
+        if mesh_suffix(name) and not name.startswith("."):
+            forms.setdefault(mesh_stem(name), []).append(name)
+    return {stem: folder / preferred(forms[stem]) for stem in sorted(forms)}
+
+
+def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
+    """The first of STEM.json, STEM.lnd and STEM.lnd.gz that one of the folders holds."""
+    return next(
+        (
+            folder / f"{stem}{suffix}"
+            for folder in folders
+            for suffix in LANDMARK_SUFFIXES
+            if (folder / f"{stem}{suffix}").is_file()
+        ),
+        None,
+    )

@@ -1,0 +1,244 @@
+"""What all sources that read mesh files have in common: from a mesh file and its landmarks to a body.
+
+Meshes that share a topology share one landmark file; by vertex, or by coordinate on the first of them. Meshes of one
+group share one placement, found from its first upright body, so that a motion keeps one frame for all its frames. A
+mesh in no group is placed by itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.errors import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.landmark_files import load_landmark_file
+from bodyseg_data.landmark_points import PointLandmarks
+from bodyseg_data.landmarks import LandmarkSet, load_landmarks
+from bodyseg_data.mesh import Mesh
+from bodyseg_data.mesh_files import read_mesh
+from bodyseg_data.mesh_repair import repair
+from bodyseg_data.parts import LANDMARKS
+from bodyseg_data.placing import (
+    UPRIGHT_DEG,
+    Placement,
+    Units,
+    UpAxis,
+    check_placing,
+    check_standing,
+    find_placement,
+    metres_a_unit,
+)
+
+Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+_LOOKED_AT: Final = 12  # bodies of a group, evenly, in search of an upright one
+_NOTED_FROM_M: Final = 0.01
+_FAULTS_NAMED: Final = 3
+_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """Where a body is read from.
+
+    landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` says what is
+    needed. shared: whether other meshes of the same topology use the same landmarks. group: of meshes that are placed
+    alike; None for a mesh placed by itself. standing: whether its head must be above its feet.
+    """
+
+    path: Path
+    landmarks: Path | str | None
+    wanted: str = ""
+    shared: bool = True
+    group: str | None = None
+    standing: bool = False
+
+
+class MeshBodies:
+    """Bodies read from mesh files. A source derives from it and says which files."""
+
+    name: str
+
+    def __init__(
+        self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], units: Units = "auto", up: UpAxis = "auto"
+    ) -> None:
+        check_placing(units, up)
+        self._files, self._missing, self._units, self._up = dict(files), tuple(missing), units, up
+        self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
+        self._placements: dict[str, Placement] = {}
+
+    def bodies(self) -> Sequence[BodyRef]:
+        """All bodies found, in their fixed order."""
+        return tuple(self._files)
+
+    def missing(self) -> Sequence[str]:
+        """What a complete set would have and this one has not."""
+        return self._missing
+
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """Covers every byte of the meshes' files, the landmarks, and how bodies are placed.
+
+        Raises BadLandmarks for bodies that have no usable landmark file, naming the first few and saying how many.
+        """
+        self._check_landmarks(bodies)
+        digest = hashlib.sha256(repr((self._units, self._up)).encode())
+        for group in dict.fromkeys(self._files[body].group for body in bodies):
+            if group is not None:
+                digest.update(str(self._placement_of_group(group)).encode())
+        for body in bodies:
+            landmarks = self._landmarks(body)
+            places = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
+            digest.update(repr(places).encode())
+            try:
+                digest.update(self._files[body].path.read_bytes())
+            except OSError as error:
+                raise BadMesh(f"cannot read {self._files[body].path}: {error.strerror or error}") from error
+        return digest.hexdigest()
+
+    def build(self, body: BodyRef) -> Body:
+        """One body in the body frame.
+
+        Raises BadMesh, naming the file, for one that cannot be read as a body; BadLandmarks for one whose landmarks are
+        missing or do not fit; BadConfig for a body of another source.
+        """
+        landmarks = self._landmarks(body)
+        file = self._files[body]
+        surface = read_mesh(file.path)
+        if file.group is None:
+            placement = self._placement_by(landmarks, surface, file.path)
+        else:
+            placement = self._placement_of_group(file.group)
+        vertices = placement.apply(surface[0])
+        if isinstance(landmarks, LandmarkSet):
+            mesh = _mesh(body.mesh, vertices, surface[1], file.path)
+            built = Body(mesh, landmarks.for_mesh(mesh))
+        else:
+            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.moved(1.0, placement.rotation))
+        if file.standing:
+            check_standing(built.mesh.vertices[built.landmarks], str(file.path))
+        return built
+
+    def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
+        faults: dict[str, list[BodyRef]] = {}
+        for body in bodies:
+            try:
+                self._landmarks(body)
+            except BadLandmarks as error:
+                faults.setdefault(str(error), []).append(body)
+        if faults:
+            named = "; ".join(list(faults)[:_FAULTS_NAMED])
+            count = sum(map(len, faults.values()))
+            more = f"; and {len(faults) - _FAULTS_NAMED} more" if len(faults) > _FAULTS_NAMED else ""
+            raise BadLandmarks(f"{count} of {len(bodies)} bodies cannot be labelled: {named}{more}")
+
+    def _landmarks(self, body: BodyRef) -> LandmarkSet | PointLandmarks:
+        """A body's landmarks; by vertex whenever others share them."""
+        if body not in self._files:
+            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
+        file = self._files[body]
+        if file.landmarks is None:
+            raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
+        if file.landmarks not in self._sets:
+            try:
+                read = _load(file.landmarks)
+            except BadLandmarks as error:
+                subject = f"subject {body.subject}: " if not file.shared else ""
+                raise BadLandmarks(f"{subject}{error}") from error
+            if file.shared and isinstance(read, PointLandmarks):
+                read = self._propagated(read, file.landmarks)
+            self._sets[file.landmarks] = read
+        return self._sets[file.landmarks]
+
+    def _propagated(self, points: PointLandmarks, source: Path | str) -> LandmarkSet:
+        """Points on the first of the meshes that share them, as vertices of all."""
+        body, file = next(item for item in self._files.items() if item[1].landmarks == source)
+        surface = read_mesh(file.path)
+        scale = metres_a_unit(_used(surface), self._units, str(file.path))
+        mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
+        return points.propagated(mesh, f"meshes numbered like {file.path.name}")
+
+    def _placement_of_group(self, group: str) -> Placement:
+        """The placement found from the first upright body of a group, or else from the most upright one looked at."""
+        if group not in self._placements:
+            members = [body for body, file in self._files.items() if file.group == group]
+            count = min(len(members), _LOOKED_AT)
+            found: list[Placement] = []
+            problem: BadMesh | None = None
+            for index in range(count):
+                body = members[index * len(members) // count]
+                path = self._files[body].path
+                try:
+                    found.append(self._placement_by(self._landmarks(body), read_mesh(path), path))
+                except BadMesh as error:
+                    problem = problem or error
+                    continue
+                if found[-1].lean_deg <= UPRIGHT_DEG:
+                    break
+            if not found:
+                raise problem or BadMesh(f"no mesh of {group} can be placed")
+            self._placements[group] = min(found, key=lambda placement: placement.lean_deg)
+        return self._placements[group]
+
+    def _placement_by(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Placement:
+        if isinstance(landmarks, PointLandmarks):
+            points = landmarks.points
+        else:
+            _check_counts(landmarks, surface, path)
+            points = surface[0][list(landmarks.vertices)]
+        return find_placement(_used(surface), points, self._units, self._up, str(path))
+
+
+def _load(landmarks: Path | str) -> LandmarkSet | PointLandmarks:
+    return load_landmark_file(landmarks) if isinstance(landmarks, Path) else load_landmarks(landmarks)
+
+
+def _check_counts(landmarks: LandmarkSet, surface: Surface, path: Path) -> None:
+    """The check of `LandmarkSet.for_mesh`, for a surface that is no mesh yet."""
+    wanted, found = (landmarks.vertex_count, landmarks.face_count), (len(surface[0]), len(surface[1]))
+    if found != wanted:
+        raise BadLandmarks(
+            f"landmarks {landmarks.source} are for meshes of {wanted[0]} vertices and {wanted[1]} faces "
+            f"({landmarks.topology}), found {found[0]} and {found[1]} in {path}"
+        )
+
+
+def _used(surface: Surface) -> NDArray[np.float64]:
+    """The vertices that faces use: what a scan holds beside them may lie anywhere."""
+    used = np.zeros(len(surface[0]), np.bool_)
+    used[surface[1]] = True
+    return surface[0][used]
+
+
+def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Mesh:
+    try:
+        return Mesh(name, vertices, faces)
+    except BadMesh as error:
+        raise BadMesh(f"{error} (read from {path})") from None
+
+
+def _snapped(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path, landmarks: PointLandmarks
+) -> Body:
+    """A body with landmarks by coordinate, repaired if it has to be: its vertices may be numbered anew."""
+    notes = []
+    try:
+        mesh = Mesh(name, vertices, faces)
+    except BadMesh as error:
+        notes.append(f"repaired: {str(error).removeprefix(f'mesh {name}: ')}")
+        mesh = _mesh(name, *repair(name, vertices, faces), path)
+    ratio = np.ptp(mesh.surface_vertices, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
+    if _IN_METRES[0] < ratio < _IN_METRES[1]:
+        notes.append("landmarks read as metres: as millimetres they are a thousandth of the body")
+        landmarks = landmarks.moved(1000.0, np.eye(3))
+    on_surface = landmarks.for_mesh(mesh)
+    farthest = int(on_surface.distance_m.argmax())
+    if on_surface.distance_m[farthest] > _NOTED_FROM_M:
+        notes.append(f"{LANDMARKS[farthest]} {1000 * on_surface.distance_m[farthest]:.0f} mm off the surface")
+    return Body(mesh, on_surface.vertices, tuple(notes))
