@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.commands.inspect import contact_sheet
-from bodyseg_data.commands.shard import pack_in_processes
+from bodyseg_data.commands.shard import pack_on
+from bodyseg_data.engines import PROCESSES
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import write_atomically
 from bodyseg_data.machine import processors
@@ -45,7 +46,7 @@ def run(options: Options) -> int:
     _say(f"1/3 packing {options.meshes} bodies x {options.views} views into {shards}")
     _say("    (the very first time, the body model unpacks its data: about a minute more)")
     start = time.monotonic()
-    manifest = pack_in_processes(packing, shards, workers, "    packing")
+    manifest = pack_on(PROCESSES, workers, packing, shards, "    packing")
     packed = time.monotonic() - start
     _say(f"    {manifest.samples()} samples in {packed:.1f} s")
     _say("2/3 streaming the five variants from those shards, two passes each")
