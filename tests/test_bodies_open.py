@@ -5,7 +5,10 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +16,14 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bodyseg_data.bodies import Body, BodyRef, open_source
-from bodyseg_data.bodies.open_bodies import OpenBodies
-from bodyseg_data.bodies.people import PEOPLE, SUBJECT_A, person, standing_pose
+from bodyseg_data.bodies.open_bodies import Figure, MadeBodies, OpenBodies
+from bodyseg_data.bodies.outfits import OUTFITS
+from bodyseg_data.bodies.people import PEOPLE, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
 from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.postures import POSTURES
 from bodyseg_data.errors import BadConfig, MissingLibrary
 from bodyseg_data.parts import LANDMARKS
+from bodyseg_data.views import ViewGrid
 
 Built = Callable[[str], Body]
 
@@ -53,20 +58,31 @@ def digest(body: Body) -> str:
 
 def test_counts_and_splits_are_the_papers(source: OpenBodies) -> None:
     found = source.bodies()
-    assert [ref.subset for ref in found] == ["A"] * 71 + ["people"] * 583
-    assert [ref.split for ref in found[:71]] == ["train"] * 57 + ["test"] * 14
-    assert [ref.split for ref in found[71:]] == ["train"] * 467 + ["test"] * 116
-    assert found == open_source("open").bodies() and source.name == "open"
+    assert [ref.subset for ref in found] == ["A"] * 71 + ["B"] * 825 + ["C"] * 850 + ["people"] * 583
+    frames = Counter((ref.subset, ref.pose, ref.split) for ref in found if ref.subset in ("B", "C"))
+    assert frames == {
+        ("B", "crane", "train"): 175, ("B", "jumping", "test"): 150,
+        ("B", "march", "train"): 250, ("B", "squat", "train"): 250,
+        ("C", "bouncing", "train"): 175, ("C", "handstand", "train"): 175,
+        ("C", "march", "train"): 250, ("C", "squat", "test"): 250,
+    }  # fmt: skip
+    postures, people = found[:71], found[-583:]
+    assert [ref.split for ref in postures] == ["train"] * 57 + ["test"] * 14
+    assert [ref.split for ref in people] == ["train"] * 467 + ["test"] * 116
+    views = Counter(ref.split for ref in found for _ in ViewGrid())
+    assert views == {"train": 97_146, "test": 28_620} and views.total() == 125_766
+    assert found == open_source("open").bodies() and source.name == "open" and source.missing() == ()
 
 
 def test_names_are_unique_and_fit_for_keys(source: OpenBodies) -> None:
     found = source.bodies()
     assert len({ref.mesh for ref in found}) == len(found)
-    assert [found[0].mesh, found[70].mesh, found[71].mesh, found[-1].mesh] == [
-        "posture-00", "posture-70", "person-000", "person-582",
+    assert [found[index].mesh for index in (0, 70, 71, 245, 246, 895, 896, 1745, 1746, -1)] == [
+        "posture-00", "posture-70", "B-crane-000", "B-crane-174", "B-jumping-000", "B-squat-249",
+        "C-bouncing-000", "C-squat-249", "person-000", "person-582",
     ]  # fmt: skip
-    assert {ref.subject for ref in found[:71]} == {"A"}
-    assert [ref.subject for ref in found[71:]] == [f"P{index:03d}" for index in range(583)]
+    assert all(ref.subject == ref.subset for ref in found[:-583])
+    assert [ref.subject for ref in found[-583:]] == [f"P{index:03d}" for index in range(583)]
     for ref in found:
         for text in (ref.subset, ref.subject, ref.mesh, ref.pose):
             assert text and not set(text) & set("./\\ \n")
@@ -97,17 +113,22 @@ def test_people_are_varied_adults() -> None:
     assert person(17) == people[17] != people[18]
 
 
-@pytest.mark.parametrize("name", ["posture-00", "person-000", "person-001", "person-467", "person-582"])
+@pytest.mark.parametrize(
+    "name", ["posture-00", "person-000", "person-001", "person-467", "person-582", "B-march-100", "C-squat-000"]
+)
 def test_bodies_stand_on_the_floor_over_the_origin(built: Built, name: str) -> None:
     mesh = built(name).mesh
     assert mesh.name == name
-    assert mesh.vertices.shape == (13718, 3) and mesh.vertices.dtype == np.float64
-    assert mesh.faces.shape == (27420, 3) and mesh.faces.dtype == np.int32
+    assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == np.int32
+    if name.startswith(("posture", "person")):
+        assert mesh.vertices.shape == (13718, 3) and mesh.faces.shape == (27420, 3)
+    else:  # dressed, with smaller triangles
+        assert 13718 < len(mesh.vertices) < 30000 and mesh.vertices[:, 1].size < len(mesh.faces)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     assert low[1] == 0
     assert np.abs(low + high)[[0, 2]].max() < 3e-6
     assert 1.45 <= high[1] <= 2.0
-    assert 0.035 < mesh.signed_volume() < 0.16  # m3, about as many tonnes
+    assert 0.035 < mesh.signed_volume() < 0.16  # m3, about as many tonnes; clothes included
 
 
 @pytest.mark.parametrize("index", [0, 1, 250, 467])
@@ -194,8 +215,8 @@ def test_bits_are_the_same_in_another_process_with_other_threads(built: Built) -
         "torch.set_num_threads(2)\n"
         "from bodyseg_data.bodies.open_bodies import OpenBodies\n"
         "source = OpenBodies()\n"
-        "for ref in source.bodies():\n"
-        "    if ref.mesh in ('posture-24', 'person-001'):\n"
+        "for ref in reversed(source.bodies()):\n"
+        "    if ref.mesh in ('posture-24', 'B-jumping-027', 'person-001'):\n"
         "        mesh = source.build(ref).mesh\n"
         "        print(hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest())\n"
         "print(torch.get_num_threads())\n"
@@ -203,12 +224,13 @@ def test_bits_are_the_same_in_another_process_with_other_threads(built: Built) -
     answer = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1]
     )
-    assert answer.stdout.split() == [digest(built("posture-24")), digest(built("person-001")), "2"]
+    expected = [digest(built(name)) for name in ("person-001", "B-jumping-027", "posture-24")]
+    assert answer.stdout.split() == [*expected, "2"]
     assert not answer.stderr
 
 
 def test_building_again_gives_the_same_bits(source: OpenBodies, built: Built) -> None:
-    again = source.build(source.bodies()[71])
+    again = source.build(next(ref for ref in source.bodies() if ref.mesh == "person-000"))
     assert digest(again) == digest(built("person-000"))
     assert digest(again) != digest(built("person-001"))
 
@@ -229,7 +251,7 @@ def test_importing_and_listing_is_light() -> None:
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "anny", None)
     source = OpenBodies()
-    assert len(source.bodies()) == 654
+    assert len(source.bodies()) == 2329
     with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[render\]'"):
         source.build(source.bodies()[0])
 
@@ -259,5 +281,30 @@ def test_bodies_of_other_sources_are_refused(source: OpenBodies) -> None:
         source.build(BodyRef("B", "B", "I_crane_0000", "crane", "train"))
 
 
-def test_subject_a_is_a_person_of_their_own() -> None:
-    assert SUBJECT_A not in [person(index) for index in range(PEOPLE)]
+def test_subjects_are_people_of_their_own() -> None:
+    subjects = {SUBJECT_A, SUBJECT_B, SUBJECT_C}
+    assert len(subjects) == 3 and not subjects & {person(index) for index in range(PEOPLE)}
+    assert [subject.female for subject in (SUBJECT_A, SUBJECT_B, SUBJECT_C)] == [0, 0, 1]
+
+
+def test_b_and_c_are_dressed_and_only_they(source: OpenBodies) -> None:
+    by_name = {ref.mesh: ref for ref in source.bodies()}
+    for name, most in (("B-crane-000", 0.03), ("C-bouncing-000", 0.03), ("posture-00", 0.0), ("person-000", 0.0)):
+        dressed, bare = (source.build(by_name[name], dressed=worn).mesh for worn in (True, False))
+        apart = cKDTree(bare.vertices).query(dressed.vertices)[0]
+        assert (apart.max() > most) if most else (apart.max() == 0), name
+        assert np.array_equal(dressed.faces, bare.faces)
+
+
+def test_the_fingerprint_sees_persons_poses_outfits_and_heights(source: OpenBodies) -> None:
+    by_name = {ref.mesh: ref for ref in source.bodies()}
+    names = ("posture-00", "posture-01", "B-crane-000", "B-crane-001", "C-march-003", "person-000")
+    assert len({source.fingerprint([by_name[name]]) for name in names}) == len(names)
+    assert source.fingerprint([by_name["C-march-003"]]) == OpenBodies().fingerprint([by_name["C-march-003"]])
+    figure = Figure(SUBJECT_B, Pose(), 0.0, OUTFITS["B"])
+    changes = (
+        {"who": SUBJECT_C}, {"pose": Pose(Trunk(lean=1))}, {"height_m": 0.1}, {"outfit": None}, {"outfit": OUTFITS["C"]}
+    )  # fmt: skip
+    ref = BodyRef("x", "x", "x", "x", "test")
+    made = [MadeBodies("x", {ref: partial(replace, figure, **change)}) for change in ({}, *changes)]
+    assert len({each.fingerprint([ref]) for each in made}) == 1 + len(changes)

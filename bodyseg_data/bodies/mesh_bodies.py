@@ -78,6 +78,12 @@ class MeshBodies:
         """All bodies found, in their fixed order."""
         return tuple(self._files)
 
+    def path_of(self, body: BodyRef) -> Path:
+        """The mesh file of a body, whether or not it has landmarks. Raises BadConfig for one of another source."""
+        if body not in self._files:
+            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
+        return self._files[body].path
+
     def missing(self) -> Sequence[str]:
         """What a complete set would have and this one has not."""
         return self._missing

@@ -57,6 +57,17 @@ class Person:
 SUBJECT_A: Final = Person(female=0.0, years=30, stature_m=1.78, muscle=0.62, weight=0.48, proportions=0.4)
 """The one person of the 71 postures."""
 
+SUBJECT_B: Final = Person(
+    female=0.0, years=34, stature_m=1.85, muscle=0.55, weight=0.55, proportions=0.55, african=0.3, asian=0.2
+)
+"""The man of the four motions of subset B."""
+
+SUBJECT_C: Final = Person(
+    female=1.0, years=26, stature_m=1.66, muscle=0.55, weight=0.55, proportions=0.45, cupsize=0.45, firmness=0.6,
+    african=0.4, asian=0.6, caucasian=0.6,
+)  # fmt: skip
+"""The woman of the four motions of subset C."""
+
 
 def person(index: int) -> Person:
     """Person number `index`, 0 to 582: men and women in turn, 18 to 80 years old, 1.46 to 1.95 m tall."""

@@ -118,7 +118,9 @@ def _unit(x: float, y: float, z: float) -> Matrix:
 # Directions of the left limbs in the skeleton's reference pose.
 _UPPER_ARM: Final = _unit(0.669, -0.743, 0.020)
 _FOREARM: Final = _unit(0.511, -0.521, 0.684)
-_KNUCKLES: Final = _unit(0.385, -0.418, -0.823)  # from the index to the little finger
+KNUCKLES: Final = _unit(0.385, -0.418, -0.823)
+"""From the left index to the little finger in the skeleton's reference pose: what a wrist bends about."""
+
 _ELBOW_AXIS: Final = _unit(*np.cross(_UPPER_ARM, _FOREARM))
 _ELBOW_AT_REST: Final = math.degrees(math.acos(float(_UPPER_ARM @ _FOREARM)))
 _THIGH: Final = _unit(0.079, -0.994, 0.080)
@@ -134,7 +136,7 @@ _MOST_PLANTARFLEXION: Final = 50
 def bone_rotations(pose: Pose) -> dict[str, Matrix]:
     """Rotations [3, 3] by bone name, body frame; bones not named stay as they are."""
     trunk = pose.trunk
-    root = _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
+    root = root_rotation(trunk)
     rotations = {"root": root}
     for shares, whole in (
         (_SPINE, _bent(trunk.bend, trunk.side, trunk.twist)),
@@ -146,6 +148,11 @@ def bone_rotations(pose: Pose) -> dict[str, Matrix]:
     mirrored_root = _MIRROR @ root @ _MIRROR
     right = _arm(pose.right_arm) | _leg(pose.right_leg, mirrored_root)
     return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
+
+
+def root_rotation(trunk: Trunk) -> Matrix:
+    """How the pelvis is turned, [3, 3], body frame."""
+    return _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
 
 
 def _named(rotations: Mapping[str, Matrix], side: str) -> dict[str, Matrix]:
@@ -170,13 +177,13 @@ def _arm(arm: Arm) -> dict[str, Matrix]:
         "upperarm02": half,
         "lowerarm01": _turn(_ELBOW_AXIS, arm.elbow - _ELBOW_AT_REST) @ third,
         "lowerarm02": third,
-        "wrist": third @ _turn(_KNUCKLES, arm.wrist),
+        "wrist": third @ _turn(KNUCKLES, arm.wrist),
     }
     for finger in (2, 3, 4, 5):
         for joint, most in ((1, 62), (2, 75), (3, 45)):
-            rotations[f"finger{finger}-{joint}"] = _turn(_KNUCKLES, most * arm.fist)
+            rotations[f"finger{finger}-{joint}"] = _turn(KNUCKLES, most * arm.fist)
     for joint, most in ((1, 10), (2, 25), (3, 45)):
-        rotations[f"finger1-{joint}"] = _turn(_KNUCKLES, most * arm.fist)
+        rotations[f"finger1-{joint}"] = _turn(KNUCKLES, most * arm.fist)
     return rotations
 
 

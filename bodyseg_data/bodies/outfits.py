@@ -1,0 +1,82 @@
+"""What people wear: how far each garment reaches, how loose it is and how it folds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.randomness import check_seed
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """A top and trousers. Raises BadConfig for a number that is out of its range.
+
+    sleeve: where the sleeves end, 0 shoulder to 1 wrist. hem: where the top ends, 0 hip bones (ASIS) to 1 crotch.
+    leg: where the trousers end, 0 crotch to 1 ankle bone.
+    top_loose_m, leg_loose_m: how far the cloth stands off the body on average, beyond the tube it falls in.
+    top_taper, sleeve_taper, leg_taper: metres by which the cloth comes in for every metre it falls below whatever
+    carries it (chest, shoulder, seat, thigh); 0 falls straight, large numbers follow the body.
+    gathered: the top ends in a band at hem and wrists, and blouses above it, instead of hanging open.
+    fold_m: wavelength of the folds. slack: share of length that the cloth has too much, at rest; it makes the folds
+    that are there in every pose. crumple: the same at the ends of sleeves and trousers, where cloth gathers.
+    seed: which folds.
+    """
+
+    sleeve: float
+    hem: float
+    leg: float
+    top_loose_m: float
+    leg_loose_m: float
+    top_taper: float
+    sleeve_taper: float
+    leg_taper: float
+    gathered: bool
+    fold_m: float
+    slack: float
+    crumple: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        for field in fields(self):
+            value, (low, high) = getattr(self, field.name), _RANGES.get(field.name, (0, 1))
+            if field.name != "seed" and not low <= value <= high:
+                raise BadConfig(f"an outfit's {field.name} must be {low:g} to {high:g}, found {value!r}")
+
+
+_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "sleeve": (0.15, 1),
+    "hem": (0, 0.8),  # farther down, a top would have to join the legs
+    "leg": (0.2, 1),
+    "top_loose_m": (0, 0.06),
+    "leg_loose_m": (0, 0.06),
+    "fold_m": (0.04, 0.3),
+    "slack": (0, 0.2),
+    "crumple": (0, 0.4),
+}
+
+OUTFITS: Final[dict[str, Outfit]] = {
+    # A loose T-shirt that hangs over wide, long trousers.
+    "B": Outfit(
+        sleeve=0.42, hem=0.66, leg=1.0, top_loose_m=0.014, leg_loose_m=0.012, top_taper=0.04, sleeve_taper=0.0,
+        leg_taper=0.06, gathered=False, fold_m=0.075, slack=0.07, crumple=0.14, seed=2,
+    ),
+    # A sweatshirt with bands at hem and wrists over straight trousers.
+    "C": Outfit(
+        sleeve=1.0, hem=0.45, leg=0.98, top_loose_m=0.026, leg_loose_m=0.012, top_taper=0.02, sleeve_taper=0.03,
+        leg_taper=0.08, gathered=True, fold_m=0.085, slack=0.08, crumple=0.1, seed=3,
+    ),
+    # A T-shirt and wide shorts.
+    "shorts": Outfit(
+        sleeve=0.36, hem=0.52, leg=0.33, top_loose_m=0.01, leg_loose_m=0.014, top_taper=0.08, sleeve_taper=0.02,
+        leg_taper=0.0, gathered=False, fold_m=0.075, slack=0.06, crumple=0.05, seed=4,
+    ),
+    # A wide jumper that hangs open over narrow trousers.
+    "jumper": Outfit(
+        sleeve=0.94, hem=0.7, leg=0.97, top_loose_m=0.024, leg_loose_m=0.004, top_taper=0.0, sleeve_taper=0.02,
+        leg_taper=0.3, gathered=False, fold_m=0.095, slack=0.09, crumple=0.12, seed=5,
+    ),
+}  # fmt: skip
+"""By name. "B" and "C" are for the subjects of those names."""

@@ -1,0 +1,57 @@
+"""Smaller triangles where a mesh is coarser than what is to be made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadMesh
+
+
+class Refinement:
+    """Splits long edges of one topology in the middle; faces stay on the surface and keep their orientation.
+
+    faces: int32 [F', 3]. Old vertices keep their numbers, new ones follow, so landmarks given by vertex keep fitting.
+    """
+
+    def __init__(self, rest: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float, rounds: int = 2) -> None:
+        self._count = len(rest)
+        self._ends: list[NDArray[np.int64]] = []
+        points, self.faces = rest, faces
+        for _ in range(rounds):
+            ends, self.faces = _split(points, self.faces, longest_m)
+            self._ends.append(ends)
+            points = np.concatenate([points, points[ends].mean(axis=1)])
+
+    def __call__(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Vertices [V', 3] of the refined mesh for those [V, 3] of the coarse one in any pose. Raises BadMesh."""
+        if vertices.shape != (self._count, 3):
+            raise BadMesh(f"a refinement of {self._count} vertices was given vertices of shape {vertices.shape}")
+        for ends in self._ends:
+            vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
+        return vertices
+
+
+def _split(
+    points: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Ends [N, 2] of the edges split, whose middles are numbered on from the last vertex, and the new faces."""
+    around = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).astype(np.int64)  # edge k: from corner k to k + 1
+    edges, place = np.unique(np.sort(around.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
+    long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_m
+    number = np.where(long, len(points) + np.cumsum(long) - 1, -1)
+    middle = number[place.reshape(-1)].reshape(-1, 3)
+    count = (middle >= 0).sum(axis=1)
+    new = [faces[count == 0]]
+    for split, corner in ((1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (3, 0)):
+        # Turned so that the one split edge is the first, or the one whole edge the last.
+        turn = (corner, (corner + 1) % 3, (corner + 2) % 3)
+        fit = (count == split) & ((middle[:, corner] >= 0) if split == 1 else (middle[:, turn[2]] < 0) | (split == 3))
+        (a, b, c), (ab, bc, ca) = faces[fit][:, turn].T, middle[fit][:, turn].T
+        parts = {
+            1: ((a, ab, c), (ab, b, c)),
+            2: ((ab, b, bc), (a, ab, c), (ab, bc, c)),
+            3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
+        }[split]
+        new += [np.stack(part, axis=1) for part in parts]
+    return edges[long], np.concatenate(new).astype(np.int32)

@@ -1,0 +1,215 @@
+"""Cutting an outfit to a person: which vertices each garment covers and how far from them the cloth hangs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.outfits import Outfit
+from bodyseg_data.landmarks import load_landmarks
+from bodyseg_data.parts import LANDMARKS
+
+Floats = NDArray[np.float64]
+
+_BAND_M: Final = 0.05  # over which a band at hem or wrist pulls the cloth in
+_END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a trouser leg
+_SLICE_M: Final = 0.025
+_SECTORS: Final = 20
+_NEIGHBOURS: Final = 6
+_TUCK_M: Final = 0.006  # how far below a hem the cloth beneath it begins
+_MOST_TUCKED: Final = 0.75
+_SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
+
+
+@dataclass(frozen=True)
+class Cut:
+    """For every vertex of a person at rest. top, trousers: bool [V], covered by that garment (never by both).
+
+    axis: float64 [V, 3], the direction in which the garment hangs. stand_off: [V], metres from the body.
+    crumple: [V], share of length in excess. partner, slide: int64 [V], float64 [V]: the cloth of a vertex lies that
+    share of the way to its partner, another vertex, so that hems are straight whatever the triangles.
+    """
+
+    top: NDArray[np.bool_]
+    trousers: NDArray[np.bool_]
+    axis: Floats
+    stand_off: Floats
+    crumple: Floats
+    partner: NDArray[np.int64]
+    slide: Floats
+
+
+def cut(rest: Floats, faces: NDArray[np.int32], outfit: Outfit) -> Cut:
+    """Cut `outfit` to the person who stands at rest, vertices [V, 3] in the numbering of the open body."""
+    at = dict(zip(LANDMARKS, rest[list(load_landmarks("open").vertices)], strict=True))
+    arms = [_Arm(rest, faces, side, at) for side in ("Lt.", "Rt.")]
+    armless = ~(arms[0].vertices | arms[1].vertices) & _same_piece(rest, faces, load_landmarks("open").vertices[0])
+    hip = (at["Lt. ASIS"][1] + at["Rt. ASIS"][1]) / 2
+    chest = (at["Lt. Axilla, Post."][1] + at["Rt. Axilla, Post."][1]) / 2
+    crotch = rest[armless & (np.abs(rest[:, 0]) < 0.012) & (rest[:, 1] > 0.3 * hip), 1].min()
+    ankle = (at["Lt. Lateral Malleolus"][1] + at["Rt. Lateral Malleolus"][1]) / 2
+    hem = hip + outfit.hem * (crotch - hip)
+    end = crotch + outfit.leg * (ankle - crotch)
+    y = rest[:, 1]
+
+    edges = _edges(faces)
+    snap = _Snap(rest, edges)
+    above_hem = snap(y - hem, armless)
+    snap.tuck(y - hem, armless & ~above_hem)
+    below_neck = snap(_below_neck(rest, at), armless & (y > chest))
+    above_end = snap(y - end, armless)
+    in_sleeve = [snap(outfit.sleeve * arm.length - arm.distance, arm.vertices) for arm in arms]
+    top = (above_hem & (below_neck | (y <= chest))) | in_sleeve[0] | in_sleeve[1]
+    trousers = armless & above_end & ~above_hem
+
+    axis = np.tile([0.0, -1.0, 0.0], (len(rest), 1))
+    stand_off = np.zeros(len(rest))
+    crumple = np.zeros(len(rest))
+    trunk = top & armless
+    depth = np.maximum(chest - y[trunk], 0)
+    stand_off[trunk] = _tube(depth, rest[trunk][:, [0, 2]], outfit.top_taper) * (y[trunk] < chest)
+    stand_off[trunk] += outfit.top_loose_m * (0.4 + 0.8 * _smooth_step(depth / (chest - hip)))
+    for arm, sleeved in zip(arms, in_sleeve, strict=True):
+        axis[arm.vertices] = arm.axis
+        stand_off[sleeved] = _tube(arm.distance[sleeved], arm.across[sleeved], outfit.sleeve_taper)
+        stand_off[sleeved] += outfit.top_loose_m * (0.4 + 0.6 * _smooth_step(arm.along[sleeved] / outfit.sleeve))
+        crumple[sleeved] += outfit.crumple * _near_end(arm.distance[sleeved], outfit.sleeve * arm.length)
+    for side in (1, -1):
+        leg = trousers & (y <= crotch) & (side * rest[:, 0] >= 0)
+        stand_off[leg] = _tube(crotch - y[leg], rest[leg][:, [0, 2]], outfit.leg_taper)
+    stand_off[trousers] += outfit.leg_loose_m * (0.1 + 0.9 * _smooth_step((hem - y[trousers]) / _SEAT_M))
+    crumple[trousers] += outfit.crumple * _near_end(hip - y[trousers], hip - end)
+    if outfit.gathered:
+        band = y - hem
+        for arm in arms:
+            band = np.where(arm.vertices, outfit.sleeve * arm.length - arm.distance, band)
+        stand_off = np.where(top, stand_off * _smooth_step(band / _BAND_M + 0.25), stand_off)
+    return Cut(top, trousers, axis, stand_off, crumple, snap.partner, snap.slide)
+
+
+class _Snap:
+    """Finds the vertices inside a line on the surface, and moves the nearest ones along an edge onto the line."""
+
+    def __init__(self, rest: Floats, edges: NDArray[np.int32]) -> None:
+        self.partner = np.arange(len(rest))
+        self.slide = np.zeros(len(rest))
+        self._ways = np.concatenate([edges, edges[:, ::-1]])
+        self._lengths = np.linalg.norm(rest[self._ways[:, 0]] - rest[self._ways[:, 1]], axis=1)
+
+    def __call__(self, level: Floats, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the vertices `among` lie inside, where `level` [V] (metres) is positive, or move onto its zero."""
+        here, there = self._ways.T
+        drop = level[here] - level[there]
+        share = level[here] / np.where(drop == 0, 1, drop)
+        crossing = (level[here] > 0) != (level[there] > 0)
+        fit = np.flatnonzero(crossing & among[here] & among[there] & (share <= 0.5) & (self.slide[here] == 0))
+        fit = fit[np.lexsort((np.abs(drop[fit]) / self._lengths[fit], here[fit]))]  # the steepest edge comes last
+        self.partner[here[fit]], self.slide[here[fit]] = there[fit], share[fit]
+        inside = among & (level > 0)
+        inside[here[fit]] = True
+        return inside
+
+    def tuck(self, level: Floats, outside: NDArray[np.bool_]) -> None:
+        """Moves the vertices of the first ring outside a line up to just below it, so that its hem falls steeply."""
+        here, there = self._ways.T
+        share = (level[here] + _TUCK_M) / np.where(level[here] == level[there], 1, level[here] - level[there])
+        fit = np.flatnonzero(outside[here] & ~outside[there] & (share > 0) & (share < _MOST_TUCKED))
+        fit = fit[np.lexsort((-share[fit], here[fit]))]
+        self.partner[here[fit]], self.slide[here[fit]] = there[fit], share[fit]
+
+
+class _Arm:
+    """One arm at rest. vertices: bool [V]. along: [V], 0 at the shoulder to 1 at the wrist. distance: in metres."""
+
+    def __init__(self, rest: Floats, faces: NDArray[np.int32], side: str, at: dict[str, Floats]) -> None:
+        numbers = dict(zip(LANDMARKS, load_landmarks("open").vertices, strict=True))
+        distance = _distances(rest, faces, numbers[f"{side} Dactylion"])
+        self.vertices: NDArray[np.bool_] = distance < distance[numbers[f"{side} Axilla, Post."]] + 0.02
+        shoulder = (at[f"{side} Acromion"] + at[f"{side} Axilla, Post."]) / 2
+        wrist = _ring_centre(rest, distance, distance[numbers[f"{side} Radial Styloid"]])
+        self.length = float(np.linalg.norm(wrist - shoulder))
+        self.axis: Floats = (wrist - shoulder) / self.length
+        self.distance = np.where(self.vertices, np.maximum((rest - shoulder) @ self.axis, 0), 0)
+        self.along = self.distance / self.length
+        sideways = np.cross(self.axis, [0.0, 0.0, 1.0])
+        sideways /= np.linalg.norm(sideways)
+        self.across: Floats = (rest - shoulder) @ np.stack([sideways, np.cross(self.axis, sideways)], axis=1)
+
+
+def _tube(depth: Floats, across: Floats, taper: float) -> Floats:
+    """How far off the body cloth hangs that falls straight from whatever sticks out above it, metres [N].
+
+    depth: distance below the top of the garment, [N]. across: the other two coordinates, [N, 2].
+    """
+    from scipy.ndimage import map_coordinates
+
+    line = np.polynomial.polynomial.polyfit(depth, across, 1)
+    x, z = across.T - (line[0][:, None] + line[1][:, None] * depth)
+    radius, angle = np.hypot(x, z), np.arctan2(z, x)
+    slices = np.arange(0, depth.max() + _SLICE_M, _SLICE_M)
+    sectors = np.linspace(-np.pi, np.pi, _SECTORS + 1)
+    body = _unrolled(depth, angle, radius, slices, sectors)
+    widest = body.copy()
+    for index in range(1, len(widest)):
+        widest[index] = np.maximum(widest[index], widest[index - 1] - taper * _SLICE_M)
+    places = [depth / _SLICE_M, (angle + np.pi) * _SECTORS / (2 * np.pi)]
+    return np.asarray(map_coordinates(widest - body, places, order=1, mode="nearest"), np.float64)
+
+
+def _unrolled(depth: Floats, angle: Floats, radius: Floats, slices: Floats, sectors: Floats) -> Floats:
+    """The radius [slices, sectors] of a limb's surface: a mean of the nearest vertices', weighted by closeness."""
+    from scipy.spatial import cKDTree
+
+    scale = np.array([_SLICE_M, 2 * np.pi / _SECTORS])
+    places = np.stack([depth, angle], axis=1) / scale
+    turn = np.array([0.0, _SECTORS])
+    tree = cKDTree(np.concatenate([places, places - turn, places + turn]))
+    grid = np.stack(np.meshgrid(slices, sectors, indexing="ij"), axis=2) / scale
+    distances, nearest = tree.query(grid, _NEIGHBOURS)
+    weights = 1 / (distances**2 + 0.1)
+    found = (weights * np.tile(radius, 3)[nearest]).sum(axis=2) / weights.sum(axis=2)
+    return np.asarray(found, np.float64)
+
+
+def _near_end(distance: Floats, end: float) -> Floats:
+    return _smooth_step(1 - (end - distance) / _END_M)
+
+
+def _smooth_step(x: Floats) -> Floats:
+    x = np.clip(x, 0, 1)
+    return np.asarray(x * x * (3 - 2 * x), np.float64)
+
+
+def _below_neck(rest: Floats, at: dict[str, Floats]) -> Floats:
+    """How far below a cone around the neck, metres [V]; it passes near the nape and the notch of the breastbone."""
+    front, nape = at["Suprasternale"], at["Cervicale"]
+    slope = (nape[1] - front[1]) / (nape[2] - front[2])
+    height = rest[:, 1] - front[1] - slope * (rest[:, 2] - front[2])
+    return np.asarray(0.5 * np.abs(rest[:, 0]) - 0.012 - height, np.float64)
+
+
+def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
+    ring = rest[np.abs(distance - value) < 0.015]
+    return np.asarray((ring.min(axis=0) + ring.max(axis=0)) / 2, np.float64)
+
+
+def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    ends = _edges(faces)
+    lengths = np.linalg.norm(rest[ends[:, 0]] - rest[ends[:, 1]], axis=1)
+    graph = csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(rest),) * 2)
+    return np.asarray(dijkstra(graph, directed=False, indices=source), np.float64)
+
+
+def _same_piece(rest: Floats, faces: NDArray[np.int32], vertex: int) -> NDArray[np.bool_]:
+    return np.isfinite(_distances(rest, faces, vertex))
