@@ -10,7 +10,7 @@ distance to a point source in place of a plane wave).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,46 +40,57 @@ class Borders:
         return nearest
 
 
-def find_borders(mesh: Mesh, labels: NDArray[np.uint8], distance: NDArray[np.float64]) -> Borders:
+def find_borders(
+    mesh: Mesh,
+    labels: NDArray[np.uint8],
+    distance: NDArray[np.float64],
+    place: NDArray[np.int64] | None = None,
+) -> Borders:
     """The borders of a labelled mesh. labels: uint8 [V]; distance: float64 [V], metres to the label's landmark.
+    place: int64 [V], the vertex that stands for each, where seams hold several in one place; itself if None.
 
     In a triangle with a corner that no landmark reaches (infinite distance) each point takes its nearest corner's part.
     """
-    corner_labels = labels[mesh.faces]
+    joined = mesh.faces if place is None else place[mesh.faces]
+    corner_labels = labels[joined]
     faces = np.flatnonzero((corner_labels != corner_labels[:, :1]).any(axis=1)).astype(np.int32)
-    corners, parts = mesh.faces[faces].astype(np.int64), corner_labels[faces].astype(np.int64)
+    corners, parts = joined[faces].astype(np.int64), corner_labels[faces].astype(np.int64)
     # All that is asked for: vertex c of a border triangle and part s of another of its corners.
     asked = (corners[:, None, :] * _PARTS + parts[:, :, None]).reshape(-1, 3, 3)
-    wanted, place = np.unique(asked, return_inverse=True)
-    found = _continued(mesh, labels, distance, wanted)[place].reshape(-1, 3, 3)
+    wanted, where = np.unique(asked, return_inverse=True)
+    found = _continued(mesh.vertices, joined, labels, distance, wanted)[where].reshape(-1, 3, 3)
     found[~np.isfinite(found).all(axis=(1, 2))] = 1 - np.eye(3)
     return Borders(faces, found)
 
 
 def _continued(
-    mesh: Mesh, labels: NDArray[np.uint8], distance: NDArray[np.float64], wanted: NDArray[np.int64]
+    points: NDArray[np.float64],
+    faces: NDArray[Any],
+    labels: NDArray[np.uint8],
+    distance: NDArray[np.float64],
+    wanted: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     """Distances [P] of `wanted` (vertex, part) pairs, as vertex * _PARTS + part, ascending."""
     vertices, parts = np.divmod(wanted, _PARTS)
     known = np.where(labels[vertices] == parts, distance[vertices], np.inf)
     missing = np.flatnonzero(~np.isfinite(known))
     # Every triangle around a vertex whose distance is missing can bring it, through the edge opposite the vertex.
-    order = np.argsort(mesh.faces.ravel(), kind="stable")
-    starts = np.searchsorted(mesh.faces.ravel()[order], np.arange(len(mesh.vertices) + 1))
+    order = np.argsort(faces.ravel(), kind="stable")
+    starts = np.searchsorted(faces.ravel()[order], np.arange(len(points) + 1))
     first, end = starts[vertices[missing]], starts[vertices[missing] + 1]
     pair = np.repeat(missing, end - first)
     along = np.arange(len(pair)) - np.repeat(np.cumsum(end - first) - (end - first), end - first)
     face, corner = np.divmod(order[np.repeat(first, end - first) + along], 3)
     tip = vertices[pair]
-    ends = [mesh.faces[face, (corner + step) % 3].astype(np.int64) for step in (1, 2)]
+    ends = [faces[face, (corner + step) % 3].astype(np.int64) for step in (1, 2)]
     places = [np.searchsorted(wanted, end * _PARTS + parts[pair]) for end in ends]
-    points = [mesh.vertices[index] for index in (*ends, tip)]
+    corners = [points[index] for index in (*ends, tip)]
     for _ in range(_ROUNDS):
         at_ends = [
             np.where(labels[end] == parts[pair], distance[end], _looked_up(known, wanted, place, end, parts[pair]))
             for end, place in zip(ends, places, strict=True)
         ]
-        np.minimum.at(known, pair, _beyond_edge(*points, *at_ends))
+        np.minimum.at(known, pair, _beyond_edge(*corners, *at_ends))
     return known
 
 

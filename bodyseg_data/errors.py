@@ -19,6 +19,10 @@ class BadMesh(BodysegError):
     """A body cannot be used as a surface: empty, not finite, not human-sized, inside out."""
 
 
+class Unanswerable(BadMesh):
+    """A way to measure distances cannot answer on this surface; another one may."""
+
+
 class BadLandmarks(BodysegError):
     """A landmark set does not name 33 usable places on the mesh it is meant for."""
 

@@ -19,7 +19,7 @@ HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
 
 
-_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: an open piece, like an eyelid, may seem to enclose less
+_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,20 @@ class Mesh:
             raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
 
     def _check_orientation(self) -> None:
-        """Outward means: neighbours agree, every closed piece encloses a positive volume, and so does the whole."""
+        """Outward means: neighbours agree, every closed piece encloses a positive volume, and so does the whole.
+
+        An open piece has no volume of its own: a mouth's cavity that was cut off would seem inside out.
+        """
         clash = self._clashing_edge()
         if clash is not None:
             raise BadMesh(
                 f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
                 f"of vertices {clash[0]} and {clash[1]}"
             )
-        pieces = self._signed_volumes()
-        if pieces.sum() <= 0 or pieces.min() < -_SLIGHT_VOLUME_M3:
+        whole, lowest = self.signed_volume(), self._lowest_closed_volume()
+        if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
             raise BadMesh(
-                f"mesh {self.name}: faces must point outwards, found a signed volume of {pieces.min():.3g} m3 "
+                f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
                 "(inside out?)"
             )
 
@@ -87,7 +90,8 @@ class Mesh:
         low, high = ways.min(axis=1), ways.max(axis=1)
         edges, place, count = np.unique(low * len(self.vertices) + high, return_inverse=True, return_counts=True)
         balance = np.bincount(place, weights=np.where(ways[:, 0] == low, 1, -1))
-        bad = np.flatnonzero((count == 2) & (balance != 0))
+        real = edges // len(self.vertices) != edges % len(self.vertices)  # not from a vertex to itself
+        bad = np.flatnonzero((count == 2) & (balance != 0) & real)
         return (
             None
             if not len(bad)
@@ -95,20 +99,24 @@ class Mesh:
         )
 
     def signed_volume(self) -> float:
-        """Volume enclosed, m3; negative if faces point inwards."""
-        return float(self._signed_volumes().sum())
+        """Volume enclosed, m3, about the middle of the vertices; negative if faces point inwards."""
+        return float(_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
 
-    def _signed_volumes(self) -> NDArray[np.float64]:
-        """Signed volume, m3, of every connected piece about its own centre; exact for closed pieces."""
-        _, piece = np.unique(self.pieces("checking a mesh")[self.faces[:, 0]], return_inverse=True)
-        corners = self.vertices[self.faces]
-        middles = (
-            np.stack([np.bincount(piece, weights=corners[..., axis].mean(axis=1)) for axis in range(3)], axis=1)
-            / np.bincount(piece)[:, None]
-        )
-        corners = corners - middles[piece][:, None]
-        volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
-        return np.asarray(np.bincount(piece, weights=volumes), np.float64)
+    def _lowest_closed_volume(self) -> float:
+        """Signed volume, m3, of the closed connected piece that has the least; infinite if no piece is closed."""
+        ends = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2).astype(np.int64)
+        keys, count = np.unique(ends.min(axis=1) * len(self.vertices) + ends.max(axis=1), return_counts=True)
+        piece = self.pieces("checking a mesh")
+        closed = np.ones(piece.max() + 1, np.bool_)
+        closed[piece[keys[count == 1] // len(self.vertices)]] = False
+        faces = self.faces[closed[piece[self.faces[:, 0]]]]
+        if not len(faces):
+            return np.inf
+        numbers, piece_of_face = np.unique(piece[faces[:, 0]], return_inverse=True)
+        # About one vertex of each piece: far from the piece, rounding would drown its volume.
+        origin = self.vertices[np.unique(piece, return_index=True)[1][numbers]]
+        corners = self.vertices[faces] - origin[piece_of_face][:, None]
+        return float(np.bincount(piece_of_face, weights=_volumes(corners)).min())
 
     def pieces(self, feature: str) -> NDArray[np.int32]:
         """Which connected piece of the surface each vertex belongs to, [V].
@@ -152,3 +160,9 @@ class Mesh:
         area[area == 0] = 1  # a degenerate triangle: any corner is as good
         v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
         return np.stack([1 - v - w, v, w], axis=1)
+
+
+def _volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed volumes [F], m3, of the tetrahedra between the origin and triangles [F, 3, 3]."""
+    volumes: NDArray[np.float64] = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    return volumes

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.borders import Borders, find_borders
-from bodyseg_data.errors import BadLandmarks, BadMesh
+from bodyseg_data.errors import BadLandmarks, Unanswerable
+from bodyseg_data.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
+from bodyseg_data.mending import Mended, components, mend
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.parts import LANDMARKS, PART_COUNT
 from bodyseg_data.system_libraries import missing_library
@@ -30,6 +32,7 @@ class Partition:
     labels: NDArray[np.uint8]
     distance: NDArray[np.float64]
     borders: Borders
+    note: str | None = None
 
     def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
         """The part of each of `points` [N, 3], which lie in the triangles `faces` [N] of `mesh`, uint8 [N].
@@ -45,45 +48,75 @@ class Partition:
         return chosen
 
 
-def partition(mesh: Mesh, landmarks: NDArray[np.int64]) -> Partition:
-    """Label every vertex of `mesh` with its nearest landmark, by exact geodesic distance from all of them at once.
+def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: Geodesics = "exact") -> Partition:
+    """Label every vertex of `mesh` with its nearest landmark along the surface, from all of them at once.
 
-    landmarks: int64 [33], one vertex for each of `parts.PARTS`, in that order.
+    landmarks: int64 [33], one vertex for each of `parts.PARTS`, in that order. method: how distances are measured
+    (`geodesics.nearest_sources`).
 
-    Distances are exact for the triangle mesh: the algorithm of Mitchell, Mount and Papadimitriou (The discrete
-    geodesic problem, SIAM J. Comput. 16, 1987) as implemented by Kirsanov (pygeodesic). A body made of several
-    pieces, like a head with separate eyes, may have landmarks on some of them only: a vertex of any other piece takes
-    the label of the nearest labelled triangle, of that triangle's corner nearest to it.
+    What stops distances along the surface is mended first (`mending.mend`): seams that are not welded, doubled faces,
+    faces without three places, edges with more than two faces. If `method` cannot answer even so,
+    `geodesics.ALWAYS_ANSWERS` does. Either is told in the partition's `note`.
 
-    Raises BadLandmarks for landmarks that are not 33 different vertices in different places of the surface, BadMesh
-    for surfaces on which distance along the surface means nothing (an edge with three faces, a face with one vertex
-    twice), MissingLibrary without pygeodesic, scipy, trimesh or rtree.
+    A body made of several pieces, like a head with separate eyes, may have landmarks on some of them only: a vertex of
+    any other piece takes the label of the nearest labelled triangle, of that triangle's corner nearest to it.
+
+    Raises BadLandmarks for landmarks that are not 33 different vertices in different places of the surface, BadConfig
+    for a method that is none, MissingLibrary without pygeodesic (potpourri3d for `marching` and `heat`), scipy,
+    trimesh or rtree.
     """
+    check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks)
-    _check_edges(mesh)
+    mended = mend(mesh.vertices, mesh.faces, _FEATURE)
+    _check_places(mesh, landmarks, mended)
+    told = list(mended.notes)
+    try:
+        labels, distance, note = _spread(mesh, landmarks, mended, method)
+    except Unanswerable as error:
+        told.insert(0, str(error))
+        method = ALWAYS_ANSWERS
+        labels, distance, note = _spread(mesh, landmarks, mended, method)
+    told += [] if note is None else [note]
+    line = f"distances by the method {method!r}: {', '.join(told)}" if told else None
+    return _with_borders(mesh, mended, labels, distance, line)
+
+
+def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: Geodesics) -> Partition:
+    """What `method` makes of `mesh` as it is, to measure what mending and falling back are worth.
+
+    As `partition`, but raises Unanswerable where that answers with a note.
+    """
+    as_it_is = Mended(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
+    return _with_borders(mesh, as_it_is, *_spread(mesh, _checked_landmarks(mesh, landmarks), as_it_is, method))
+
+
+def _spread(
+    mesh: Mesh, landmarks: NDArray[np.int64], surface: Mended, method: Geodesics
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
+    """Labels [V] and distances [V] from the landmarks over `surface`, and the answer's note. Raises Unanswerable."""
+    sources = surface.place[landmarks]
+    piece = components(len(mesh.vertices), surface.faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    faces = surface.faces[np.isin(piece[surface.faces[:, 0]], piece[sources])]
+    # Numbered afresh: no method wants vertices without faces, and pieces without landmarks only cost time.
+    used, corners = np.unique(faces, return_inverse=True)
     labels = np.zeros(len(mesh.vertices), np.uint8)
     distance = np.full(len(mesh.vertices), np.inf)
+    answer = nearest_sources(method, mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, sources))
+    distance[used], labels[used] = answer.distance, answer.source
+    return labels[surface.place], distance[surface.place], answer.note
 
-    faces = mesh.faces[_near_landmarks(mesh, landmarks)]
-    # Numbered afresh: pygeodesic cannot take vertices without faces, and pieces without landmarks only cost time.
-    used, corners = np.unique(faces, return_inverse=True)
-    sources = np.searchsorted(used, landmarks)
-    distance[used], labels[used] = _nearest_source(mesh.vertices[used], corners.reshape(-1, 3), sources)
 
-    lost = np.flatnonzero(labels[landmarks] != np.arange(PART_COUNT))
-    if len(lost):
-        first, second = lost[0], labels[landmarks[lost[0]]]
-        raise BadLandmarks(
-            f"mesh {mesh.name}: landmarks must lie in different places, found {LANDMARKS[first]} and "
-            f"{LANDMARKS[second]} at {mesh.vertices[landmarks[first]].tolist()}"
-        )
+def _with_borders(
+    mesh: Mesh, surface: Mended, labels: NDArray[np.uint8], distance: NDArray[np.float64], note: str | None
+) -> Partition:
     unreached = np.flatnonzero(~np.isfinite(distance))
     if len(unreached):
-        reached_faces = mesh.faces[np.isfinite(distance[mesh.faces]).all(axis=1)]
+        reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
         labels[unreached] = labels[_nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached])]
+        labels = labels[surface.place]
     for array in (labels, distance):
         array.flags.writeable = False
-    return Partition(labels, distance, find_borders(mesh, labels, distance))
+    return Partition(labels, distance, find_borders(mesh, labels, distance, surface.place), note)
 
 
 def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -121,45 +154,24 @@ def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]
     return landmarks.astype(np.int64)
 
 
-def _check_edges(mesh: Mesh) -> None:
-    """Refuse what pygeodesic answers with a crash of the whole process."""
-    remedy = "repair it first (bodyseg_data.mesh_repair)"
-    faces = mesh.faces.astype(np.int64)
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    bad = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
-    if len(bad):
-        face = int(bad[0]) % len(faces)
-        raise BadMesh(
-            f"mesh {mesh.name}: a face needs three different vertices, found {faces[face].tolist()} at face {face}: "
-            f"{remedy}"
+def _check_places(mesh: Mesh, landmarks: NDArray[np.int64], mended: Mended) -> None:
+    """Each landmark must be a place of its own on the mended surface."""
+    sources = mended.place[landmarks]
+    kept = np.isin(sources, mended.faces)
+    if not kept.all():
+        lost = int(np.flatnonzero(~kept)[0])
+        raise BadLandmarks(
+            f"mesh {mesh.name}: landmarks must lie on the surface, found {LANDMARKS[lost]} at {landmarks[lost]}, where "
+            f"nothing is left of it: {', '.join(mended.notes)}"
         )
-    keys, counts = np.unique(pairs[:, 0] * len(mesh.vertices) + pairs[:, 1], return_counts=True)
-    bad = np.flatnonzero(counts > 2)
-    if len(bad):
-        low, high = divmod(int(keys[bad[0]]), len(mesh.vertices))
-        raise BadMesh(
-            f"mesh {mesh.name}: an edge may have two faces at most, found {counts[bad[0]]} at the edge of vertices "
-            f"{low} and {high}: {remedy}"
-        )
-
-
-def _near_landmarks(mesh: Mesh, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which faces belong to pieces of the surface that hold a landmark, bool [F]."""
-    piece = mesh.pieces(_FEATURE)
-    inside: NDArray[np.bool_] = np.isin(piece[mesh.faces[:, 0]], piece[landmarks])
-    return inside
-
-
-def _nearest_source(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], sources: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Geodesic distance [V] to the nearest of `sources` [S], and which one it is, 0 to S - 1, [V]."""
-    try:
-        from pygeodesic.geodesic import PyGeodesicAlgorithmExact
-    except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
-    distance, source = PyGeodesicAlgorithmExact(vertices, faces).geodesicDistances(sources)
-    return distance, source
+    first: dict[int, str] = {}
+    for name, place in zip(LANDMARKS, sources.tolist(), strict=True):
+        if place in first:
+            raise BadLandmarks(
+                f"mesh {mesh.name}: landmarks must lie in different places, found {first[place]} and {name} at "
+                f"{mesh.vertices[place].tolist()}"
+            )
+        first[place] = name
 
 
 def _nearest_corner(

@@ -84,6 +84,33 @@ def test_one_turned_piece_of_a_body_is_refused() -> None:
         Mesh("leg", body.vertices, faces)
 
 
+def test_only_closed_pieces_must_enclose_a_volume() -> None:
+    """A cavity, like a mouth's, has its faces inside; cut off by a hole it is no piece turned inside out."""
+    whole, inner = ball(), ball(radius_m=0.3, subdivisions=3)
+    cavity = inner.faces[:, ::-1] + len(whole.vertices)
+    vertices = np.concatenate([whole.vertices, inner.vertices])
+    with pytest.raises(BadMesh, match=r"mesh closed: faces must point outwards, found a signed volume of -0.1"):
+        Mesh("closed", vertices, np.concatenate([whole.faces, cavity]))
+    mesh = Mesh("open", vertices, np.concatenate([whole.faces, cavity[:-5]]))
+    assert mesh.signed_volume() == pytest.approx(whole.signed_volume() - inner.signed_volume(), rel=5e-3)
+
+
+def test_triangles_with_vertices_of_their_own_have_the_volume_of_the_whole() -> None:
+    whole = ball(subdivisions=3)
+    corners = whole.vertices[whole.faces].reshape(-1, 3)
+    loose = np.arange(len(corners)).reshape(-1, 3)
+    assert Mesh("loose", corners, loose).signed_volume() == pytest.approx(whole.signed_volume())
+    with pytest.raises(BadMesh, match="faces must point outwards"):
+        Mesh("turned", corners, loose[:, ::-1])
+
+
+def test_faces_with_a_vertex_twice_do_not_clash() -> None:
+    whole = ball(subdivisions=3)
+    a, b, c = whole.faces[0]
+    mesh = Mesh("flat", whole.vertices, np.concatenate([whole.faces, [[a, a, b], [a, a, c]]]))
+    assert mesh.signed_volume() == pytest.approx(whole.signed_volume())
+
+
 def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
     with pytest.raises(MissingLibrary, match=r"checking a mesh needs the package .*: pip install 'bodyseg\[render\]'"):

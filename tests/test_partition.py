@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from shapes import ball, figure
 
-from bodyseg_data.errors import BadLandmarks, BadMesh, MissingLibrary
+from bodyseg_data import geodesics
+from bodyseg_data.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
+from bodyseg_data.geodesics import ALWAYS_ANSWERS, Geodesics
 from bodyseg_data.mesh import Mesh
-from bodyseg_data.partition import _nearest_corner, part_areas, partition
+from bodyseg_data.partition import _nearest_corner, part_areas, partition, partition_unmended
 from bodyseg_data.parts import PART_COUNT
 
 
@@ -156,9 +158,10 @@ def test_pieces_that_meet_in_one_point_only_are_all_labelled() -> None:
     mesh = Mesh("hourglass", np.concatenate([one.vertices, other]), faces)
     result = partition(mesh, spread(one))
     assert np.isfinite(result.distance[:count]).all()
-    assert np.isinf(result.distance[count:]).all()  # a point lets no way along the surface through
-    touching = np.unique(faces[(faces == top).any(axis=1)])
-    assert set(result.labels[touching[touching >= count]]) == {result.labels[top]}
+    touching = np.unique(faces)[np.unique(faces) >= count]
+    assert (result.distance[touching] > result.distance[top]).all()  # the only way leads through the point
+    assert set(result.labels[touching]) == {result.labels[top]}
+    assert result.note is not None and "through 1 vertices that alone hold sheets together" in result.note
 
 
 def test_areas_are_shares_of_the_surface() -> None:
@@ -209,17 +212,100 @@ def test_landmarks_that_share_one_place_are_refused() -> None:
         partition(Mesh("m", vertices, whole.faces), np.concatenate([[a, b], rest]))
 
 
-def test_surfaces_that_would_crash_the_solver_are_refused() -> None:
+def test_a_sound_body_has_no_note() -> None:
+    mesh = ball(subdivisions=3)
+    for method in get_args(Geodesics):
+        assert partition(mesh, spread(mesh), method).note is None
+
+
+def test_what_would_crash_the_solver_is_mended_and_the_rest_keeps_its_labels() -> None:
     whole = ball(subdivisions=3)
     landmarks = spread(whole)
+    sound = partition(whole, landmarks)
     a, b, _ = whole.faces[0]
-    far = int(np.linalg.norm(whole.vertices - whole.vertices[a], axis=1).argmax())
-    with pytest.raises(BadMesh, match=r"mesh fin: an edge may have two faces at most, found 3 .*repair it first"):
-        partition(Mesh("fin", whole.vertices, np.concatenate([whole.faces, [[a, b, far]]])), landmarks)
-    with pytest.raises(BadMesh, match=r"an edge may have two faces at most, found 4"):
-        partition(Mesh("twice", whole.vertices, np.concatenate([whole.faces, whole.faces])), landmarks)
-    with pytest.raises(BadMesh, match=rf"three different vertices, found \[{a}, {a}, {b}\] at face 1280"):
-        partition(Mesh("line", whole.vertices, np.concatenate([whole.faces, [[a, a, b]]])), landmarks)
+    count = len(whole.vertices)
+    tip = whole.vertices[a] * 1.02
+    for name, vertices, faces, note in (
+        ("fin", np.concatenate([whole.vertices, [tip]]), [[a, b, count]], "1 faces left out at edges of more than two"),
+        ("twice", whole.vertices, whole.faces, "1280 doubled faces left out"),
+        ("line", whole.vertices, [[a, a, b]], "1 faces with no more than two places left out"),
+    ):
+        mesh = Mesh(name, vertices, np.concatenate([whole.faces, faces]))
+        with pytest.raises(Unanswerable, match="the method 'exact' cannot answer: "):
+            partition_unmended(mesh, landmarks, "exact")
+        result = partition(mesh, landmarks)
+        assert result.note == f"distances by the method 'exact': {note}"
+        np.testing.assert_array_equal(result.labels[:count], sound.labels)
+        np.testing.assert_array_equal(result.distance[:count], sound.distance)
+
+
+def test_seams_that_are_not_welded_change_nothing() -> None:
+    """Every triangle has vertices of its own; borders run through them as through the welded ones."""
+    whole = ball(subdivisions=3)
+    landmarks = spread(whole)
+    corners = whole.faces.ravel()
+    loose = Mesh("loose", whole.vertices[corners], np.arange(len(corners)).reshape(-1, 3))
+    own = np.array([np.flatnonzero(corners == landmark)[-1] for landmark in landmarks])
+    sound, result = partition(whole, landmarks), partition(loose, own)
+    assert (
+        result.note
+        == f"distances by the method 'exact': {len(corners) - 642} vertices joined to others in the same place"
+    )
+    np.testing.assert_allclose(result.distance, sound.distance[corners], atol=1e-12)
+    faces = np.arange(len(whole.faces)).repeat(8).astype(np.int32)
+    weights = np.random.default_rng(1).dirichlet([1, 1, 1], len(faces))
+    points = np.einsum("nc,ncd->nd", weights, whole.vertices[whole.faces[faces]])
+    differs = result.labels_at(loose, faces, points) != sound.labels_at(whole, faces, points)
+    assert differs.mean() < 1e-3  # points in the middle between two landmarks
+    unmended = partition_unmended(loose, own, "exact")
+    assert (unmended.labels_at(loose, faces, points) != sound.labels_at(whole, faces, points)).mean() > 0.05
+
+
+def test_a_method_that_cannot_answer_is_replaced_and_the_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = ball(subdivisions=3)
+    landmarks = spread(mesh)
+    wanted = partition(mesh, landmarks, ALWAYS_ANSWERS)
+
+    def too_thin(*arguments: Any) -> Any:
+        raise Unanswerable("the method 'exact' cannot answer: it is tired")
+
+    monkeypatch.setitem(geodesics._METHODS, "exact", too_thin)
+    result = partition(mesh, landmarks)
+    assert result.note == "distances by the method 'unfolded': the method 'exact' cannot answer: it is tired"
+    np.testing.assert_array_equal(result.labels, wanted.labels)
+    np.testing.assert_array_equal(result.distance, wanted.distance)
+
+
+def test_folds_without_any_area_fall_back() -> None:
+    """Vertices moved onto the opposite edges: the arithmetic of the exact method loses its way in some of them."""
+    whole = ball(subdivisions=5)
+    vertices, chosen = whole.vertices.copy(), np.random.default_rng(0).choice(len(whole.faces), 2000, replace=False)
+    for a, b, c in whole.faces[chosen]:
+        vertices[c] = (vertices[a] + vertices[b]) / 2
+    result = partition(Mesh("folded", vertices, whole.faces), spread(whole))
+    assert result.note is not None and "the method 'exact' cannot answer: some triangles are too thin" in result.note
+    assert np.isfinite(result.distance).all()
+
+
+def test_an_unknown_method_is_refused() -> None:
+    mesh = ball(subdivisions=3)
+    with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'euclid'"):
+        partition(mesh, spread(mesh), "euclid")  # type: ignore[arg-type]  # on purpose
+
+
+def test_a_landmark_on_a_face_that_is_left_out_is_named() -> None:
+    whole = ball(subdivisions=3)
+    a, b, _ = whole.faces[0]
+    count = len(whole.vertices)
+    fin = Mesh(
+        "fin",
+        np.concatenate([whole.vertices, [whole.vertices[a] * 1.02]]),
+        np.concatenate([whole.faces, [[a, b, count]]]),
+    )
+    with pytest.raises(
+        BadLandmarks, match=f"must lie on the surface, found Supramenton at {count}, where nothing is left"
+    ):
+        partition(fin, changed(spread(whole), 2, count))
 
 
 def test_a_surface_with_a_hole_and_with_slivers_is_labelled() -> None:
