@@ -1,4 +1,4 @@
-"""Making a raw scan usable as a surface, with pymeshlab. Nothing else in the project needs pymeshlab.
+"""Making a raw scan usable as a surface, with pymeshlab. Nothing else in the project imports pymeshlab.
 
 A scan comes as loose triangles, with faces doubled, of no area or turned inside out, and with edges that three faces
 share. None of that stops a renderer, but all of it stops or misleads geodesics, normals and the checks of `Mesh`.
@@ -36,7 +36,7 @@ def repair(
     without vertices, a surface with one side only), MissingLibrary without pymeshlab or the libraries it loads.
     """
     vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
-    pymeshlab = _pymeshlab()
+    pymeshlab = load_pymeshlab(_FEATURE)
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
     try:
@@ -61,14 +61,17 @@ def repair(
     return vertices, _outward(vertices, faces)
 
 
-def _pymeshlab() -> Any:
-    """The package, imported on first use: it takes a third of a second and loads system libraries."""
+def load_pymeshlab(feature: str) -> Any:
+    """The package, imported on first use: it takes a third of a second and loads system libraries.
+
+    feature: what it is wanted for, for the message of the MissingLibrary that is raised without it.
+    """
     try:
         # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
-        require_libraries(_FEATURE, ("GL", "OpenGL"))
+        require_libraries(feature, ("GL", "OpenGL"))
         import pymeshlab
     except (ImportError, OSError, AttributeError) as error:
-        raise missing_library(_FEATURE, error) from error
+        raise missing_library(feature, error) from error
     return pymeshlab
 
 

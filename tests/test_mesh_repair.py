@@ -21,7 +21,7 @@ Parts = tuple[NDArray[np.float64], NDArray[np.int32]]
 @pytest.fixture(autouse=True)
 def _pymeshlab_is_here() -> None:
     try:
-        mesh_repair._pymeshlab()
+        mesh_repair.load_pymeshlab("mesh repair")
     except MissingLibrary as error:
         pytest.skip(str(error))
 
@@ -172,7 +172,7 @@ def test_a_surface_with_one_side_cannot_be_oriented() -> None:
 
 
 def test_a_filter_that_fails_is_a_bad_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    pymeshlab = mesh_repair._pymeshlab()
+    pymeshlab = mesh_repair.load_pymeshlab("mesh repair")
 
     def fail(*_: object) -> None:
         raise pymeshlab.PyMeshLabException("filter\nfailed")
