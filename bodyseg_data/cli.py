@@ -20,7 +20,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
     "gallery": ("bodyseg_data.commands.gallery", "draw many views of sets in one picture"),
-    "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a source's body from four sides"),
+    "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "bench": ("bodyseg_data.commands.bench", "measure speed and accuracy side by side"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }

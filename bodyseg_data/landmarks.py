@@ -6,7 +6,7 @@ A set is a JSON file:
      "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
 
 with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertices counted from 0. Meshes that number
-their vertices alike, whatever their pose and shape, share one set.
+their vertices alike, whatever their pose and shape, share one set. Landmarks by coordinate are in `landmark_points`.
 """
 
 from __future__ import annotations
@@ -63,6 +63,17 @@ class LandmarkSet:
             )
         return vertices
 
+    def to_json(self) -> str:
+        """The text of a file from which `load_landmarks` reads this set."""
+        tree = {
+            "format": LANDMARKS_FORMAT,
+            "topology": self.topology,
+            "vertex_count": self.vertex_count,
+            "face_count": self.face_count,
+            "landmarks": dict(zip(LANDMARKS, self.vertices, strict=True)),
+        }
+        return json.dumps(tree, indent=2, ensure_ascii=False) + "\n"
+
 
 def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
     """Read a landmark set by the name of one that ships with the package ("open", "mit_I"), or from a .json file.
@@ -79,23 +90,23 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
             )
         text = (folder / f"{name_or_path}.json").read_text(encoding="utf-8")
     else:
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
+        text = read_text(path)
     return parse_landmarks(text, str(name_or_path))
+
+
+def read_text(path: Path) -> str:
+    """The text of a landmark file in UTF-8. Raises BadLandmarks."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
 
 
 def parse_landmarks(text: str, source: str) -> LandmarkSet:
     """A landmark set from JSON text; `source` names its origin in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
-    try:
-        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
-    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
-        raise BadLandmarks(f"{where} is not JSON: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
-        raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
-    _check_names(list(tree), _KEYS, where, "key")
+    tree = json_table(text, source)
+    check_names(list(tree), _KEYS, where, "key")
     if not isinstance(tree["topology"], str):
         raise BadLandmarks(f"{where}: 'topology' must be text, found {tree['topology']!r}")
     vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
@@ -107,7 +118,7 @@ def parse_landmarks(text: str, source: str) -> LandmarkSet:
 def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
-    _check_names(list(table), LANDMARKS, where, "landmark")
+    check_names(list(table), LANDMARKS, where, "landmark")
     holders: dict[int, str] = {}
     for name in LANDMARKS:
         vertex = _whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}")
@@ -119,7 +130,20 @@ def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
     return tuple(holders)
 
 
-def _check_names(found: list[str], wanted: tuple[str, ...], where: str, kind: str) -> None:
+def json_table(text: str, source: str) -> dict[str, Any]:
+    """The table of a landmark file, its format checked and nothing else. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    try:
+        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
+    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
+        raise BadLandmarks(f"{where} is not JSON: {error}") from error
+    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
+        raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
+    return tree
+
+
+def check_names(found: list[str], wanted: tuple[str, ...], where: str, kind: str) -> None:
+    """Raise BadLandmarks unless `found` are the names `wanted`; `kind` says what they name."""
     unknown = [name for name in found if name not in wanted]
     if unknown:
         raise BadLandmarks(f"{where}: unknown {kind} {', '.join(map(repr, unknown))}")

@@ -18,7 +18,7 @@ from bodyseg_data.sample import RANGE_STEP_M, check_key
 from bodyseg_data.splits import SPLITS, Split
 
 MANIFEST_NAME: Final = "manifest.json"
-MANIFEST_FORMAT: Final = "bodyseg shards 1"
+MANIFEST_FORMAT: Final = "bodyseg shards 2"
 
 _FIELDS: Final = {"format", "range_step_m", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
 _SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
@@ -30,10 +30,11 @@ _LARGEST_SHARD: Final = 1 << 40
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """What one shard holds; the lists run over its samples in order.
+    """What one shard holds; all lists but the notes run over its samples in order.
 
     keys: sample keys. offsets: where a sample's first tar header starts, bytes. lengths: bytes up to the end of its
-    last member's padding. crc32: of exactly those bytes.
+    last member's padding. crc32: of exactly those bytes. notes: lines "MESH: what was noted" of the meshes whose first
+    view is in this shard: what had to be done to a mesh, or how its parts were found if not in the usual way.
     """
 
     name: str
@@ -44,6 +45,7 @@ class ShardRecord:
     offsets: tuple[int, ...]
     lengths: tuple[int, ...]
     crc32: tuple[int, ...]
+    notes: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -59,6 +61,10 @@ class Manifest:
     renderer: str
     plan: str
     shards: tuple[ShardRecord, ...]
+
+    def notes(self) -> list[str]:
+        """What was noted of meshes, in the order of the shards."""
+        return [note for shard in self.shards for note in shard.notes]
 
     def samples(self, split: Split | None = None) -> int:
         """How many samples there are, in one split or in all."""
@@ -92,7 +98,7 @@ def record_to_json(record: ShardRecord) -> dict[str, Any]:
 def record_from_json(tree: Any, where: str) -> ShardRecord:
     """Check and read a shard's record. Raises BadShard, naming `where` and the rule."""
     columns = ("keys", "offsets", "lengths", "crc32")
-    if not isinstance(tree, dict) or set(tree) != {"samples", "name", "split", "size", "sha256", *columns}:
+    if not isinstance(tree, dict) or set(tree) != {"samples", "name", "split", "size", "sha256", "notes", *columns}:
         raise BadShard(f"{where}: a shard's record has not the fields of format {MANIFEST_FORMAT!r}")
     name = tree["name"]
     if not isinstance(name, str) or not _SHARD_NAME.fullmatch(name):
@@ -111,6 +117,9 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         kind = str if column == "keys" else int
         if not all(type(value) is kind for value in values):
             raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
+    notes = tree["notes"]
+    if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
+        raise BadShard(f"{where}: 'notes' must be a list of text")
     if type(tree["size"]) is not int or not 0 <= tree["size"] <= _LARGEST_SHARD:
         raise BadShard(f"{where}: 'size' must be a number of bytes, at most {_LARGEST_SHARD}")
     if not tree["keys"]:
@@ -129,7 +138,8 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         end = offset + length
     if end > tree["size"]:
         raise BadShard(f"{where}: samples end at byte {end}, the shard at {tree['size']}")
-    return ShardRecord(name, tree["split"], tree["size"], tree["sha256"], *(tuple(tree[column]) for column in columns))
+    lists = (tuple(tree[column]) for column in (*columns, "notes"))
+    return ShardRecord(name, tree["split"], tree["size"], tree["sha256"], *lists)
 
 
 def write_manifest(manifest: Manifest, folder: Path) -> None:

@@ -21,19 +21,23 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef, BodySource, open_source
+from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.codec import CodecName, encode_sample, image_codec
 from bodyseg_data.errors import BadConfig, BadShard
+from bodyseg_data.geodesics import Geodesics, check_method
 from bodyseg_data.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
+from bodyseg_data.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing_state import claimed, finished_shards, record_shard
 from bodyseg_data.partition import partition
+from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
-from bodyseg_data.rendering.sampling import take_sample
+from bodyseg_data.rendering.sampling import Sampler
 from bodyseg_data.rig import Rig, load_rig
 from bodyseg_data.shards import ShardWriter
 from bodyseg_data.splits import SPLITS, Split
 from bodyseg_data.views import View, ViewGrid
 
-PACKING_VERSION: Final = 1
+PACKING_VERSION: Final = 2
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
 
 Progress = Callable[[int, int], None]
@@ -44,8 +48,10 @@ Progress = Callable[[int, int], None]
 class Packing:
     """What to pack. Everything here shapes the bytes; how many workers do it does not.
 
-    source, path: where bodies come from (`open_source`). meshes: how many of them, taken evenly from every subset; all
-    if None. views: distances and azimuths. renderer, codec: by name. shard_samples: samples a shard.
+    source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
+    from every subset; all if None. views: distances and azimuths. renderer, codec: by name. shard_samples: samples a
+    shard. geodesics: how distances along the surface are measured (`geodesics.nearest_sources`). tolerance_mm:
+    how coarse meshes may be (`reduced_body`).
     """
 
     source: str
@@ -53,21 +59,32 @@ class Packing:
     meshes: int | None = None
     views: ViewGrid = field(default_factory=ViewGrid)
     rig: Rig = field(default_factory=load_rig)
-    renderer: RendererName = "embree"
+    renderer: RendererName = "raster"
     codec: CodecName = "bsi"
     shard_samples: int = 1080
+    landmarks: Path | None = None
+    units: Units = "auto"
+    up: UpAxis = "auto"
+    geodesics: Geodesics = "exact"
+    tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:
         if self.meshes is not None and self.meshes < 1:
             raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
         if self.shard_samples < 1:
             raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
+        check_method(self.geodesics)
+        check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
         image_codec(self.codec)
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""
-        return spread(_source(self.source, self.path).bodies(), self.meshes)
+        return spread(self.opened().bodies(), self.meshes)
+
+    def opened(self) -> BodySource:
+        """The source, opened once a process. Raises BadConfig."""
+        return _source(self.source, self.path, self.landmarks, self.units, self.up)
 
 
 def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
@@ -92,7 +109,10 @@ def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
 
 
 def plan(packing: Packing) -> dict[str, Any]:
-    """Counts per subset and split, without rendering anything; plain JSON."""
+    """Counts per subset and split, without reading or rendering any mesh; plain JSON.
+
+    "missing" is there if the source is not complete: what a complete one would have, runs of names in one.
+    """
     bodies = packing.bodies()
     views = len(packing.views)
     subsets: dict[str, dict[str, int]] = {}
@@ -102,7 +122,9 @@ def plan(packing: Packing) -> dict[str, Any]:
         subset["views"] += views
         subset[body.split] += views
     totals = {name: sum(subset[name] for subset in subsets.values()) for name in ("meshes", "views", *SPLITS)}
-    return {"source": packing.source, **totals, "views_per_mesh": views, "subsets": subsets}
+    counts = {"source": packing.source, **totals, "views_per_mesh": views, "subsets": subsets}
+    missing = collapsed(packing.opened().missing())
+    return {**counts, "missing": missing} if missing else counts
 
 
 @dataclass(frozen=True)
@@ -142,7 +164,11 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "version": PACKING_VERSION,
         "source": packing.source,
         "meshes": [asdict(body) for body in bodies],
-        "fingerprint": _source(packing.source, packing.path).fingerprint(bodies),
+        "fingerprint": packing.opened().fingerprint(bodies),
+        "units": packing.units,
+        "up": packing.up,
+        "geodesics": packing.geodesics,
+        "tolerance_mm": packing.tolerance_mm,
         "views": [view.name for view in packing.views],
         "rig": packing.rig.to_json(),
         "renderer": packing.renderer,
@@ -154,26 +180,34 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
     return tree
 
 
-Encoded = list[tuple[str, dict[str, bytes]]]
+@dataclass(frozen=True)
+class Rendered:
+    """What comes back of a run. samples: key and members (extension -> bytes). notes: what was noted of the body."""
+
+    samples: list[tuple[str, dict[str, bytes]]]
+    notes: tuple[str, ...]
 
 
-def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...]) -> Encoded:
+def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...]) -> Rendered:
     """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views."""
-    source = _source(packing.source, packing.path)
-    built = source.build(body)
-    parts = partition(built.mesh, built.landmarks)
+    source = packing.opened()
+    nearest_cm = min(packing.views.distances_cm)
+    built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm)
+    parts = partition(built.mesh, built.landmarks, packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        samples = (take_sample(renderer, packing.rig, built.mesh, parts, source.name, body, view) for view in views)
-        return [(sample.key, encode_sample(sample, packing.codec)) for sample in samples]
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body)
+        samples = (sampler.take(view) for view in views)
+        notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
+        return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
     finally:
         renderer.close()
 
 
 @lru_cache(maxsize=1)
-def _source(name: str, path: Path | None) -> BodySource:
+def _source(name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
     """A process opens its source once: loading a body model takes seconds."""
-    return open_source(name, path)
+    return open_source(name, path, landmarks, units, up)
 
 
 def pack(
@@ -190,6 +224,7 @@ def pack(
     description = _describe(packing, shards)
     digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
     total = sum(len(shard) for shard in shards)
+    first_view = next(iter(packing.views))
     try:
         with claimed(out, description, digest) as state:
             records = finished_shards(out, state, [shard.name for shard in shards])
@@ -199,10 +234,13 @@ def pack(
             results = _results(packing, todo, executor, workers)
             for shard in todo:
                 with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
-                    for _ in shard.runs:
-                        for key, members in next(results):
+                    for body, views in shard.runs:
+                        rendered = next(results)
+                        for key, members in rendered.samples:
                             writer.write(key, members)
                             done += 1
+                        if views[0] == first_view:  # a body that goes on in the next shard is noted where it begins
+                            writer.note(body.mesh, rendered.notes)
                         progress(done, total)
                 if writer.record is None:
                     raise BadShard(f"{shard.name} was not written")
@@ -230,10 +268,10 @@ def pack(
 
 def _results(
     packing: Packing, shards: Sequence[_Shard], executor: Executor, workers: int
-) -> Generator[Encoded, None, None]:
+) -> Generator[Rendered, None, None]:
     """The results of all runs in order, with a bounded number under way, so that memory stays flat."""
     runs = iter([(body, views) for shard in shards for body, views in shard.runs])
-    waiting: deque[Future[Encoded]] = deque()
+    waiting: deque[Future[Rendered]] = deque()
     # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
     for body, views in itertools.islice(runs, 1):
         yield executor.submit(render_run, packing, body, views).result()

@@ -7,7 +7,7 @@ import hashlib
 import os
 import tarfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -37,6 +37,7 @@ class ShardWriter:
         self._offsets: list[int] = []
         self._lengths: list[int] = []
         self._crc32: list[int] = []
+        self._notes: list[str] = []
         self.record: ShardRecord | None = None
 
     def __enter__(self) -> ShardWriter:
@@ -52,6 +53,10 @@ class ShardWriter:
         self._lengths.append(len(data))
         self._crc32.append(zlib.crc32(data))
         self._append(data)
+
+    def note(self, mesh: str, notes: Sequence[str]) -> None:
+        """Have the shard's record say what was noted of a mesh; see `ShardRecord.notes`."""
+        self._notes.extend(f"{mesh}: {note}" for note in notes)
 
     def _append(self, data: bytes) -> None:
         self._file.write(data)
@@ -81,6 +86,7 @@ class ShardWriter:
                     offsets=tuple(self._offsets),
                     lengths=tuple(self._lengths),
                     crc32=tuple(self._crc32),
+                    notes=tuple(self._notes),
                 )
         finally:
             if self.record is None:

@@ -51,7 +51,7 @@ def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.u
 def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Image:
     """One line of panels a sample: camera range, projector range, labels, the five variants, labels in `shown`."""
     panels = [_panels(row, shown) for row in rows]
-    heads = ["camera range", "projector range", "labels", *VARIANTS, f"labels in {shown}"]
+    heads = ["camera range", "projector, where it shades", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
         for column, head in enumerate(heads)

@@ -33,7 +33,7 @@ def pack_figures() -> Callable[..., Path]:
         packing._source.cache_clear()
         try:
             with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
-                patch.setattr(packing, "open_source", lambda name, path: Figures())
+                patch.setattr(packing, "open_source", lambda *where: Figures())
                 packing.pack(packing.Packing("open", **wanted), out, executor, 1)
         finally:
             packing._source.cache_clear()

@@ -24,6 +24,9 @@ class Figures:
             for number in range(3)
         ]
 
+    def missing(self) -> Sequence[str]:
+        return ()
+
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         return "figures 1"
 

@@ -114,6 +114,15 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
             "views a mesh must be between 1 and 54, found 55",
         ),
         (["shard", "--source", "open", "--out", "x", "--workers", "0"], "packing needs at least one worker, found 0"),
+        (
+            ["shard", "--source", "open", "--plan", "--engine", "dask"],
+            "the engine must be processes or dask://HOST:PORT",
+        ),
+        (
+            ["shard", "--source", "open", "--out", "x", "--engine", "dask://127.0.0.1:1"],
+            "no Dask scheduler at 127.0.0.1:1",
+        ),
+        (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling measures three numbers"),
         (["shard", "--source", "mit", "--path", "nowhere", "--plan"], "bodyseg shard: "),
         (["shard", "--source", "open", "--plan", "--rig", "no.toml"], "cannot read the rig file no.toml"),
         (["inspect", "nowhere", "--json"], "bodyseg inspect: nowhere holds no manifest.json"),

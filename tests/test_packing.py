@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,13 @@ from fakes import Figures
 
 from bodyseg_data import packing
 from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.cli import main
 from bodyseg_data.errors import BadConfig, BadMesh
 from bodyseg_data.manifest import read_manifest
+from bodyseg_data.mesh import Mesh
 from bodyseg_data.packing import Packing, plan, spread
 from bodyseg_data.packing_state import STATE_NAME, claimed
+from bodyseg_data.partition import Partition
 from bodyseg_data.views import ViewGrid
 
 Pack = Callable[..., Path]
@@ -102,6 +106,39 @@ def test_a_restart_renders_only_what_is_missing(tmp_path: Path, pack_figures: Pa
     assert finished
     with dying_after(6 - len(finished)):
         pack_figures(out, shard_samples=4)
+
+
+def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
+    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build, divide = Figures.build, packing.partition
+    monkeypatch.setattr(
+        Figures, "build", lambda self, body: replace(build(self, body), notes=("closed 2 holes",) * (body.mesh < "B"))
+    )
+
+    def parted(mesh: Mesh, *rest: Any, **options: Any) -> Partition:
+        parts = divide(mesh, *rest, **options)
+        return replace(parts, note="by the edge graph: an edge has three faces") if mesh.name == "people-1" else parts
+
+    monkeypatch.setattr(packing, "partition", parted)
+    out = tmp_path / "shards"
+    with dying_after(4), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    pack_figures(out, shard_samples=5)
+    manifest = read_manifest(out)
+    graph = "people-1: by the edge graph: an edge has three faces"
+    assert {shard.name: shard.notes for shard in manifest.shards if shard.notes} == {
+        "train-00000.tar": ("A-0: closed 2 holes", "A-1: closed 2 holes"),  # A-1 goes on in the next one
+        "train-00002.tar": (graph,),
+        "test-00000.tar": ("A-2: closed 2 holes",),
+    }
+    assert main(["inspect", str(out), "--json"]) == 0
+    listed = ["A-0: closed 2 holes", "A-1: closed 2 holes", graph, "A-2: closed 2 holes"]
+    assert json.loads(capsys.readouterr().out)["notes"] == listed
+    assert main(["verify", str(out)]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")] == [
+        f"note: {line}" for line in listed
+    ]
 
 
 def test_a_finished_shard_that_was_altered_is_made_again(tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
@@ -221,7 +258,7 @@ def test_meshes_are_taken_evenly_from_every_subset() -> None:
 
 def test_a_plan_counts_without_rendering() -> None:
     counts = plan(Packing("open", views=ViewGrid(count=6)))
-    assert counts["meshes"] == 71 + 583
+    assert counts["meshes"] == 71 + 825 + 850 + 583 == 2329
     assert counts["views"] == counts["meshes"] * 6 == counts["train"] + counts["test"]
     assert counts["subsets"]["A"] == {"meshes": 71, "views": 426, "train": 57 * 6, "test": 14 * 6}
     assert counts["subsets"]["people"] == {"meshes": 583, "views": 3498, "train": 467 * 6, "test": 116 * 6}
@@ -232,7 +269,7 @@ def test_a_plan_counts_without_rendering() -> None:
     [
         ({"meshes": 0}, "at least one mesh, found 0"),
         ({"shard_samples": 0}, "at least one sample, found 0"),
-        ({"renderer": "povray"}, "the renderer must be one of embree, opengl, found 'povray'"),
+        ({"renderer": "povray"}, "the renderer must be one of raster, embree, opengl, found 'povray'"),
         ({"codec": "jpg"}, "the codec must be one of bsi, png, found 'jpg'"),
     ],
 )
@@ -242,11 +279,11 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message
 
 
 def test_sources_say_what_they_need() -> None:
-    with pytest.raises(BadConfig, match="the source must be one of open, mit, found 'scape'"):
-        open_source("scape")
+    with pytest.raises(BadConfig, match="the source must be one of open, .*, found 'cinema'"):
+        open_source("cinema")
     with pytest.raises(BadConfig, match="'mit' needs --path"):
         open_source("mit")
-    with pytest.raises(BadConfig, match="'open' makes its bodies and reads no folder"):
+    with pytest.raises(BadConfig, match="'open' makes its bodies and reads no files"):
         open_source("open", Path())
 
 

@@ -19,6 +19,7 @@ from bodyseg_data.system_libraries import missing_library, require_libraries
 
 HERE = Path(__file__).parent
 OPEN_GL = "from bodyseg_data.rendering import open_renderer\nopen_renderer('opengl', ball())"
+OPEN_RASTER = "from bodyseg_data.rendering import open_renderer\nopen_renderer('raster', ball())"
 OPEN_EMBREE = "from bodyseg_data.rendering import open_renderer\nopen_renderer('embree', ball())"
 REPAIR = "from bodyseg_data.mesh_repair import repair\nrepair('ball', ball().vertices, ball().faces)"
 
@@ -117,7 +118,8 @@ def test_an_unreachable_display_points_to_egl() -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "package"), [(OPEN_GL, "pyrender"), (OPEN_EMBREE, "embreex"), (REPAIR, "pymeshlab")]
+    ("action", "package"),
+    [(OPEN_GL, "pyrender"), (OPEN_EMBREE, "embreex"), (OPEN_RASTER, "numba"), (REPAIR, "pymeshlab")],
 )
 def test_an_absent_package_is_named(action: str, package: str) -> None:
     answer = outcome(action, packages=(package, f"{package}.mesh_construction"))

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
-from shapes import ball
+from plain_views import take_whole_frames
+from shapes import ball, figure
 
-from bodyseg_data.bodies import BodyRef
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.bodies import BodyRef, open_source
 from bodyseg_data.borders import find_borders
 from bodyseg_data.codec import decode_sample, encode_sample
 from bodyseg_data.errors import BadSample, MissingLibrary
 from bodyseg_data.mesh import Mesh
-from bodyseg_data.partition import Partition
+from bodyseg_data.partition import Partition, partition
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.sampling import take_sample
+from bodyseg_data.rendering.sampling import Sampler
 from bodyseg_data.rig import Rig, load_rig
 from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.views import View
 
 REF = BodyRef("people", "P007", "ball-1", "standing", "test")
 RADIUS = 0.5
+RIG = load_rig()
 
 
 def halves(mesh: Mesh) -> Partition:
@@ -35,21 +42,26 @@ def halves(mesh: Mesh) -> Partition:
     return Partition(labels, np.ones(len(x)), borders)
 
 
+def one_part(mesh: Mesh) -> Partition:
+    labels, nowhere = np.zeros(len(mesh.vertices), np.uint8), np.full(len(mesh.vertices), np.inf)
+    return Partition(labels, nowhere, find_borders(mesh, labels, nowhere))
+
+
 def sample_of(renderer_name: str, view: View, rig: Rig | None = None) -> tuple[Sample, Rig]:
-    rig = load_rig() if rig is None else rig
+    rig = RIG if rig is None else rig
     mesh = ball(RADIUS, subdivisions=5)
     try:
         renderer = open_renderer(renderer_name, mesh)
     except MissingLibrary as missing:
         pytest.skip(str(missing))
     try:
-        taken = take_sample(renderer, rig, mesh, halves(mesh), "open", REF, view)
+        taken = Sampler(renderer, rig, mesh, halves(mesh), "open", REF).take(view)
     finally:
         renderer.close()
     return decode_sample(taken.key, encode_sample(taken)), rig
 
 
-@pytest.mark.parametrize("renderer", ["embree", "opengl"])
+@pytest.mark.parametrize("renderer", ["raster", "embree", "opengl"])
 @pytest.mark.parametrize("azimuth", [0, 90, 200, 350])
 def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: int) -> None:
     view = View(215, azimuth)
@@ -77,13 +89,81 @@ def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: i
     assert np.count_nonzero(towards[clear] < 0) > 500, "the ball's far side is turned away from the projector"
 
 
-def test_the_projectors_range_is_what_the_projector_sees() -> None:
-    sample, rig = sample_of("embree", View(255, 30))
-    _, projector = rig.placed(np.array([0.0, 0.9, 0.0]), View(255, 30))
-    pixel, away = projector.project(np.array([0.0, 0.9, 0.0]))
-    nearest = sample.projector_range[int(pixel[1]), int(pixel[0])] * RANGE_STEP_M
-    assert nearest == pytest.approx(away - RADIUS, abs=0.002)
+def test_the_projectors_range_is_what_the_projector_sees_where_it_can_shade() -> None:
+    """On a ball that is where its surface turns away from the light: the middle, seen squarely, can shade nothing."""
+    view = View(255, 30)
+    sample, rig = sample_of("embree", view)
     assert sample.projector_range.shape == (rig.projector.rows, rig.projector.columns)
+    centre = np.array([0.0, 0.9, 0.0])
+    _, projector = rig.placed(centre, view)
+    stored = sample.projector_range > 0
+    rays = rig.projector.pixel_rays()
+    to_centre, square = rays @ projector.to_local(centre), (rays**2).sum(axis=-1)
+    discriminant = to_centre**2 - square * ((projector.to_local(centre) ** 2).sum() - RADIUS**2)
+    sure = stored & (discriminant > 0.02)
+    z = (to_centre - np.sqrt(np.maximum(discriminant, 0))) / square
+    assert np.abs(sample.projector_range * RANGE_STEP_M - z)[sure].max() < 0.002
+    assert sure.sum() > 1000
+    pixel, _ = projector.project(centre)
+    assert not stored[int(pixel[1]) - 60 : int(pixel[1]) + 60, int(pixel[0]) - 60 : int(pixel[0]) + 60].any()
+
+
+def check_against_whole_frames(rig: Rig, mesh: Mesh, parts: Partition, view: View) -> tuple[int, int, int]:
+    """Texels stored, texels that see the body, and pixels put into shadow, once the sample equals the plain way's."""
+    sample = Sampler(open_renderer("embree", mesh), rig, mesh, parts, "open", REF).take(view)
+    camera_range, projector_range, labels, facing = take_whole_frames(rig, mesh, parts, view)
+    assert np.array_equal(sample.range, camera_range)
+    assert np.array_equal(sample.labels, labels)
+    assert np.array_equal(sample.faces_projector, facing)
+    stored = sample.projector_range > 0
+    assert np.array_equal(sample.projector_range[stored], projector_range[stored])
+    test = ShadowTest(rig)
+    expected = test.lit(camera_range, projector_range, facing)
+    assert np.array_equal(test.lit(sample.range, sample.projector_range, sample.faces_projector), expected)
+    by_nothing = test.lit(camera_range, np.zeros_like(projector_range), facing)
+    return int(stored.sum()), int((projector_range > 0).sum()), int((by_nothing & ~expected).sum())
+
+
+@pytest.mark.parametrize("distance", [150, 215, 295])
+@pytest.mark.parametrize("azimuth", [0, 60, 170, 290])
+def test_a_sample_is_that_of_whole_frames(distance: int, azimuth: int) -> None:
+    mesh = figure()
+    stored, seen, shaded = check_against_whole_frames(RIG, mesh, halves(mesh), View(distance, azimuth))
+    assert 50 < stored < 0.7 * seen
+    assert shaded > 100 or azimuth != 60, "the arm is between the light and the trunk"
+
+
+@pytest.mark.parametrize(
+    "projector",
+    [
+        {"centre_px": (60.0, 100.0)},
+        {"centre_px": (300.0, 610.0)},
+        {"rows": 97, "columns": 31},
+        {"position_m": (1.5, -0.8, 0.5)},
+        {"position_m": (0.3, 0.0, 2.4), "aims_at_m": (-1.0, 0.0, 2.5)},
+    ],
+)
+def test_a_sample_is_that_of_whole_frames_with_any_projector(projector: dict[str, Any]) -> None:
+    """Bodies that leave its frame on any side, grazing light, a projector beside the body."""
+    rig = replace(RIG, projector=replace(RIG.projector, **projector))
+    mesh = figure()
+    check_against_whole_frames(rig, mesh, halves(mesh), View(215, 10))
+
+
+@pytest.mark.parametrize("index", [0, 20, 400])
+def test_open_bodies_samples_are_those_of_whole_frames(index: int) -> None:
+    source = open_source("open")
+    body = source.build(source.bodies()[index])
+    parts = partition(body.mesh, body.landmarks)
+    for view in (View(215, 0), View(255, 60), View(295, 130)):
+        stored, seen, shaded = check_against_whole_frames(RIG, body.mesh, parts, view)
+        assert 0 < stored < 0.6 * seen and shaded > 0
+
+
+def test_a_real_frames_sample_is_that_of_whole_frames(mit_folder: Path) -> None:
+    source = open_source("mit", mit_folder)
+    body = source.build(source.bodies()[0])
+    check_against_whole_frames(RIG, body.mesh, partition(body.mesh, body.landmarks), View(215, 40))
 
 
 def test_a_sample_is_named_and_described_by_body_and_view() -> None:

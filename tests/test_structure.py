@@ -25,19 +25,33 @@ ORDER = [
     "views",
     "rig",
     "mesh",
+    "ply",
+    "mesh_files",
     "mesh_repair",
+    "mending",
     "landmarks",
+    "landmark_points",
+    "lnd",
+    "landmark_files",
+    "placing",
     "bodies",
+    "proposal_surface",
+    "proposal_body",
+    "proposal_fit",
+    "proposal",
     "borders",
+    "geodesics",
     "partition",
     "sample",
+    "artifacts",
     "rendering",
+    "mesh_reduction",
     "codec",
     "manifest",
     "shards",
     "packing_state",
     "packing",
-    "artifacts",
+    "engines",
     "variants",
     "streaming",
     "pictures",
@@ -50,7 +64,19 @@ ORDER = [
     "cli",
 ]
 
-HEAVY = ["OpenGL", "anny", "embreex", "numba", "pygeodesic", "pymeshlab", "pyrender", "scipy", "trimesh", "warp"]
+HEAVY = [
+    "OpenGL",
+    "anny",
+    "distributed",
+    "embreex",
+    "numba",
+    "pygeodesic",
+    "pymeshlab",
+    "pyrender",
+    "scipy",
+    "trimesh",
+    "warp",
+]
 
 
 def room(module: str) -> str:
@@ -110,6 +136,7 @@ def test_importing_the_package_is_light() -> None:
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
         "import bodyseg_data.bodies; bodyseg_data.bodies.open_source('open').bodies()",
         "import bodyseg_data.packing",
+        "import bodyseg_data.engines.cluster, bodyseg_data.engines.processes, bodyseg_data.commands.shard",
     ],
 )
 def test_streaming_and_planning_need_no_renderer(statement: str) -> None:

@@ -66,10 +66,15 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     inside = met_outwards >= 0
     inwards, met_inwards = first(used[inside], -1)
     back = (met_inwards >= 0) & (inwards < outwards[inside])
+    along = np.where(back, inwards, outwards[inside])
+    outside = used[~inside]
+    nearest, neighbour = cKDTree(mesh.vertices[outside]).query(mesh.vertices[used[inside]])
+    a_face = np.empty(len(mesh.vertices), np.int32)
+    a_face[mesh.faces.ravel()] = np.repeat(np.arange(len(mesh.faces), dtype=np.int32), 3)
+    met = np.where(back, met_inwards, met_outwards[inside])
     depths, faces = np.zeros(len(mesh.vertices)), np.full(len(mesh.vertices), -1, np.int32)
-    nearest = cKDTree(mesh.vertices[used[~inside]]).query(mesh.vertices[used[inside]])[0]
-    depths[used[inside]] = np.minimum(np.where(back, inwards, outwards[inside]), nearest)
-    faces[used[inside]] = np.where(back, met_inwards, met_outwards[inside])
+    depths[used[inside]] = np.minimum(along, nearest)
+    faces[used[inside]] = np.where(along < nearest, met, a_face[outside[neighbour]])
     return depths, faces
 
 

@@ -23,7 +23,7 @@ from bodyseg_data.codec import image_codec
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.partition import Partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.sampling import surface_points, take_sample
+from bodyseg_data.rendering.sampling import Sampler, surface_points
 from bodyseg_data.rig import Rig, load_rig
 from bodyseg_data.sample import steps
 from bodyseg_data.views import View, ViewGrid
@@ -107,12 +107,12 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
 
 
 def exact_view(rig: Rig, renderer: EmbreeRenderer, body: Body, ref: BodyRef, view: View) -> ExactView:
-    """One view as `take_sample` stores it, at all projector scales, and the answer of exact shadow rays."""
+    """One view as shards store it, whole projector images at all scales, and the answer of exact shadow rays."""
     mesh = body.mesh
     nowhere = np.full(len(mesh.vertices), np.inf)
     labels = np.zeros(len(mesh.vertices), np.uint8)
     one_part = Partition(labels, nowhere, find_borders(mesh, labels, nowhere))  # parts do not matter here
-    sample = take_sample(renderer, rig, mesh, one_part, "open", ref, view)
+    sample = Sampler(renderer, rig, mesh, one_part, "open", ref).take(view)
     camera, projector = rig.placed(mesh.centre, view)
     seen = renderer.see(camera)
     rows, columns = np.nonzero(seen.face >= 0)
@@ -128,8 +128,8 @@ def exact_view(rig: Rig, renderer: EmbreeRenderer, body: Body, ref: BodyRef, vie
         whole[rows, columns] = values
         return whole
 
-    projector_range = {1: sample.projector_range}
-    for scale in _SCALES[1:]:
+    projector_range = {}
+    for scale in _SCALES:
         _, finer = rig.with_projector_scale(scale).placed(mesh.centre, view)
         projector_range[scale] = steps(renderer.see(finer).range, sample.key)
     lit = renderer.lit(points, projector.position) & inside

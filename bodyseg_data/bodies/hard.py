@@ -116,7 +116,7 @@ _POSES: Final[dict[str, Pose]] = {
     ),
     # Kneeling and on all fours.
     "kneeling": _even(Trunk(), Arm(elbow=22, flex=8), Leg(4, 4, 0, 92, planted=0, ankle=38)),
-    "sitting_on_heels": _even(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(58, 4, 0, 145, planted=0, ankle=48)),
+    "sitting_on_heels": _even(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(49, 4, 0, 136, planted=0, ankle=48)),
     "half_kneeling": Pose(
         Trunk(lean=10, bend=12),
         Arm(flex=48, abduct=12, twist=-20, elbow=56),

@@ -35,7 +35,7 @@ _HAND: Final = np.array([0.0425, -0.0539, 0.0736])
 _WRIST_M: Final = 0.068
 """How high her wrists are above the floor when the hands lie on it."""
 
-_SOLES: Final = (Sole(0.16, 0, 20), Sole(-0.16, 0, -20))
+_SOLES: Final = (Sole(0.18, 0, 28), Sole(-0.18, 0, -28))
 _END: Final = 7.2
 
 _HANGING: Final = Arm(flex=4)
@@ -60,8 +60,8 @@ _UPWARDS: Final = (
     (0.95, _posed(4, 2, 0, _AHEAD, Leg(8, knee=10), Leg(8, knee=10))),
     (1.6, _ON_FLOOR),
     (1.75, _ON_FLOOR),
-    (2.0, _posed(98, 45, -20, replace(_UP, flex=154), _free(52, 0, 68), _free(108, 0, 60))),
-    (2.26, _posed(114, 32, -22, replace(_UP, flex=158), _free(-14, 0, 14), _free(112, 0, 50))),
+    (2.0, _posed(98, 45, -20, replace(_UP, flex=154), _free(52, 0, 68), _free(104, 14, 60))),
+    (2.26, _posed(114, 32, -22, replace(_UP, flex=158), _free(-14, 0, 14), _free(108, 14, 50))),
     (2.66, _posed(154, 6, -26, _UP, _free(-22, 0, 8), _free(84, 2, 40))),
     (3.02, _posed(178, -4, -28, _UP, _free(-6, 0, 4), _free(16, 2, 20))),
     (3.25, _posed(180, -5, -26, _UP, _free(0, -2, 3), _free(4, -2, 6))),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.commands.inspect import contact_sheet
+from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.engines import PROCESSES
 from bodyseg_data.errors import BadConfig
@@ -46,7 +47,8 @@ def run(options: Options) -> int:
     _say(f"1/3 packing {options.meshes} bodies x {options.views} views into {shards}")
     _say("    (the very first time, the body model unpacks its data: about a minute more)")
     start = time.monotonic()
-    manifest = pack_on(PROCESSES, workers, packing, shards, "    packing")
+    with Progress("    packing", "views") as progress:
+        manifest = pack_on(PROCESSES, workers, packing, shards, progress)
     packed = time.monotonic() - start
     _say(f"    {manifest.samples()} samples in {packed:.1f} s")
     _say("2/3 streaming the five variants from those shards, two passes each")

@@ -121,4 +121,5 @@ def summarise(images: RangeImages) -> dict[str, Any]:
             part.landmark: round(int(count) / max(int(pixels.sum()), 1), 4)
             for part, count in zip(PARTS, pixels, strict=True)
         },
+        "notes": manifest.notes(),
     }

@@ -1,45 +1,148 @@
-"""`bodyseg landmarks`: draw the 33 parts of a source's body from four sides, to look at before packing."""
+"""`bodyseg landmarks`: draw the 33 parts of a body from four sides, or propose the landmarks of one that has none."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
-from bodyseg_data.bodies import SourceName, open_source
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies import BodyRef, BodySource, SourceName, open_source
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.files import write_atomically
+from bodyseg_data.mesh import Mesh
+from bodyseg_data.mesh_files import read_mesh
 from bodyseg_data.options import option
 from bodyseg_data.partition import partition
+from bodyseg_data.parts import LANDMARKS, PARTS
 from bodyseg_data.pictures import check_picture, save_picture
-from bodyseg_data.portrait import draw_portraits
+from bodyseg_data.placing import Units, UpAxis, metres_a_unit
+from bodyseg_data.portrait import Sitter, draw_portraits
 
-EXAMPLE = "bodyseg landmarks --source open --out landmarks.png"
+if TYPE_CHECKING:
+    from bodyseg_data.proposal import Proposal
+
+EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
+
+_DOUBTFUL_M: Final = 0.03
+_UP: Final = {sign + "xyz"[axis]: (1 if not sign else -1) * np.eye(3)[axis] for sign in ("", "-") for axis in range(3)}
 
 
 @dataclass(frozen=True)
 class Options:
     """What the command takes."""
 
-    source: SourceName = option("where bodies come from")
     out: Path = option("write the picture to this PNG file")
+    source: SourceName | None = option("where bodies come from", None)
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
+    landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
+    mesh: Path | None = option("a mesh file to propose landmarks for, instead of a source", None)
+    propose: Path | None = option("lay the open body over the mesh and write its landmarks to this JSON file", None)
+    units: Units = option("what the mesh files are in", "auto")
+    up: UpAxis = option("their axis that points up; a negative one as --up=-y", "auto")
     meshes: tuple[str, ...] = option("names of the meshes to draw (default: the source's first)", ())
     height: int = option("height of a body in the picture, pixels", 600)
 
 
 def run(options: Options) -> int:
-    """Draw and write the picture."""
+    """Draw and write the picture; propose landmarks before if asked to."""
     check_picture(options.out)
-    source = open_source(options.source, options.path)
-    bodies = {body.mesh: body for body in source.bodies()}
-    names = options.meshes or (next(iter(bodies)),)
-    portraits = []
-    for name in names:
-        if name not in bodies:
-            raise BadConfig(f"the source {source.name} has no mesh {name!r}; the first is {next(iter(bodies))!r}")
-        built = source.build(bodies[name])
-        parts = partition(built.mesh, built.landmarks)
-        portraits.append((f"{bodies[name].subject}, {bodies[name].pose}", built.mesh, parts, built.landmarks))
-    save_picture(draw_portraits(portraits, [options.height] * len(portraits)), options.out)
+    if (options.mesh is None) == (options.source is None):
+        raise BadConfig("give either --source or --mesh")
+    if options.mesh is not None and (options.path, options.landmarks, options.meshes) != (None, None, ()):
+        raise BadConfig("--path, --landmarks and --meshes belong to --source, not to --mesh")
+    if options.mesh is not None and options.propose is None:
+        raise BadConfig("--mesh needs --propose; a mesh that has landmarks is drawn by --source folder")
+    sitters = _listed(options) if options.propose is None else [_proposed(options, options.propose)]
+    save_picture(draw_portraits(sitters, [options.height] * len(sitters)), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0
+
+
+def _listed(options: Options) -> list[Sitter]:
+    """The bodies of a source with their own landmarks."""
+    source, bodies = _bodies(options)
+    sitters = []
+    for body in bodies:
+        built = source.build(body)
+        parts = partition(built.mesh, built.landmarks)
+        sitters.append((f"{body.subject}, {body.pose}", built.mesh, parts, built.landmarks))
+    return sitters
+
+
+def _bodies(options: Options) -> tuple[BodySource, list[BodyRef]]:
+    source = open_source(str(options.source), options.path, options.landmarks, options.units, options.up)
+    bodies = {body.mesh: body for body in source.bodies()}
+    first = next(iter(bodies))
+    for name in options.meshes:
+        if name not in bodies:
+            raise BadConfig(f"the source {source.name} has no mesh {name!r}; the first is {first!r}")
+    return source, [bodies[name] for name in options.meshes or (first,)]
+
+
+def _proposed(options: Options, out: Path) -> Sitter:
+    """Propose, write and list the landmarks of one mesh."""
+    if out.suffix != ".json":
+        raise BadConfig(f"--propose must be a .json file, found {out}")
+    for file in (out, options.out):  # now rather than after the work
+        if not file.parent.is_dir():
+            raise BadConfig(f"cannot write {file}: no such folder")
+    mesh, title = _to_propose(options)
+    from bodyseg_data.proposal import propose
+
+    sys.stderr.write(f"laying the open body over {title}: half a minute\n")
+    upward = [_UP[options.up]] if options.up != "auto" else list(_UP.values())
+    proposal = propose(mesh, [_upright(axis).T for axis in upward])
+    write_atomically(out, proposal.landmarks.to_json().encode())
+    sys.stdout.write(_table(proposal))
+    sys.stderr.write(f"wrote {out}: compare it with the picture before using it\n")
+    vertices = proposal.landmarks.for_mesh(mesh)
+    facing = _facing_front(mesh, vertices, upward)
+    return f"{title}, proposed", facing, partition(facing, vertices), vertices
+
+
+def _to_propose(options: Options) -> tuple[Mesh, str]:
+    """The mesh in metres and in the axes of its file, and its name. Sources need no landmarks for it."""
+    if options.mesh is not None:
+        return _read(options.mesh, options), options.mesh.name
+    source, bodies = _bodies(options)
+    if len(bodies) != 1:
+        raise BadConfig(f"--propose takes one mesh at a time, found {len(bodies)} in --meshes")
+    from bodyseg_data.bodies.mesh_bodies import MeshBodies
+
+    if isinstance(source, MeshBodies):
+        return _read(source.path_of(bodies[0]), options), bodies[0].mesh
+    return source.build(bodies[0]).mesh, bodies[0].mesh
+
+
+def _read(path: Path, options: Options) -> Mesh:
+    vertices, faces = read_mesh(path)
+    return Mesh(path.name, vertices * metres_a_unit(vertices[np.unique(faces)], options.units, str(path)), faces)
+
+
+def _upright(up: NDArray[np.float64], left: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    """The rotation [3, 3] that takes `up` to y and, as far as it can, `left` to x; without it some axis to x."""
+    leftward = np.roll(up, 1) if left is None else left - up * (left @ up)
+    leftward = leftward / np.linalg.norm(leftward)
+    return np.stack([leftward, up, np.cross(leftward, up)])
+
+
+def _facing_front(mesh: Mesh, vertices: NDArray[np.int64], upward: list[NDArray[np.float64]]) -> Mesh:
+    """The mesh turned upright, whichever of `upward` the trunk points along most, and to the front by its shoulders."""
+    place = dict(zip(LANDMARKS, mesh.vertices[vertices], strict=True))
+    trunk = place["Cervicale"] - (place["Rt. PSIS"] + place["Lt. PSIS"]) / 2
+    up = max(upward, key=lambda axis: float(axis @ trunk))
+    rotation = _upright(up, place["Lt. Acromion"] - place["Rt. Acromion"])
+    return Mesh(mesh.name, mesh.vertices @ rotation.T, mesh.faces)
+
+
+def _table(proposal: Proposal) -> str:
+    """Every landmark and how far from the surface the open body has it."""
+    lines = ["     landmark                      from the open body, cm"]
+    for part, distance in zip(PARTS, proposal.distance_m, strict=True):
+        mark = "   look closely" if distance > _DOUBTFUL_M else ""
+        lines.append(f"{part.label:4d} {part.landmark:29s} {100 * distance:6.1f}{mark}")
+    return "\n".join([*lines, ""])

@@ -13,10 +13,11 @@ _SECONDS_BETWEEN_LINES: Final = 10.0
 
 
 class Progress:
-    """Shows how much of a known amount is done, on standard error."""
+    """Shows how much of a known amount is done, on standard error. before: how much was done at the first update."""
 
     def __init__(self, title: str, unit: str) -> None:
-        self._title, self._unit = title, unit
+        self.title, self._unit = title, unit
+        self.before: int | None = None
         self._bar: tqdm[None] | None = None
         self._start = time.monotonic()
         self._last = float("-inf")
@@ -26,16 +27,17 @@ class Progress:
 
     def update(self, done: int, total: int) -> None:
         """Show that `done` of `total` are done."""
+        self.before = done if self.before is None else self.before
         if sys.stderr.isatty():
             if self._bar is None:
                 # What an earlier run finished is no measure of this one's speed.
-                self._bar = tqdm(total=total, initial=done, desc=self._title, unit=f" {self._unit}", file=sys.stderr)
+                self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
             self._bar.update(done - self._bar.n)
             return
         now = time.monotonic()
         if done == total or now - self._last >= _SECONDS_BETWEEN_LINES:
             self._last = now
-            sys.stderr.write(f"{self._title}: {done} of {total} {self._unit}, {now - self._start:.0f} s\n")
+            sys.stderr.write(f"{self.title}: {done} of {total} {self._unit}, {now - self._start:.0f} s\n")
             sys.stderr.flush()
 
     def __exit__(

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import signal
+import resource
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.bodies import SourceName
+from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.codec import CodecName
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.engines import PROCESSES, check_engine, open_engine
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.files import write_atomically
+from bodyseg_data.geodesics import Geodesics
 from bodyseg_data.machine import processors
 from bodyseg_data.manifest import Manifest
 from bodyseg_data.options import option
 from bodyseg_data.packing import Packing, pack, plan
+from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.rig import load_rig
+from bodyseg_data.splits import SPLITS
 from bodyseg_data.views import ViewGrid
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
@@ -36,6 +37,9 @@ class Options:
 
     source: SourceName = option("where bodies come from")
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
+    landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
+    units: Units = option("what the mesh files are in", Packing.units)
+    up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
     meshes: int | None = option("how many bodies, evenly from every subset (default: all)", None)
     views: int | None = option("how many views of each body (default: all, distances x azimuths)", None)
@@ -43,10 +47,16 @@ class Options:
     azimuths: int = option("how many directions round the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
     rig: str = option("a rig that ships with the package, or a .toml file", "paper")
+    geodesics: Geodesics = option("how distances along the surface are measured", Packing.geodesics)
+    tolerance_mm: float | None = option(
+        "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
+    )
     renderer: RendererName = option("what draws", Packing.renderer)
     codec: CodecName = option("how images are stored", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
-    workers: int | None = option("processes that render (default: one a processor)", None)
+    engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
+    workers: int | None = option("how many render (default: one a processor, or all that the cluster has)", None)
+    report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
     def packing(self) -> Packing:
@@ -54,10 +64,15 @@ class Options:
         views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views)
         return Packing(
             source=self.source,
-            path=self.path,
+            path=None if self.path is None else self.path.absolute(),  # workers may be at home elsewhere
+            landmarks=None if self.landmarks is None else self.landmarks.absolute(),
+            units=self.units,
+            up=self.up,
             meshes=self.meshes,
             views=views,
             rig=load_rig(self.rig),
+            geodesics=self.geodesics,
+            tolerance_mm=self.tolerance_mm,
             renderer=self.renderer,
             codec=self.codec,
             shard_samples=self.shard_samples,
@@ -66,14 +81,21 @@ class Options:
 
 def run(options: Options) -> int:
     """Pack, or print the plan."""
+    check_engine(options.engine)
     packing = options.packing()
     if options.plan:
+        _warn_of_missing(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
-    workers = processors() if options.workers is None else options.workers
-    manifest = pack_in_processes(packing, options.out, workers, "packing")
+    _warn_of_missing(packing)
+    start = time.perf_counter()
+    with Progress("packing", "views") as progress:
+        manifest = pack_on(options.engine, options.workers, packing, options.out, progress)
+    if options.report is not None:
+        made = manifest.samples() - (progress.before or 0)
+        _write_report(options.report, options, manifest, made, time.perf_counter() - start)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
@@ -82,67 +104,44 @@ def run(options: Options) -> int:
     return 0
 
 
-def pack_in_processes(packing: Packing, out: Path, workers: int, title: str) -> Manifest:
-    """Pack with `workers` processes on this machine, showing progress."""
-    if workers < 1:
-        raise BadConfig(f"packing needs at least one worker, found {workers}")
-    # One thread of linear algebra a worker: with one worker a processor, more only get in each other's way.
-    for library in ("OPENBLAS", "OMP", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
-    context = multiprocessing.get_context("spawn")
-    executor = _Workers(workers, mp_context=context, initializer=_end_with_parent)
+def _write_report(path: Path, options: Options, manifest: Manifest, made: int, seconds: float) -> None:
+    """What it took to make `made` of the samples; the others were there. Memory is known of local workers only."""
+    here, workers = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    size = sum(shard.size for shard in manifest.shards)
+    figures = {
+        "samples": manifest.samples(),
+        "splits": {split: manifest.samples(split) for split in SPLITS},
+        "shards": len(manifest.shards),
+        "bytes": size,
+        "bytes_per_sample": round(size / manifest.samples()),
+        "seconds": round(seconds, 1),
+        "samples_made": made,
+        "samples_per_second": round(made / seconds, 1),
+        "workers": options.workers or (processors() if options.engine == PROCESSES else None),
+        "peak_mb": {"writer": here // 1024, "largest_worker": workers // 1024 if options.engine == PROCESSES else None},
+        "notes": sum(len(shard.notes) for shard in manifest.shards),
+    }
+    command = f"tools/shard --source {options.source} --out DIR --report {path}"
     try:
-        with Progress(title, "views") as progress:
-            return pack(packing, out, executor, workers, progress.update)
-    except BaseException:
-        # Nothing of what the workers are at will be used: the user need not wait for it.
-        for worker in multiprocessing.active_children():
-            worker.kill()
-        raise
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+        write_atomically(path, (json.dumps(provenance(command) | figures, indent=1) + "\n").encode())
+    except OSError as error:
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
-class _Workers(ProcessPoolExecutor):
-    """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
-        # came between starting one and telling it what it is would leave it behind, with a traceback of its own.
-        with _signals_held():
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            try:
-                return super().submit(fn, *args, **kwargs)
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _warn_of_missing(packing: Packing) -> None:
+    missing = packing.opened().missing()
+    if missing:
+        runs = collapsed(missing)
+        more = f", and {len(runs) - 3} more such (--plan lists all)" if len(runs) > 3 else ""
+        sys.stderr.write(
+            f"bodyseg shard: warning: the source {packing.source} is not complete, {len(missing)} missing: "
+            f"{', '.join(runs[:3])}{more}\n"
+        )
 
 
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Put off what SIGINT and SIGTERM do until the context ends."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, action in before.items():
-            signal.signal(number, action)
-        for late in came:
-            signal.raise_signal(late)
-
-
-def _end_with_parent() -> None:
-    """Make a worker end when the process that started it is gone, however it went."""
-    parent = multiprocessing.parent_process()
-
-    def wait() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
+def pack_on(engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress) -> Manifest:
+    """Pack on an engine, showing progress; see `open_engine` and `pack`."""
+    with open_engine(engine, workers, packing) as on:
+        if on.note is not None:
+            sys.stderr.write(f"{progress.title}: {on.note}\n")
+        return pack(packing, out, on.executor, on.workers, progress.update)

@@ -44,6 +44,8 @@ def run(options: Options) -> int:
     for stray in sorted(path.name for path in options.folder.glob("*.tar") if path.name not in listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
+    for note in manifest.notes():
+        sys.stdout.write(f"note: {note}\n")
     if faults:
         return 1
     size = sum(shard.size for shard in manifest.shards)

@@ -16,7 +16,7 @@ from bodyseg_data.errors import BadConfig
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.rig import PlacedCamera
 
-RendererName = Literal["embree", "opengl"]
+RendererName = Literal["raster", "embree", "opengl"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,12 @@ class Renderer(Protocol):
     def see(self, camera: PlacedCamera) -> Surface:
         """What `camera` sees of the mesh. The camera must stand outside the body."""
 
+    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        """The range that `see` gives at some pixels only, float32 [N], metres.
+
+        pixels: [N], row * columns + column, ascending.
+        """
+
     def close(self) -> None:
         """Give back whatever the renderer holds. Safe to call twice."""
 
@@ -54,6 +60,10 @@ def open_renderer(name: str, mesh: Mesh) -> Renderer:
         from bodyseg_data.rendering.opengl import OpenGLRenderer
 
         return OpenGLRenderer(mesh)
-    from bodyseg_data.rendering.embree import EmbreeRenderer
+    if name == "embree":
+        from bodyseg_data.rendering.embree import EmbreeRenderer
 
-    return EmbreeRenderer(mesh)
+        return EmbreeRenderer(mesh)
+    from bodyseg_data.rendering.raster import RasterRenderer
+
+    return RasterRenderer(mesh)

@@ -1,6 +1,8 @@
-"""Ray casting with Intel's Embree: the default renderer; needs nothing from the system."""
+"""Ray casting with Intel's Embree; needs nothing from the system. Casts shadow rays, too."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +10,7 @@ from numpy.typing import NDArray
 from bodyseg_data.errors import MissingLibrary
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.rendering import Surface
+from bodyseg_data.rendering.outline import Outline
 from bodyseg_data.rig import PlacedCamera
 
 try:
@@ -18,32 +21,39 @@ except ImportError as error:
         f"the embree renderer needs the package 'embreex': pip install 'bodyseg[render]' ({error})"
     ) from error
 
-_NEAR_PLANE_M = 1e-3
+_NOTHING = np.float32(1e37)  # how far Embree's binding says a ray went that met nothing
 
 
 class EmbreeRenderer:
-    """One mesh in an Embree tree, built once and asked for any number of cameras."""
+    """One mesh in an Embree tree, built once and asked for any number of cameras.
 
-    def __init__(self, mesh: Mesh) -> None:
+    covered: the pixels of a camera through which rays are cast, bool [H, W] (default: those of the mesh's `Outline`).
+    """
+
+    def __init__(self, mesh: Mesh, covered: Callable[[PlacedCamera], NDArray[np.bool_]] | None = None) -> None:
         # Single-precision rays are accurate to about 0.3 um at 2.5 m when coordinates are small, so the tree is built
         # around the body's centre. "Robust" traversal never lets a ray slip between two triangles.
         self._origin = mesh.centre
         self._scene = EmbreeScene(robust=True)
         TriangleMesh(self._scene, (mesh.vertices - self._origin).astype(np.float32), mesh.faces)
-        self._used = mesh.surface_vertices
+        self._covered = Outline(mesh).covered if covered is None else covered
 
     def see(self, camera: PlacedCamera) -> Surface:
-        rows, columns = camera.camera.rows, camera.camera.columns
-        depth = np.zeros((rows, columns), np.float32)
-        face = np.full((rows, columns), -1, np.int32)
-        window = self._window(camera)
-        ways = _ways(camera, window)
-        if ways.size:
-            hits = self._cast(camera, ways.reshape(-1, 3))
-            seen = hits["primID"].reshape(ways.shape[:2])
-            face[window] = seen
-            depth[window] = np.where(seen >= 0, hits["tfar"].reshape(ways.shape[:2]), np.float32(0))
+        shape = camera.camera.rows, camera.camera.columns
+        depth, face = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+        pixels = np.flatnonzero(self._covered(camera))
+        if len(pixels):
+            hits = self._scene.run(*self._rays(camera, pixels), output=True)
+            face.ravel()[pixels] = hits["primID"]
+            depth.ravel()[pixels] = np.where(hits["primID"] >= 0, hits["tfar"], np.float32(0))
         return Surface(depth, face)
+
+    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        if not len(pixels):
+            return np.zeros(0, np.float32)
+        away: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
+        away[away >= _NOTHING] = 0
+        return away
 
     def lit(self, points: NDArray[np.float64], source: NDArray[np.float64], gap_m: float = 1e-4) -> NDArray[np.bool_]:
         """Exact shadow rays: which of `points` [N, 3] a light at `source` [3] reaches, bool [N].
@@ -65,34 +75,20 @@ class EmbreeRenderer:
     def close(self) -> None:
         """Nothing is held outside Python's own memory."""
 
-    def _cast(self, camera: PlacedCamera, ways: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        origins = np.broadcast_to((camera.position - self._origin).astype(np.float32), ways.shape)
-        hits: dict[str, NDArray[np.float32]] = self._scene.run(np.ascontiguousarray(origins), ways, output=True)
-        return hits
+    def _rays(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Origins and directions of the rays through the centres of pixels, float32 [N, 3] each, body frame.
 
-    def _window(self, camera: PlacedCamera) -> tuple[slice, slice]:
-        """Rows and columns outside which no ray can meet the body: rays are cast only where the body can be."""
-        everything = (slice(0, camera.camera.rows), slice(0, camera.camera.columns))
-        if (camera.to_local(self._used)[:, 2] < _NEAR_PLANE_M).any():
-            return everything  # a body beside or behind the camera has no bounded outline
-        pixels, _ = camera.project(self._used)
-        low = np.floor(pixels.min(axis=0)).astype(int) - 1
-        high = np.ceil(pixels.max(axis=0)).astype(int) + 1
-        return (
-            slice(int(np.clip(low[1], 0, camera.camera.rows)), int(np.clip(high[1], 0, camera.camera.rows))),
-            slice(int(np.clip(low[0], 0, camera.camera.columns)), int(np.clip(high[0], 0, camera.camera.columns))),
-        )
-
-
-def _ways(camera: PlacedCamera, window: tuple[slice, slice]) -> NDArray[np.float32]:
-    """Directions through the pixel centres of a window, float32 [h, w, 3], body frame.
-
-    They are `Camera.pixel_rays`, turned; z = 1 in the camera's frame, so Embree's ray parameter is the range itself.
-    Written out, because a matrix product this tall is spread over all cores, where workers then wait for each other.
-    """
-    device, (rows, columns) = camera.camera, window
-    y = (np.arange(rows.start, rows.stop) + 0.5 - device.centre_px[1]) / device.focal_px
-    x = (np.arange(columns.start, columns.stop) + 0.5 - device.centre_px[0]) / device.focal_px
-    right, down, forward = camera.axes
-    ways: NDArray[np.float64] = (y[:, None] * down + forward)[:, None] + (x[:, None] * right)[None]
-    return ways.astype(np.float32)
+        Directions are `Camera.pixel_rays`, turned; z = 1 in the camera's frame, so Embree's ray parameter is the range
+        itself. A turned ray is a part that depends on its row plus one that depends on its column. All origins are one:
+        nothing is copied.
+        """
+        device = camera.camera
+        y = (np.arange(device.rows) + 0.5 - device.centre_px[1]) / device.focal_px
+        x = (np.arange(device.columns) + 0.5 - device.centre_px[0]) / device.focal_px
+        right, down, forward = camera.axes
+        rows, columns = np.divmod(pixels, device.columns)
+        ways = np.empty((3, len(pixels)), np.float32)
+        for axis in range(3):
+            ways[axis] = (y * down[axis] + forward[axis]).take(rows) + (x * right[axis]).take(columns)
+        origin = (camera.position - self._origin).astype(np.float32)
+        return np.broadcast_to(origin, (len(pixels), 3)), ways.T

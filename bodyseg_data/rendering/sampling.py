@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,9 +13,13 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.partition import Partition
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rendering import Renderer, Surface
+from bodyseg_data.rendering.shading import shading_range, shadow_test
 from bodyseg_data.rig import PlacedCamera, Rig
 from bodyseg_data.sample import Sample, SampleInfo, steps
 from bodyseg_data.views import View
+
+_SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
+_SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
 
 
 def sample_key(source: str, body: BodyRef, view: View) -> str:
@@ -20,26 +27,80 @@ def sample_key(source: str, body: BodyRef, view: View) -> str:
     return f"{source}-{body.subject}-{body.mesh}-{view.name}"
 
 
-def take_sample(
-    renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef, view: View
-) -> Sample:
-    """Render one view of `mesh`, divided into `parts`, with `rig`. Raises BadSample."""
-    key = sample_key(source, body, view)
-    camera, projector = rig.placed(mesh.centre, view)
-    seen = renderer.see(camera)
-    rows, columns = np.nonzero(seen.face >= 0)
-    faces = seen.face[rows, columns]
-    points = surface_points(seen, camera, rows, columns)
-    label_image = np.full(seen.face.shape, BACKGROUND, np.uint8)
-    label_image[rows, columns] = parts.labels_at(mesh, faces, points)
-    facing = np.zeros(seen.face.shape, np.bool_)
-    facing[rows, columns] = faces_towards(mesh, faces, points, projector.position)
-    info = SampleInfo(
-        source, body.subset, body.subject, body.mesh, body.pose, view.distance_cm, view.azimuth_deg, body.split
-    )
-    sample = Sample(key, steps(seen.range, key), steps(renderer.see(projector).range, key), label_image, facing, info)
-    sample.check()
-    return sample
+class Sampler:
+    """Takes samples of one body with one rig; what does not depend on the view is worked out once."""
+
+    def __init__(self, renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef) -> None:
+        self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
+        self._source, self._body = source, body
+        self._test = shadow_test(rig)
+        corners = parts.labels[mesh.faces]
+        whole = (corners == corners[:, :1]).all(axis=1)
+        self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
+        self._normals, self._offsets = (
+            mesh.normals,
+            np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces[:, 0]]),
+        )
+        self._sure = _SURE_M * np.linalg.norm(mesh.normals, axis=1)
+
+    def take(self, view: View) -> Sample:
+        """Render one view and label it. Raises BadSample."""
+        body, key = self._body, sample_key(self._source, self._body, view)
+        camera, projector = self._rig.placed(self._mesh.centre, view)
+        seen = self._renderer.see(camera)
+        pixels = np.flatnonzero(seen.face >= 0)
+        faces = seen.face.take(pixels)
+        points = _Points(seen, camera, pixels)
+
+        range_image = np.zeros(seen.face.shape, np.uint16)
+        range_image.ravel()[pixels] = steps(seen.range.take(pixels), key)
+        labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[pixels] = self._labels(faces, points)
+        facing = np.zeros(seen.face.shape, np.bool_)
+        facing.ravel()[pixels] = self._facing(faces, points, projector.position)
+        shading = shading_range(
+            self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), key)
+        )
+        info = SampleInfo(
+            self._source,
+            body.subset,
+            body.subject,
+            body.mesh,
+            body.pose,
+            view.distance_cm,
+            view.azimuth_deg,
+            body.split,
+        )
+        sample = Sample(key, range_image, shading, labels, facing, info)
+        sample.check()
+        return sample
+
+    def _labels(self, faces: NDArray[np.int32], points: _Points) -> NDArray[np.uint8]:
+        labels: NDArray[np.uint8] = self._part_of_face.take(faces)
+        shared = np.flatnonzero(labels == _SHARED)
+        labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points.take(shared))
+        return labels
+
+    def _facing(self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """`faces_towards`, asked a triangle at a time wherever rounding of its points cannot change the answer."""
+        towards = self._normals @ source - self._offsets
+        answer: NDArray[np.bool_] = (towards > 0).take(faces)
+        unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
+        answer[unsure] = faces_towards(self._mesh, faces[unsure], points.take(unsure), source)
+        return answer
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points that pixels see, worked out when asked for: few are."""
+
+    seen: Surface
+    camera: PlacedCamera
+    pixels: NDArray[np.intp]
+
+    def take(self, chosen: NDArray[np.intp]) -> NDArray[np.float64]:
+        rows, columns = np.divmod(self.pixels[chosen], self.camera.camera.columns)
+        return surface_points(self.seen, self.camera, rows, columns)
 
 
 def surface_points(
