@@ -105,8 +105,10 @@ def run(options: Options) -> int:
 
 
 def _write_report(path: Path, options: Options, manifest: Manifest, made: int, seconds: float) -> None:
-    """What it took to make `made` of the samples; the others were there. Memory is known of local workers only."""
-    here, workers = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    """What it took to make `made` of the samples; the others were there. Processor time and memory are known of local
+    workers only."""
+    here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    local = options.engine == PROCESSES
     size = sum(shard.size for shard in manifest.shards)
     figures = {
         "samples": manifest.samples(),
@@ -117,8 +119,12 @@ def _write_report(path: Path, options: Options, manifest: Manifest, made: int, s
         "seconds": round(seconds, 1),
         "samples_made": made,
         "samples_per_second": round(made / seconds, 1),
-        "workers": options.workers or (processors() if options.engine == PROCESSES else None),
-        "peak_mb": {"writer": here // 1024, "largest_worker": workers // 1024 if options.engine == PROCESSES else None},
+        "workers": options.workers or (processors() if local else None),
+        "processor_seconds": {
+            "writer": round(here.ru_utime + here.ru_stime, 1),
+            "workers": round(workers.ru_utime + workers.ru_stime, 1) if local else None,
+        },
+        "peak_mb": {"writer": here.ru_maxrss // 1024, "largest_worker": workers.ru_maxrss // 1024 if local else None},
         "notes": sum(len(shard.notes) for shard in manifest.shards),
     }
     command = f"tools/shard --source {options.source} --out DIR --report {path}"
