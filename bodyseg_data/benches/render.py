@@ -82,10 +82,11 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
                 tick()
     errors = None if missing else _errors(packing, few, _spread(grid, 9))
     progress(total, total)
-    per_second = {name: round(statistics.median(values), 2) if values else None for name, values in rates.items()}
+    middle = {name: statistics.median(values) if values else None for name, values in rates.items()}
+    times = middle["ours"] / middle["plain"] if middle["ours"] and middle["plain"] else None
     return {
-        "views_per_second": per_second,
-        "times_faster": None if missing else round(statistics.median(map(_quotient, rates["ours"], rates["plain"])), 2),
+        "views_per_second": {name: None if value is None else round(value, 2) for name, value in middle.items()},
+        "times_faster": None if times is None else round(times, 2),
         "range_error_mm": None if errors is None else errors["ours"]["range_mm"],
         "silhouette_error": None if errors is None else errors["ours"]["silhouette"],
         "plain_errors": None if errors is None else errors["plain"],
@@ -201,7 +202,3 @@ def _spread(things: Sequence[Any], count: int) -> list[Any]:
     """`count` of `things`, evenly; all if there are fewer."""
     count = min(count, len(things))
     return [things[(2 * number + 1) * len(things) // (2 * count)] for number in range(count)]
-
-
-def _quotient(a: float, b: float) -> float:
-    return a / b

@@ -106,7 +106,8 @@ def run(options: Options) -> int:
 
 def _write_report(path: Path, options: Options, manifest: Manifest, made: int, seconds: float) -> None:
     """What it took to make `made` of the samples; the others were there. Processor time and memory are known of local
-    workers only."""
+    workers only.
+    """
     here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     local = options.engine == PROCESSES
     size = sum(shard.size for shard in manifest.shards)
