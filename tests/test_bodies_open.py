@@ -16,8 +16,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies.clothes.outfits import OUTFITS
 from bodyseg_data.bodies.open_bodies import Figure, MadeBodies, OpenBodies
-from bodyseg_data.bodies.outfits import OUTFITS
 from bodyseg_data.bodies.people import PEOPLE, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
 from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.postures import POSTURES

@@ -11,11 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.motion_curves import PoseTrack, Track, angles, from_angles, wander
-from bodyseg_data.bodies.motion_handstand import ARM_C
-from bodyseg_data.bodies.motion_jumps import Flight
-from bodyseg_data.bodies.motion_legs import Build, Sole, pelvis_over, reach
-from bodyseg_data.bodies.motion_walk import STANCE
 from bodyseg_data.bodies.motions import (
     BUILD_B,
     BUILD_C,
@@ -26,6 +21,11 @@ from bodyseg_data.bodies.motions import (
     SUBJECTS,
     Frame,
 )
+from bodyseg_data.bodies.motions.curves import PoseTrack, Track, angles, from_angles, wander
+from bodyseg_data.bodies.motions.handstand import ARM_C
+from bodyseg_data.bodies.motions.jumps import Flight
+from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, reach
+from bodyseg_data.bodies.motions.walk import STANCE
 from bodyseg_data.bodies.open_bodies import OpenBodies
 from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk, bone_rotations, root_rotation
 from bodyseg_data.landmarks import load_landmarks

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Final
 
 from bodyseg_data.bodies import BodyRef
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.open_bodies import Figure, MadeBodies
-from bodyseg_data.bodies.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.people import PEOPLE, person
 from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk
 

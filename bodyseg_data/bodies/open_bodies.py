@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions import MOTIONS, SUBJECTS, Motion
-from bodyseg_data.bodies.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.people import PEOPLE, SUBJECT_A, Person, person, standing_pose
 from bodyseg_data.bodies.posing import Pose, bone_rotations
 from bodyseg_data.bodies.postures import POSTURES

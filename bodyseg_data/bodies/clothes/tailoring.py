@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.outfits import Outfit
+from bodyseg_data.bodies.clothes.outfits import Outfit
 from bodyseg_data.landmarks import load_landmarks
 from bodyseg_data.parts import LANDMARKS
 

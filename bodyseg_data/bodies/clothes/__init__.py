@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import cloth_operators as operators
-from bodyseg_data.bodies.folds import DIRECTIONS, fold_patterns
-from bodyseg_data.bodies.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.refining import Refinement
-from bodyseg_data.bodies.tailoring import cut
+from bodyseg_data.bodies.clothes import operators
+from bodyseg_data.bodies.clothes.folds import DIRECTIONS, fold_patterns
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.clothes.refining import Refinement
+from bodyseg_data.bodies.clothes.tailoring import cut
 from bodyseg_data.errors import BadMesh
 from bodyseg_data.landmarks import load_landmarks
 

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from bodyseg_data.bodies.motion_curves import PoseTrack, Track, wander
-from bodyseg_data.bodies.motion_legs import Build, Sole, Triple, Vector, pelvis_over, standing
+from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
+from bodyseg_data.bodies.motions.legs import Build, Sole, Triple, Vector, pelvis_over, standing
 from bodyseg_data.bodies.posing import KNUCKLES, Arm, Leg, Matrix, Pose, Trunk, bone_rotations
 
 ARM_C: Final[tuple[tuple[str, Triple], ...]] = (

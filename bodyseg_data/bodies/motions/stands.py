@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from bodyseg_data.bodies.motion_curves import PoseTrack, Track, wander
-from bodyseg_data.bodies.motion_legs import Build, Sole, pelvis_over, standing
+from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
+from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, standing
 from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk
 
 
