@@ -40,10 +40,10 @@ def draw_legend(width: int) -> Image.Image:
     return legend
 
 
-def check_picture(path: Path) -> None:
-    """Raise BadConfig unless `path` can name a picture."""
+def check_picture(path: Path, option: str = "--out") -> None:
+    """Raise BadConfig unless `path`, given by `option`, can name a picture."""
     if path.suffix.lower() != ".png":
-        raise BadConfig(f"--out must be a .png file, found {path}")
+        raise BadConfig(f"{option} must be a .png file, found {path}")
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import os
 import subprocess
 import sys
+import typing
 from dataclasses import dataclass
+from importlib import util
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +16,7 @@ import pytest
 from PIL import Image
 
 from bodyseg_data import cli
+from bodyseg_data.commands import bench, shard
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import option, parse
 
@@ -122,7 +127,17 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
             ["shard", "--source", "open", "--out", "x", "--engine", "dask://127.0.0.1:1"],
             "no Dask scheduler at 127.0.0.1:1",
         ),
-        (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling measures three numbers"),
+        (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling draws no figure: leave --figure out"),
+        (["bench", "render", "--figure", "x.jpg"], "bodyseg bench: --figure must be a .png file, found x.jpg"),
+        (["bench", "partition", "--views", "3"], "bodyseg bench: bench partition measures whole bodies"),
+        (
+            ["bench", "render", "--mit", "x"],
+            "--mit is for bench partition, reduction, clothes, proposal, found it with",
+        ),
+        (
+            ["shard", "--source", "open", "--out", "x", "--report", "none/x.json"],
+            "--report needs a folder that is there",
+        ),
         (["shard", "--source", "mit", "--path", "nowhere", "--plan"], "bodyseg shard: "),
         (["shard", "--source", "open", "--plan", "--rig", "no.toml"], "cannot read the rig file no.toml"),
         (["inspect", "nowhere", "--json"], "bodyseg inspect: nowhere holds no manifest.json"),
@@ -229,3 +244,26 @@ def test_a_picture_that_cannot_be_written_is_one_line(
 ) -> None:
     assert cli.main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
     assert "cannot write" in capsys.readouterr().err
+
+
+def test_every_bench_has_its_module_and_its_figure() -> None:
+    assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
+    for name, takes in bench.BENCHES.items():
+        measure = getattr(importlib.import_module(f"bodyseg_data.benches.{name}"), f"bench_{name}")
+        parameters = inspect.signature(measure).parameters
+        assert {"progress", *(["views"] if takes.views else []), *(["mit"] if takes.mit else [])} == set(parameters)
+        assert (util.find_spec(f"bodyseg_data.benches.{name}_figure") is not None) == takes.figure
+
+
+def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard, "provenance", lambda command: {"command": command})
+    report, out = tmp_path / "report.json", tmp_path / "shards"
+    words = ["--meshes", "2", "--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
+    for made in (4, 0):  # the second time, everything is there
+        assert cli.main(["shard", "--source", "open", *words]) == 0
+        figures = json.loads(report.read_text())
+        assert (figures["samples"], figures["samples_made"]) == (4, made)
+        assert figures["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))
+    assert figures["command"] == (
+        "tools/shard --source open --out shards --meshes 2 --views 2 --workers 1 --report report.json"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -23,8 +23,12 @@ _DETAIL: Final = (slice(130, 330), slice(95, 235))  # rows and columns of the im
 _ZOOM: Final = 3
 
 
-def draw_borders(path: Path) -> None:
-    """Write a PNG: the same detail labelled by each method. Raises BadConfig if it cannot be written."""
+def draw_borders(figures: dict[str, Any], path: Path) -> None:
+    """Write a PNG: the same detail labelled by each method.
+
+    figures: what the bench measured; this view is rendered anew and needs none of it. Raises BadConfig if the file
+    cannot be written.
+    """
     rig, source = load_rig(), open_source("open")
     body = source.build(next(body for body in source.bodies() if body.pose == _POSE))
     parts = partition(body.mesh, body.landmarks)

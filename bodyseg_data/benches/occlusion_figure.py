@@ -30,8 +30,10 @@ _COLOURS: Final = {
 _MARGIN: Final = 8
 
 
-def draw_occlusion(path: Path) -> None:
+def draw_occlusion(figures: dict[str, Any], path: Path) -> None:
     """Write a PNG: exact mask, the default's, and both errors, whole and in detail, for two open bodies.
+
+    figures: what the bench measured; these views are rendered anew and need none of it.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """

@@ -9,7 +9,10 @@ from bodyseg_data.machine import hardware
 
 
 def provenance(command: str) -> dict[str, str]:
-    """Command, commit (of the checkout this package runs from, "unknown" outside one) and hardware of a measurement."""
+    """Command, commit (of the checkout this package runs from, "unknown" outside one) and hardware of a measurement.
+
+    To be asked before the measurement begins.
+    """
     return {"command": command, "commit": _commit(), "hardware": hardware()}
 
 
@@ -21,7 +24,7 @@ def _commit() -> str:
         return done.stdout.strip()
 
     try:
-        changed = "-changed" if git("status", "--porcelain", "--untracked-files=no") else ""
+        changed = "-changed" if git("status", "--porcelain", "--", str(here.parent)) else ""  # new files, too
         return git("rev-parse", "--short=12", "HEAD") + changed
     except (OSError, subprocess.SubprocessError):
         return "unknown"

@@ -7,6 +7,7 @@ when its first body is done, which is rendered alone.
 
 from __future__ import annotations
 
+import operator
 import resource
 import statistics
 import time
@@ -83,7 +84,8 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
     errors = None if missing else _errors(packing, few, _spread(grid, 9))
     progress(total, total)
     middle = {name: statistics.median(values) if values else None for name, values in rates.items()}
-    times = middle["ours"] / middle["plain"] if middle["ours"] and middle["plain"] else None
+    # Round by round, since what else the machine does changes from one to the next.
+    times = None if missing else statistics.median(map(operator.truediv, rates["ours"], rates["plain"]))
     return {
         "views_per_second": {name: None if value is None else round(value, 2) for name, value in middle.items()},
         "times_faster": None if times is None else round(times, 2),

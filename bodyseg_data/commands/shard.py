@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import resource
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.bodies import SourceName
@@ -89,13 +91,20 @@ def run(options: Options) -> int:
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
+    if options.report is not None and not options.report.absolute().parent.is_dir():
+        raise BadConfig(f"--report needs a folder that is there, found no {options.report.parent}")
     _warn_of_missing(packing)
+    origin = {} if options.report is None else provenance(_command(options))
     start = time.perf_counter()
     with Progress("packing", "views") as progress:
         manifest = pack_on(options.engine, options.workers, packing, options.out, progress)
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
-        _write_report(options.report, options, manifest, made, time.perf_counter() - start)
+        figures = _figures(options, manifest, made, time.perf_counter() - start)
+        try:
+            write_atomically(options.report, (json.dumps(origin | figures, indent=1) + "\n").encode())
+        except OSError as error:
+            raise BadConfig(f"cannot write {options.report}: {error.strerror or error}") from error
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
@@ -104,14 +113,27 @@ def run(options: Options) -> int:
     return 0
 
 
-def _write_report(path: Path, options: Options, manifest: Manifest, made: int, seconds: float) -> None:
+def _command(options: Options) -> str:
+    """The command line, without what is as it is by default and without folders of this machine."""
+    words = ["tools/shard"]
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if value == field.default:
+            continue
+        shown = value if isinstance(value, tuple) else (value,)
+        told = [item.name if isinstance(item, Path) and item.is_absolute() else str(item) for item in shown]
+        words += ["--" + field.name.replace("_", "-"), *told]
+    return " ".join(words)
+
+
+def _figures(options: Options, manifest: Manifest, made: int, seconds: float) -> dict[str, Any]:
     """What it took to make `made` of the samples; the others were there. Processor time and memory are known of local
     workers only.
     """
     here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     local = options.engine == PROCESSES
     size = sum(shard.size for shard in manifest.shards)
-    figures = {
+    return {
         "samples": manifest.samples(),
         "splits": {split: manifest.samples(split) for split in SPLITS},
         "shards": len(manifest.shards),
@@ -128,11 +150,6 @@ def _write_report(path: Path, options: Options, manifest: Manifest, made: int, s
         "peak_mb": {"writer": here.ru_maxrss // 1024, "largest_worker": workers.ru_maxrss // 1024 if local else None},
         "notes": sum(len(shard.notes) for shard in manifest.shards),
     }
-    command = f"tools/shard --source {options.source} --out DIR --report {path}"
-    try:
-        write_atomically(path, (json.dumps(provenance(command) | figures, indent=1) + "\n").encode())
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _warn_of_missing(packing: Packing) -> None:
