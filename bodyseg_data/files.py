@@ -1,10 +1,14 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and files of strangers that may be larger than they look."""
 
 from __future__ import annotations
 
 import contextlib
+import gzip
 import os
 from pathlib import Path
+from typing import Final
+
+_CHUNK_BYTES: Final = 1 << 20
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -30,3 +34,15 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def contents(path: Path, packed: bool, limit: int) -> bytes | None:
+    """All bytes of a file, unpacked if it is `packed` with gzip; None if there are more than `limit` of them.
+
+    Raises OSError if it cannot be read, gzip.BadGzipFile, EOFError or zlib.error if it is not a whole gzip file.
+    """
+    data = bytearray()
+    with gzip.open(path) if packed else path.open("rb") as file:
+        while len(data) <= limit and (chunk := file.read(_CHUNK_BYTES)):
+            data += chunk
+    return bytes(data) if len(data) <= limit else None

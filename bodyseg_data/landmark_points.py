@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from bodyseg_data.errors import BadLandmarks
 from bodyseg_data.landmarks import LandmarkSet, check_names, json_table
 from bodyseg_data.mesh import Mesh
+from bodyseg_data.nearest_surface import nearest_corner
 from bodyseg_data.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.system_libraries import missing_library
 
 FARTHEST_M: Final = 0.03
 """A landmark farther than this from the surface belongs to another body, unit or frame, or was read wrongly.
@@ -106,14 +106,14 @@ class PointLandmarks:
             )
         return Snapped(vertices, distance)
 
-    def propagated(self, mesh: Mesh, topology: str) -> LandmarkSet:
-        """A set by vertex for all meshes numbered like `mesh`, on which these points lie. Raises as `for_mesh` does.
+    def propagated(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, Snapped]:
+        """A set by vertex for all meshes numbered like `mesh`, on which these points lie, and how far they lay off it.
 
-        topology: which meshes those are, in words.
+        topology: which meshes those are, in words. Raises as `for_mesh` does.
         """
         snapped = self.for_mesh(mesh)
         counts = len(mesh.vertices), len(mesh.faces)
-        return LandmarkSet(self.source, topology, *counts, tuple(snapped.vertices.tolist()))
+        return LandmarkSet(self.source, topology, *counts, tuple(snapped.vertices.tolist())), snapped
 
 
 def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -121,18 +121,9 @@ def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
 
     Raises MissingLibrary without trimesh, rtree or scipy.
     """
-    try:
-        import rtree  # noqa: F401  trimesh asks for it late and with a message of its own
-        import trimesh
-    except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
     faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
-    surface = trimesh.Trimesh(mesh.vertices, faces, process=False)
-    _, distance, triangle = trimesh.proximity.closest_point(surface, points)
-    corners = faces[triangle]
-    away = np.linalg.norm(mesh.vertices[corners] - points[:, None], axis=2)
-    vertices = corners[np.arange(len(points)), away.argmin(axis=1)].astype(np.int64)
-    return vertices, np.asarray(distance, np.float64)
+    vertices, distance = nearest_corner(mesh.vertices, faces, points, _FEATURE)
+    return vertices.astype(np.int64), distance
 
 
 def parse_points(text: str, source: str) -> PointLandmarks:

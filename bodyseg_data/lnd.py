@@ -12,7 +12,6 @@ side. Right and left, and numbers like the "V" of a finger, are never guessed.
 
 from __future__ import annotations
 
-import gzip
 import math
 import re
 import zlib
@@ -23,6 +22,7 @@ from typing import Final
 import numpy as np
 
 from bodyseg_data.errors import BadLandmarks
+from bodyseg_data.files import contents
 from bodyseg_data.landmark_points import METRES, PointLandmarks
 from bodyseg_data.parts import LANDMARKS
 
@@ -73,6 +73,9 @@ _SIDED: Final = (
 )
 CAESAR_LANDMARKS: Final = (*_MIDDLE, *(f"{side} {name}" for name in _SIDED for side in ("Rt.", "Lt.")))
 """All 73 landmarks of the survey, as it spells them; `parts.LANDMARKS` are 33 of these."""
+
+LARGEST_BYTES: Final = 1 << 20
+"""No file may be larger, also after unpacking: one of the survey has a hundredth of that."""
 
 _SIDES: Final = {"rt": "rt", "right": "rt", "lt": "lt", "left": "lt"}
 _PLACEHOLDER_MM: Final = -999.0
@@ -184,7 +187,9 @@ def _is_placeholder(point: tuple[float, ...]) -> bool:
 
 def _text(path: Path) -> str:
     try:
-        data = path.read_bytes()
-        return (gzip.decompress(data) if path.suffix == ".gz" else data).decode("latin-1")
+        data = contents(path, path.suffix.lower() == ".gz", LARGEST_BYTES)
     except (OSError, EOFError, zlib.error) as error:
         raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
+    if data is None:
+        raise BadLandmarks(f"landmarks {path}: a .lnd file may hold {LARGEST_BYTES >> 20} MiB, found more")
+    return data.decode("latin-1")

@@ -150,6 +150,15 @@ class Mesh:
         corners = self.vertices[self.faces]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Mean outward normal, by area, of the faces around each vertex, [V, 3], unit length; zero without a face."""
+        normals = np.zeros_like(self.vertices)
+        for corner in range(3):
+            np.add.at(normals, self.faces[:, corner], self.normals)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.divide(normals, length, out=normals, where=length > 0)
+
     def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
         a, b, c = np.moveaxis(self.vertices[self.faces[faces]], 1, 0)

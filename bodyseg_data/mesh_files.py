@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.errors import BadMesh
+from bodyseg_data.files import contents
 from bodyseg_data.ply import fan, read_ply
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -27,7 +28,6 @@ MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
 LARGEST_BYTES: Final = 1 << 28
 """No file may be larger, also after unpacking: a scan of a million triangles has a tenth of that."""
 
-_CHUNK_BYTES: Final = 1 << 20
 _OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
@@ -67,16 +67,12 @@ def preferred(names: Sequence[str]) -> str:
 
 def _contents(path: Path, packed: bool) -> bytes:
     try:
-        with gzip.open(path) if packed else path.open("rb") as file:
-            chunks: list[bytes] = []
-            while sum(map(len, chunks)) <= LARGEST_BYTES and (chunk := file.read(_CHUNK_BYTES)):
-                chunks.append(chunk)
+        data = contents(path, packed, LARGEST_BYTES)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise BadMesh(f"{path} is not a whole gzip file: {error}") from error
     except OSError as error:
         raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
-    data = b"".join(chunks)
-    if len(data) > LARGEST_BYTES:
+    if data is None:
         raise BadMesh(f"{path}: a mesh file may hold {LARGEST_BYTES >> 20} MiB, found more")
     return data
 

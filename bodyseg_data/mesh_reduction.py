@@ -172,7 +172,7 @@ def _coarser(
 ) -> Reduction:
     """About `share` of the triangles of `before`; with an infinite error and a note if that makes no sound mesh."""
     try:
-        mesh, landmarks = collapsed(before.mesh, before.landmarks, round(len(before.mesh.faces) * share))
+        mesh, landmarks = edges_collapsed(before.mesh, before.landmarks, round(len(before.mesh.faces) * share))
     except BadMesh as error:
         return replace(before, error_m=math.inf, note=f"left whole: {error}")
     return Reduction(mesh, landmarks, range_error(seen_ranges(mesh, cameras), wanted))
@@ -193,7 +193,7 @@ def _share_between(finer: Reduction, coarser: Reduction, tolerance_m: float) -> 
     return float((len(coarser.mesh.faces) / len(finer.mesh.faces)) ** way)
 
 
-def collapsed(
+def edges_collapsed(
     mesh: Mesh, landmarks: NDArray[np.int64], count: int, optimal: bool = True
 ) -> tuple[Mesh, NDArray[np.int64]]:
     """`mesh` with edges collapsed until about `count` triangles are left, and its landmarks' vertices there.

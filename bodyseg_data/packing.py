@@ -82,9 +82,11 @@ class Packing:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""
         return spread(self.opened().bodies(), self.meshes)
 
-    def opened(self) -> BodySource:
-        """The source, opened once a process. Raises BadConfig."""
-        return _source(self.source, self.path, self.landmarks, self.units, self.up)
+    def opened(self, plan: str = "") -> BodySource:
+        """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
+        if self.path is None:
+            return _source(self.source, None, self.landmarks, self.units, self.up)
+        return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
 
 
 def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
@@ -188,9 +190,12 @@ class Rendered:
     notes: tuple[str, ...]
 
 
-def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...]) -> Rendered:
-    """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views."""
-    source = packing.opened()
+def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: str = "") -> Rendered:
+    """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views.
+
+    plan: digest of what is packed, files included: a process that outlives a packing reads changed files again.
+    """
+    source = packing.opened(plan)
     nearest_cm = min(packing.views.distances_cm)
     built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm)
     parts = partition(built.mesh, built.landmarks, packing.geodesics)
@@ -204,10 +209,20 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...]) -> Rend
         renderer.close()
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def _source(name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
     """A process opens its source once: loading a body model takes seconds."""
     return open_source(name, path, landmarks, units, up)
+
+
+@lru_cache(maxsize=4)  # several packings may share a worker
+def _read_source(name: str, path: Path, landmarks: Path | None, units: Units, up: UpAxis, plan: str) -> BodySource:
+    return open_source(name, path, landmarks, units, up)
+
+
+def forget_sources() -> None:
+    """Have files read again that may have changed since a source was opened; body models stay loaded."""
+    _read_source.cache_clear()
 
 
 def pack(
@@ -220,6 +235,7 @@ def pack(
     packed. After an error, finished shards stay and the same call carries on from them; what the executor was handed
     and has not begun is its owner's to cancel. In a finished set, shards that are missing or altered are made again.
     """
+    forget_sources()
     shards = _cut(packing)
     description = _describe(packing, shards)
     digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
@@ -231,7 +247,7 @@ def pack(
             done = sum(len(record) for record in records.values())
             progress(done, total)
             todo = [shard for shard in shards if shard.name not in records]
-            results = _results(packing, todo, executor, workers)
+            results = _results(packing, todo, executor, workers, digest)
             for shard in todo:
                 with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
                     for body, views in shard.runs:
@@ -267,16 +283,16 @@ def pack(
 
 
 def _results(
-    packing: Packing, shards: Sequence[_Shard], executor: Executor, workers: int
+    packing: Packing, shards: Sequence[_Shard], executor: Executor, workers: int, plan: str
 ) -> Generator[Rendered, None, None]:
     """The results of all runs in order, with a bounded number under way, so that memory stays flat."""
     runs = iter([(body, views) for shard in shards for body, views in shard.runs])
     waiting: deque[Future[Rendered]] = deque()
     # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
     for body, views in itertools.islice(runs, 1):
-        yield executor.submit(render_run, packing, body, views).result()
+        yield executor.submit(render_run, packing, body, views, plan).result()
     for body, views in runs:
-        waiting.append(executor.submit(render_run, packing, body, views))
+        waiting.append(executor.submit(render_run, packing, body, views, plan))
         if len(waiting) > 2 * max(workers, 1):
             yield waiting.popleft().result()
     while waiting:

@@ -13,8 +13,8 @@ from bodyseg_data.errors import BadLandmarks, Unanswerable
 from bodyseg_data.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
 from bodyseg_data.mending import Mended, components, mend
 from bodyseg_data.mesh import Mesh
+from bodyseg_data.nearest_surface import nearest_corner
 from bodyseg_data.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.system_libraries import missing_library
 
 _FEATURE: Final = "partitioning a body"
 
@@ -112,7 +112,8 @@ def _with_borders(
     unreached = np.flatnonzero(~np.isfinite(distance))
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
-        labels[unreached] = labels[_nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached])]
+        nearest, _ = nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached], _FEATURE)
+        labels[unreached] = labels[nearest]
         labels = labels[surface.place]
     for array in (labels, distance):
         array.flags.writeable = False
@@ -172,27 +173,3 @@ def _check_places(mesh: Mesh, landmarks: NDArray[np.int64], mended: Mended) -> N
                 f"{mesh.vertices[place].tolist()}"
             )
         first[place] = name
-
-
-def _nearest_corner(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64]
-) -> NDArray[np.int32]:
-    """For each of `points` [P, 3] the nearest corner of the triangle nearest to it: vertex indices [P]."""
-    try:
-        import rtree  # noqa: F401  trimesh asks for it late and with a message of its own
-        import trimesh
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
-    # No point is farther from the surface than from its nearest vertex, so only triangles within that reach of the
-    # points' common box can be the answer: for eyes in a head a few hundred instead of all.
-    reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
-    corners = vertices[faces]
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    faces = faces[((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)]
-    surface = trimesh.Trimesh(vertices, faces, process=False)
-    _, _, triangle = trimesh.proximity.closest_point(surface, points)
-    candidates = faces[triangle]
-    away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
-    nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
-    return nearest

@@ -69,7 +69,7 @@ def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None =
 def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Image:
     """One body from one side with dots and numbers, RGB; 0 degrees sees its front, 90 its left, 180 its back."""
     _, mesh, parts, landmarks = sitter
-    normals = _vertex_normals(mesh)
+    normals = mesh.vertex_normals
     camera = _camera(mesh, azimuth_deg, pixels_per_m)
     renderer = open_renderer("embree", mesh)
     fine = PlacedCamera(camera.camera.scaled(_FINER), camera.axes, camera.position)
@@ -126,15 +126,6 @@ def _camera(mesh: Mesh, azimuth_deg: int, pixels_per_m: float) -> PlacedCamera:
     columns, rows = (math.ceil(side) for side in size)
     camera = Camera(rows, columns, pixels_per_m * _DISTANCE_M, (columns / 2, rows / 2), (0, 0, 0), (0, 0, 1))
     return PlacedCamera(camera, axes, mesh.centre - _DISTANCE_M * axes[2])
-
-
-def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Mean outward normal of the faces around each vertex by area, unit length, [V, 3]."""
-    normals = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], mesh.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return normals
 
 
 def _mark(image: Image.Image, dots: dict[int, tuple[float, float]]) -> None:

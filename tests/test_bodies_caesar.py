@@ -65,7 +65,8 @@ def test_scan_and_landmarks_are_placed_together(tmp_path: Path, mesh: str, landm
     write_lnd(tmp_path / landmarks, POINTS)
     body = first(CaesarBodies(tmp_path))
     np.testing.assert_allclose(body.mesh.vertices, PERSON.vertices, atol=1e-9)
-    assert body.landmarks.tolist() == list(VERTICES) and body.notes == ()
+    assert body.landmarks.tolist() == list(VERTICES)
+    assert len(body.notes) == 1 and re.fullmatch(r"landmarks snapped by up to 0\.0 mm \(.+\)", body.notes[0])
 
 
 def test_every_subject_is_placed_by_itself(tmp_path: Path) -> None:
@@ -126,7 +127,7 @@ def test_a_scan_is_repaired_and_says_so(tmp_path: Path) -> None:
     write_mesh(tmp_path / "csr0001a.ply", PERSON.vertices @ TURN * 1000, faces)
     write_lnd(tmp_path / "csr0001a.lnd", POINTS)
     body = first(CaesarBodies(tmp_path))
-    assert len(body.notes) == 1 and body.notes[0].startswith("repaired: neighbouring faces must agree")
+    assert len(body.notes) == 2 and body.notes[0].startswith("repaired: neighbouring faces must agree")
     near = body.mesh.vertices[body.landmarks] - PERSON.vertices[list(VERTICES)]
     assert np.abs(near).max() < 1e-5 and body.mesh.signed_volume() > 0
 
@@ -145,7 +146,7 @@ def test_landmarks_off_the_surface_are_noted(tmp_path: Path) -> None:
     off[0] = (PERSON.vertices[VERTICES[0]] + (0, 0.005, 0.019)) @ TURN
     write_lnd(tmp_path / "csr0001a.lnd", off)
     notes = first(CaesarBodies(tmp_path)).notes
-    assert len(notes) == 1 and re.fullmatch(r"Sellion (19|20) mm off the surface", notes[0])
+    assert len(notes) == 1 and re.fullmatch(r"landmarks snapped by up to (19|20)\.\d mm \(Sellion\)", notes[0])
     off[0] = (PERSON.vertices[VERTICES[0]] + (0, 0, 0.1)) @ TURN
     write_lnd(tmp_path / "csr0001a.lnd", off)
     with pytest.raises(BadLandmarks, match=r"within 3 cm of the surface, found 'Sellion' .* cm off"):
@@ -157,7 +158,8 @@ def test_landmarks_in_metres_are_understood(tmp_path: Path) -> None:
     write_lnd(tmp_path / "csr0001a.lnd", POINTS, unit=1)
     body = first(CaesarBodies(tmp_path))
     assert body.landmarks.tolist() == list(VERTICES)
-    assert body.notes == ("landmarks read as metres: as millimetres they are a thousandth of the body",)
+    assert body.notes[0] == "landmarks read as metres: as millimetres they are a thousandth of the body"
+    assert body.notes[1].startswith("landmarks snapped by up to 0.0 mm (")
 
 
 @pytest.mark.parametrize("up", ["auto", "-z"])

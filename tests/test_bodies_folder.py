@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,22 @@ def test_points_for_many_meshes_lie_on_the_first(tmp_path: Path) -> None:
     write_by_point(tmp_path / "landmarks.json", PERSON.vertices[list(VERTICES)])
     source = FolderBodies(tmp_path)
     assert all(source.build(ref).landmarks.tolist() == list(VERTICES) for ref in source.bodies())
+
+
+@pytest.mark.parametrize("unit", [1000, 1])
+def test_points_for_many_meshes_tell_how_far_they_were_moved(tmp_path: Path, unit: float) -> None:
+    """Also where a .lnd file is in metres."""
+    for number in range(2):
+        write_mesh(tmp_path / "meshes" / f"{number}.ply")
+    points = PERSON.vertices[list(VERTICES)]
+    points[0] += (0, 0.001, 0.004)
+    given = write_lnd(tmp_path / "all.lnd", points, unit=unit)
+    source = FolderBodies(tmp_path / "meshes", given)
+    for ref in source.bodies():
+        built = source.build(ref)
+        assert built.landmarks.tolist() == list(VERTICES)
+        assert re.fullmatch(r"landmarks snapped by up to (3\.\d|4\.\d) mm \(Sellion\) on 0\.ply", built.notes[-1])
+        assert [note[:24] for note in built.notes[:-1]] == (["landmarks read as metres"] if unit == 1 else [])
 
 
 def test_a_mesh_without_landmarks_is_named(tmp_path: Path) -> None:

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import hashlib
 import importlib
+import multiprocessing
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fakes import Figures
+from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
 
 from bodyseg_data import packing
-from bodyseg_data.engines import Engine, check_engine, cluster, open_engine
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.engines import Engine, check_engine, cluster, open_engine, workers
 from bodyseg_data.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.mesh import Mesh
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing_state import STATE_NAME
 from bodyseg_data.views import ViewGrid
@@ -147,7 +156,7 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
 def figures(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """This process packs figures, too."""
     packing._source.cache_clear()
-    cluster.fault.cache_clear()
+    workers._fault.cache_clear()
     monkeypatch.setattr(packing, "open_source", lambda *where: Figures())
     yield
     packing._source.cache_clear()
@@ -211,9 +220,9 @@ def test_a_bad_body_is_one_error_whatever_the_cluster(nodes: Nodes, tmp_path: Pa
 
 
 def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    ours = [(name, "0.1" if name == "embreex" else version) for name, version in cluster.installed()]
+    ours = [(name, "0.1" if name == "embreex" else version) for name, version in workers.installed()]
     with monkeypatch.context() as patch:
-        patch.setattr(cluster, "installed", lambda: tuple(ours))
+        patch.setattr(workers, "installed", lambda: tuple(ours))
         with (
             pytest.raises(
                 BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .*, this machine has 0.1: install"
@@ -223,29 +232,134 @@ def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch
             pass
     monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
     with (
-        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies in /there than this machine"),
-        open_engine(nodes.engine, None, Packing("open", Path("/there"))),
+        pytest.raises(
+            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies of the source open than this machine"
+        ),
+        open_engine(nodes.engine, None, PACKING),
+    ):
+        pass
+    assert workers.fault(replace(workers.expected(Packing("open", Path("/there"))), seen="other")) == (
+        "sees other bodies in /there than this machine: share one folder with the workers"
+    )
+
+
+def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the last bit of one coordinate differs."""
+    plain = Figures.build
+
+    def build(self: Figures, body: BodyRef) -> Body:
+        built = plain(self, body)
+        vertices = built.mesh.vertices.copy()
+        vertices[0, 0] = np.nextafter(vertices[0, 0], 1)
+        return replace(built, mesh=Mesh(body.mesh, vertices, built.mesh.faces))
+
+    monkeypatch.setattr(Figures, "build", build)
+    with (
+        pytest.raises(
+            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds A-0 with other bits than this machine: use"
+        ),
+        open_engine(nodes.engine, None, PACKING),
     ):
         pass
 
 
+def test_every_package_that_makes_shards_is_compared() -> None:
+    declared = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["project"]["optional-dependencies"][
+        "render"
+    ]
+    names = {re.split(r"[^\w-]", line)[0] for line in declared}
+    assert names
+    assert names <= set(workers._SHAPE_BYTES)
+
+
 def test_a_worker_that_comes_late_is_checked_with_its_first_job() -> None:
-    wanted = cluster.expected(PACKING)
-    assert cluster.job(wanted, sum, ((1, 2),)) == 3
-    other = cluster.Expected(PACKING, wanted.installed, "other")
-    error = cluster.job(other, sum, ((1, 2),))
+    wanted = workers.expected(PACKING)
+    assert workers.job(wanted, sum, ((1, 2),)) == 3
+    error = workers.job(replace(wanted, seen="other"), sum, ((1, 2),))
     assert isinstance(error, BadConfig)
     assert f"worker {socket.gethostname()} sees other bodies" in str(error)
 
 
+def test_a_worker_does_one_thing_at_a_time() -> None:
+    """Also the check of a second packing, while a job of a first is under way."""
+    wanted = workers.expected(PACKING)
+    with ThreadPoolExecutor(1) as thread:
+        with workers._one_at_a_time:
+            checking = thread.submit(workers.fault, wanted)
+            with pytest.raises(TimeoutError):
+                checking.result(0.2)
+        assert checking.result(10) is None
+
+
+def test_a_notebook_has_a_loop_of_its_own(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    async def cell() -> None:
+        pack_on(nodes, tmp_path / "shards")
+
+    asyncio.run(cell())
+    assert contents(tmp_path / "shards") == contents(figures_set)
+
+
+def _landmarked(root: Path, swapped: bool) -> None:
+    """One person in a folder, as scanned; two landmarks of the other side each if swapped."""
+    turned = PERSON.vertices @ turn("-x", "z") * 1000
+    points = PERSON.vertices[list(VERTICES)] @ turn("-x", "z")
+    if swapped:
+        points[[4, 5]] = points[[5, 4]]
+    write_mesh(root / "ann.ply", turned)
+    write_lnd(root / "ann.lnd", points)
+
+
+def test_running_workers_read_changed_landmarks(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a cluster, on processes of one engine, and in a process that packs again."""
+    monkeypatch.setattr(packing, "open_source", open_source)
+    root = tmp_path / "people"
+    wanted = Packing("folder", root, views=ViewGrid(count=1))
+    found: dict[bool, list[dict[str, str]]] = {False: [], True: []}
+
+    def keep(swapped: bool, name: str, engine: Engine) -> None:
+        out = tmp_path / f"{name}-{swapped}"
+        pack(wanted, out, engine.executor, engine.workers)
+        found[swapped].append(contents(out))
+
+    with open_engine("processes", 1, wanted) as here, ThreadPoolExecutor(1) as thread:
+        for swapped in (False, True):
+            _landmarked(root, swapped)
+            with open_engine(nodes.engine, None, wanted) as there:
+                keep(swapped, "cluster", there)
+            keep(swapped, "processes", here)
+            keep(swapped, "threads", Engine(thread, 1))
+    packing.forget_sources()
+    with ThreadPoolExecutor(1) as thread:
+        keep(True, "afresh", Engine(thread, 1))
+    before, after = found[False][0], found[True][-1]
+    assert before["train-00000.tar"] != after["train-00000.tar"]
+    assert all(each == before for each in found[False])
+    assert all(each == after for each in found[True])
+
+
+def test_an_error_leaves_the_users_own_children_alone() -> None:
+    child = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    child.start()
+    try:
+        with pytest.raises(BadMesh), open_engine("processes", 1, PACKING) as engine:
+            started = engine.executor.submit(os.getpid)
+            assert started.result(60) != child.pid
+            raise BadMesh("mesh A-1: faces must point outwards")
+        assert child.is_alive()
+        assert multiprocessing.active_children() == [child]
+    finally:
+        child.kill()
+        child.join()
+
+
 def test_nodes_without_bodyseg_are_named(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A module that is only here stands for one that an older version, or none, does not have there."""
-    (tmp_path / "only_here.py").write_text("def fault(wanted): pass\ndef installed(): pass\n")
+    (tmp_path / "only_here.py").write_text("def check(wanted): pass\ndef installed(): pass\n")
     monkeypatch.syspath_prepend(tmp_path)
     only_here = importlib.import_module("only_here")
-    for name, node in (("fault", "worker tcp://.*"), ("installed", "the scheduler at .*")):
+    for name, node in (("check", "worker tcp://.*"), ("installed", "the scheduler at .*")):
         with monkeypatch.context() as patch:
-            wanted = cluster.expected(PACKING)
+            wanted = workers.expected(PACKING)
             patch.setattr(cluster, name, getattr(only_here, name))
             patch.setattr(cluster, "expected", lambda packing, wanted=wanted: wanted)
             with (

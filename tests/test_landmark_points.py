@@ -119,7 +119,8 @@ def test_what_is_not_33_finite_points_is_refused() -> None:
 
 
 def test_points_on_one_mesh_serve_all_of_its_topology() -> None:
-    landmarks = PointLandmarks("here", on_ball(0.005)).propagated(BALL, "balls")
+    landmarks, snapped = PointLandmarks("here", on_ball(0.005)).propagated(BALL, "balls")
+    np.testing.assert_allclose(snapped.distance_m, 0.005)
     assert landmarks == LandmarkSet("here", "balls", 642, 1280, tuple(SPREAD.tolist()))
     other = Mesh("flat ball", BALL.vertices * (1, 0.7, 1), BALL.faces)
     np.testing.assert_array_equal(landmarks.for_mesh(other), SPREAD)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +167,20 @@ def test_a_missing_landmark_is_named(tmp_path: Path, row: str | None) -> None:
         read_lnd(path)
     assert str(path) in str(caught.value)
     assert "Sellion" not in str(caught.value)
+
+
+def test_a_packed_file_is_told_by_its_name_in_any_case_and_may_not_grow_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "CSR0001A.LND.GZ"
+    path.write_bytes(gzip.compress(text(rows()).encode("latin-1")))
+    np.testing.assert_allclose(read_lnd(path).points, expected(), atol=1e-12)
+    path.write_bytes(gzip.compress(bytes(64 << 20)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadLandmarks, match=r"CSR0001A\.LND\.GZ: a \.lnd file may hold 1 MiB, found more"):
+            read_lnd(path)
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_landmark_given_twice_must_be_in_one_place(tmp_path: Path) -> None:

@@ -22,6 +22,18 @@ def test_a_ball_has_its_volume_centre_and_outward_normals() -> None:
     assert (np.einsum("ij,ij->i", middles, mesh.normals) > 0).all()
 
 
+def test_vertex_normals_are_means_by_area_and_zero_without_faces() -> None:
+    mesh = ball(0.5)
+    away = (mesh.vertices - mesh.centre) / 0.5
+    np.testing.assert_allclose(mesh.vertex_normals, away, atol=2e-3)
+    # A corner of two large faces and one of a quarter of their area: the sum of cross products, made unit length.
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.25], [9, 9, 9]], np.float64)
+    wedge = Mesh("wedge", corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    expected = -np.array([0.25, 0.25, 1.0]) / np.sqrt(1 + 2 / 16)
+    np.testing.assert_allclose(wedge.vertex_normals[0], expected, atol=1e-15)
+    np.testing.assert_array_equal(wedge.vertex_normals[4], 0)
+
+
 def test_a_mesh_cannot_be_changed() -> None:
     mesh = ball()
     with pytest.raises(ValueError, match="read-only"):

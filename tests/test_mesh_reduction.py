@@ -24,7 +24,7 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.mesh_reduction import (
     Reduction,
     check_tolerance,
-    collapsed,
+    edges_collapsed,
     probe_cameras,
     range_error,
     reduce,
@@ -149,7 +149,7 @@ def _digest(reduction: Reduction) -> str:
 
 def test_pieces_stay_apart_and_none_goes() -> None:
     mesh = figure()
-    coarse, _ = collapsed(mesh, np.linspace(0, 600, 33).astype(np.int64), 900)
+    coarse, _ = edges_collapsed(mesh, np.linspace(0, 600, 33).astype(np.int64), 900)
     assert len(coarse.faces) < len(mesh.faces) / 2
     assert coarse.pieces("a test").max() == mesh.pieces("a test").max() == 4
 
@@ -157,14 +157,14 @@ def test_pieces_stay_apart_and_none_goes() -> None:
 @pytest.mark.parametrize("case", ["holes", "non-manifold edges"])
 def test_open_edges_stay_as_they_are(case: str) -> None:
     broken = CASES[case](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
-    coarse, _ = collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
+    coarse, _ = edges_collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
     assert len(coarse.faces) < 0.9 * len(broken.mesh.faces)
     assert _rim(broken.mesh) == _rim(coarse)
 
 
 def test_seams_do_not_open() -> None:
     broken = CASES["doubled vertices: seams"](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
-    coarse, _ = collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
+    coarse, _ = edges_collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
     assert len(coarse.faces) < 0.9 * len(broken.mesh.faces)
     assert _rim(broken.mesh) >= _rim(coarse)  # vertices in one place may become one, but none moves
 

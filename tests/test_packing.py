@@ -231,11 +231,11 @@ def test_a_bad_body_stops_the_packing_by_name(
 
 def test_results_wait_for_the_writer_instead_of_filling_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[int] = []
-    monkeypatch.setattr(packing, "render_run", lambda packing, body, views: started.append(body) or [])
+    monkeypatch.setattr(packing, "render_run", lambda packing, body, *rest: started.append(body) or [])
     runs = tuple((number, ()) for number in range(50))
     shard = packing._Shard("train-00000.tar", "train", runs)  # type: ignore[arg-type]  # bodies are not looked at
     with ThreadPoolExecutor(2) as executor:
-        results = packing._results(Packing("open"), [shard], executor, 2)
+        results = packing._results(Packing("open"), [shard], executor, 2, "")
         next(results)
         assert len(started) == 1, "the first body goes alone"
         next(results)

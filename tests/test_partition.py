@@ -14,7 +14,8 @@ from bodyseg_data import geodesics
 from bodyseg_data.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
 from bodyseg_data.geodesics import ALWAYS_ANSWERS, Geodesics
 from bodyseg_data.mesh import Mesh
-from bodyseg_data.partition import _nearest_corner, part_areas, partition, partition_unmended
+from bodyseg_data.nearest_surface import nearest_corner
+from bodyseg_data.partition import part_areas, partition, partition_unmended
 from bodyseg_data.parts import PART_COUNT
 
 
@@ -349,10 +350,11 @@ def test_looking_only_at_nearby_triangles_gives_the_answer_of_looking_at_all(mon
         return whole(surface, points)
 
     monkeypatch.setattr(trimesh.proximity, "closest_point", counted)
-    found = _nearest_corner(mesh.vertices, mesh.faces, points)
+    found, distances = nearest_corner(mesh.vertices, mesh.faces, points, "testing")
     everything = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     closest, away, _ = whole(everything, points)
     assert asked[0] < len(mesh.faces)
+    np.testing.assert_allclose(distances, away, rtol=0, atol=1e-12)
     # The vertex found is a corner of a triangle that holds the closest point.
     corners = mesh.vertices[mesh.faces]
     for point, place, distance, vertex in zip(points, closest, away, found, strict=True):

@@ -79,6 +79,14 @@ def test_a_camera_with_the_body_on_both_sides_of_its_plane(place: tuple[float, f
     assert (check(figure(), PlacedCamera(RIG.camera, across, np.array(place))) > 1000) == sees
 
 
+def test_a_body_behind_the_camera_is_not_seen() -> None:
+    axes = np.diag([1.0, -1.0, -1.0])  # looks along -z, away from a body in front of z = 0.5
+    mesh = figure()
+    behind = RasterRenderer(mesh).see(PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, -0.5])))
+    assert not behind.range.any() and (behind.face == -1).all()
+    assert check(mesh, PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, 0.2]))) > 1000, "the arm is behind it"
+
+
 def test_a_triangle_that_passes_the_cameras_plane_is_seen_up_to_the_frame() -> None:
     """A floor of two triangles, from half a metre behind the camera to two in front of it."""
     floor = np.array([[-1, 0, -2], [1, 0, -2], [1, 0, 0.5], [-1, 0, 0.5], [0, -0.6, -1]], np.float64)

@@ -25,6 +25,7 @@ ORDER = [
     "views",
     "rig",
     "mesh",
+    "nearest_surface",
     "ply",
     "mesh_files",
     "mesh_repair",

@@ -47,10 +47,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
         ) from error
     scene = EmbreeScene(robust=True)
     TriangleMesh(scene, (mesh.vertices - mesh.centre).astype(np.float32), mesh.faces)
-    normals = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], mesh.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = mesh.vertex_normals
 
     def first(vertices: NDArray[np.intp], side: int) -> tuple[Floats, NDArray[np.int32]]:
         """Distance to what a ray from just off the skin, outwards or inwards, meets; and which triangle from behind."""

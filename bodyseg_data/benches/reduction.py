@@ -23,7 +23,7 @@ from bodyseg_data.borders import find_borders
 from bodyseg_data.codec import encode_sample
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.mesh import Mesh
-from bodyseg_data.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, collapsed, reduce
+from bodyseg_data.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
 from bodyseg_data.mesh_repair import load_pymeshlab
 from bodyseg_data.packing import Packing, spread
 from bodyseg_data.partition import Partition, partition
@@ -224,7 +224,7 @@ def _by_share(whole: _Whole) -> list[Row]:
     for share in SHARES:
         if share < 1:
             count = round(len(whole.body.mesh.faces) * share)
-            (mesh, landmarks), more = _timed(partial(collapsed, mesh, landmarks, count))
+            (mesh, landmarks), more = _timed(partial(edges_collapsed, mesh, landmarks, count))
             seconds += more
         rows.append(whole.row(mesh, landmarks, seconds))
     return rows
@@ -254,8 +254,8 @@ def _label_methods(whole: _Whole) -> dict[str, Row]:
 
     body = whole.body
     count = round(len(body.mesh.faces) * _LABEL_SHARE)
-    free, marks = collapsed(body.mesh, body.landmarks, count)
-    bound, _ = collapsed(body.mesh, body.landmarks, count, optimal=False)
+    free, marks = edges_collapsed(body.mesh, body.landmarks, count)
+    bound, _ = edges_collapsed(body.mesh, body.landmarks, count, optimal=False)
     own = KDTree(body.mesh.vertices).query(bound.vertices)[1]
     labels, distance = whole.parts.labels[own], whole.parts.distance[own]
     carried = replace(whole.parts, labels=labels, distance=distance, borders=find_borders(bound, labels, distance))

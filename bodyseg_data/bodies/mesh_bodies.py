@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.errors import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.landmark_files import load_landmark_file
-from bodyseg_data.landmark_points import PointLandmarks
+from bodyseg_data.landmark_points import PointLandmarks, Snapped
 from bodyseg_data.landmarks import LandmarkSet, load_landmarks
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.mesh_files import read_mesh
@@ -39,7 +39,6 @@ from bodyseg_data.placing import (
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 _LOOKED_AT: Final = 12  # bodies of a group, evenly, in search of an upright one
-_NOTED_FROM_M: Final = 0.01
 _FAULTS_NAMED: Final = 3
 _IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
@@ -72,6 +71,7 @@ class MeshBodies:
         check_placing(units, up)
         self._files, self._missing, self._units, self._up = dict(files), tuple(missing), units, up
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
+        self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
         self._placements: dict[str, Placement] = {}
 
     def bodies(self) -> Sequence[BodyRef]:
@@ -124,7 +124,7 @@ class MeshBodies:
         vertices = placement.apply(surface[0])
         if isinstance(landmarks, LandmarkSet):
             mesh = _mesh(body.mesh, vertices, surface[1], file.path)
-            built = Body(mesh, landmarks.for_mesh(mesh))
+            built = Body(mesh, landmarks.for_mesh(mesh), self._notes.get(file.landmarks or "", ()))
         else:
             built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.moved(1.0, placement.rotation))
         if file.standing:
@@ -168,7 +168,10 @@ class MeshBodies:
         surface = read_mesh(file.path)
         scale = metres_a_unit(_used(surface), self._units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
-        return points.propagated(mesh, f"meshes numbered like {file.path.name}")
+        points, rescued = _in_millimetres(points, mesh)
+        landmarks, snapped = points.propagated(mesh, f"meshes numbered like {file.path.name}")
+        self._notes[source] = (*rescued, f"{_farthest(snapped)} on {file.path.name}")
+        return landmarks
 
     def _placement_of_group(self, group: str) -> Placement:
         """The placement found from the first upright body of a group, or else from the most upright one looked at."""
@@ -239,12 +242,20 @@ def _snapped(
     except BadMesh as error:
         notes.append(f"repaired: {str(error).removeprefix(f'mesh {name}: ')}")
         mesh = _mesh(name, *repair(name, vertices, faces), path)
+    landmarks, rescued = _in_millimetres(landmarks, mesh)
+    snapped = landmarks.for_mesh(mesh)
+    return Body(mesh, snapped.vertices, (*notes, *rescued, _farthest(snapped)))
+
+
+def _in_millimetres(landmarks: PointLandmarks, mesh: Mesh) -> tuple[PointLandmarks, tuple[str, ...]]:
+    """Landmarks a thousandth as large as their mesh are metres that were read as millimetres: enlarged, and a note."""
     ratio = np.ptp(mesh.surface_vertices, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
-    if _IN_METRES[0] < ratio < _IN_METRES[1]:
-        notes.append("landmarks read as metres: as millimetres they are a thousandth of the body")
-        landmarks = landmarks.moved(1000.0, np.eye(3))
-    on_surface = landmarks.for_mesh(mesh)
-    farthest = int(on_surface.distance_m.argmax())
-    if on_surface.distance_m[farthest] > _NOTED_FROM_M:
-        notes.append(f"{LANDMARKS[farthest]} {1000 * on_surface.distance_m[farthest]:.0f} mm off the surface")
-    return Body(mesh, on_surface.vertices, tuple(notes))
+    if not _IN_METRES[0] < ratio < _IN_METRES[1]:
+        return landmarks, ()
+    note = "landmarks read as metres: as millimetres they are a thousandth of the body"
+    return landmarks.moved(1000.0, np.eye(3)), (note,)
+
+
+def _farthest(snapped: Snapped) -> str:
+    worst = int(snapped.distance_m.argmax())
+    return f"landmarks snapped by up to {1000 * snapped.distance_m[worst]:.1f} mm ({LANDMARKS[worst]})"

@@ -8,118 +8,23 @@ which workers there were does not show in a set.
 from __future__ import annotations
 
 import asyncio
-import hashlib
-import importlib.metadata
 import logging
-import platform
 import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, InvalidStateError
+from concurrent.futures import CancelledError, Executor, Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.engines import Engine
-from bodyseg_data.errors import BadConfig, BodysegError, MissingLibrary
-from bodyseg_data.packing import PACKING_VERSION, Packing, spread
+from bodyseg_data.engines.workers import Expected, check, expected, installed, job
+from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.packing import Packing
 
 _PATIENCE_S: Final = 5.0
 """How long a scheduler may take to answer, and a first worker to appear."""
-
-_SHAPE_BYTES: Final = (
-    "bodyseg",
-    "anny",
-    "embreex",
-    "numpy",
-    "pillow",
-    "potpourri3d",
-    "pygeodesic",
-    "pymeshlab",
-    "pyrender",
-    "scipy",
-    "torch",
-    "trimesh",
-    "zstandard",
-)
-"""The packages that a sample's bytes can depend on."""
-
-_SEEN_BODIES: Final = 8
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What a worker must have in common with the process that packs, for the same bytes to come out.
-
-    installed: (name, version) pairs. seen: digest of the source's bodies as that process sees them.
-    """
-
-    packing: Packing
-    installed: tuple[tuple[str, str], ...]
-    seen: str
-
-
-def expected(packing: Packing) -> Expected:
-    """What this process has. Raises BodysegError as opening the source does."""
-    return Expected(packing, installed(), _seen(packing))
-
-
-@lru_cache(maxsize=1)
-def installed() -> tuple[tuple[str, str], ...]:
-    """(name, version or "none") of everything here that bytes can depend on."""
-    found = [
-        ("packing version", str(PACKING_VERSION)),
-        ("processor", platform.machine()),
-        ("python", ".".join(platform.python_version_tuple()[:2])),
-    ]
-    for name in _SHAPE_BYTES:
-        try:
-            version = importlib.metadata.version(name).partition("+")[0]  # which build of torch makes no difference
-        except importlib.metadata.PackageNotFoundError:
-            version = "none"
-        found.append((name, version))
-    return tuple(found)
-
-
-def _seen(packing: Packing) -> str:
-    """All names, and all that shapes a few of the bodies: enough to tell another folder, and read in no time."""
-    bodies = packing.bodies()
-    few = spread(bodies, min(_SEEN_BODIES, len(bodies)))
-    return hashlib.sha256(repr((bodies, packing.opened().fingerprint(few))).encode()).hexdigest()
-
-
-@lru_cache(maxsize=8)
-def fault(wanted: Expected) -> str | None:
-    """Runs on a worker: why it would not give the same bytes, or None."""
-    for (name, there), (_, here) in zip(wanted.installed, installed(), strict=True):
-        if there != here:
-            return f"has {name} {here}, this machine has {there}: install the same versions on both"
-    try:
-        seen = _seen(wanted.packing)
-    except BodysegError as error:
-        return str(error)
-    if seen != wanted.seen:
-        return f"sees other bodies in {wanted.packing.path} than this machine: share one folder with the workers"
-    return None
-
-
-_one_at_a_time = threading.Lock()
-
-
-def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """Runs on a worker: what `function` gives, or the BodysegError it raises, as a value: no log holds a traceback."""
-    # A body model, torch's number of threads and OpenGL are a process's, not a thread's.
-    with _one_at_a_time:
-        problem = fault(wanted)  # known already, unless this worker came late
-        if problem is not None:
-            return BadConfig(f"worker {socket.gethostname()} {problem}")
-        try:
-            return function(*arguments)
-        except BodysegError as error:
-            return error
 
 
 @contextmanager
@@ -137,7 +42,7 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         client = _connect(distributed, address)
         try:
             threads = _workers(client, place)
-            _check_workers(client, wanted, place)
+            _check_workers(client, wanted, place, list(threads))
             executor = _Cluster(client, wanted, place)
             try:
                 yield Engine(executor, workers or len(threads), _note(threads))
@@ -170,7 +75,8 @@ def _connect(distributed: Any, address: tuple[str, int]) -> Any:
         reason = getattr(error, "strerror", None) or error
         raise BadConfig(f"no Dask scheduler at {host}:{port}: {reason}; start one with: dask scheduler") from error
     try:
-        kind = asyncio.run(_identify(distributed, f"tcp://{host}:{port}"))
+        with ThreadPoolExecutor(1) as thread:  # in this one a loop may run already, as in a notebook
+            kind = thread.submit(asyncio.run, _identify(distributed, f"tcp://{host}:{port}")).result()
         if kind == "Scheduler":
             return distributed.Client(f"tcp://{host}:{port}", timeout=_PATIENCE_S, set_as_default=False)
     except Exception as error:  # whatever the other side's bytes lead to
@@ -197,7 +103,7 @@ def _workers(client: Any, place: str) -> dict[str, int]:
     return threads
 
 
-def _check_workers(client: Any, wanted: Expected, place: str) -> None:
+def _check_workers(client: Any, wanted: Expected, place: str, workers: list[str]) -> None:
     try:
         client.run_on_scheduler(installed)
     except Exception as error:
@@ -205,15 +111,18 @@ def _check_workers(client: Any, wanted: Expected, place: str) -> None:
             f"the scheduler at {place} cannot load bodyseg of this version, which jobs pass through: install it there, "
             f"too ({error})"
         ) from error
-    try:
-        answers = client.run(fault, wanted, on_error="return")
-    except Exception as error:
-        raise _lost(place) from error
-    for worker, answer in sorted(answers.items()):
-        if isinstance(answer, Exception):
-            answer = f"cannot load bodyseg of this version: install the same versions on both ({answer})"
-        if answer is not None:
-            raise BadConfig(f"worker {worker} {answer}")
+    # A source may fill a cache on first use, which the workers of one machine, or of one shared folder, would all do.
+    machines = {worker.rpartition(":")[0]: worker for worker in workers}
+    for group in (workers[:1], list(machines.values()), workers):
+        try:
+            answers = client.run(check, wanted, workers=group, on_error="return")
+        except Exception as error:
+            raise _lost(place) from error
+        for worker, answer in sorted(answers.items()):
+            if isinstance(answer, Exception):
+                answer = f"cannot load bodyseg of this version: install the same versions on both ({answer})"
+            if answer is not None:
+                raise BadConfig(f"worker {worker} {answer}")
 
 
 def _note(threads: dict[str, int]) -> str | None:

@@ -24,12 +24,13 @@ def processes(workers: int | None) -> Iterator[Engine]:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
     try:
         yield Engine(executor, count)
     except BaseException:
         # Nothing of what the workers are at will be used: the user need not wait for it.
-        for worker in multiprocessing.active_children():
+        for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
         raise
     finally:

@@ -80,6 +80,8 @@ def _fill_loop(
     across, down = (np.arange(columns) + 0.5 - centre_x) / focal, (np.arange(rows) + 0.5 - centre_y) / focal
     for number in range(len(faces)):
         i, j, k = faces[number, 0], faces[number, 1], faces[number, 2]
+        if max(local[i, 2], local[j, 2], local[k, 2]) <= 0:
+            continue  # behind the camera, where no ray goes
         left, right, top, bottom = 0, columns - 1, 0, rows - 1
         if min(local[i, 2], local[j, 2], local[k, 2]) > _NEAR_M:
             # Cut to the frame before they become whole numbers, which have an end.
@@ -112,5 +114,5 @@ def _fill_loop(
                         depth[pixel], face[pixel] = z, number
 
 
-_project: Any = _numba.njit(_project_loop, nogil=True, error_model="numpy")  # has no types everywhere
+_project: Any = _numba.njit(_project_loop, nogil=True, error_model="numpy")  # numba has no type stubs on every Python
 _fill: Any = _numba.njit(_fill_loop, nogil=True, error_model="numpy")

@@ -95,9 +95,8 @@ class Wardrobe:
         depths = self._wave / np.pi * np.sqrt(self._slack + shortened)
         folds = _DEEPEST_M * np.tanh((depths * self._patterns).sum(axis=1) / _DEEPEST_M)
         cloth = self._outside(calm + self._cover * (_THICKNESS_M + width + folds)[:, None] * out, body, out)
-        for _ in range(1):
-            cloth += 0.5 * self._cover * (self._average @ cloth - cloth)
-            cloth = self._outside(cloth, body, out)
+        cloth += 0.5 * self._cover * (self._average @ cloth - cloth)
+        cloth = self._outside(cloth, body, out)
         dressed = vertices.copy()
         dressed[self._vertices[self._free]] = np.round(cloth[self._free], _DECIMALS) + 0.0
         return dressed
