@@ -157,7 +157,8 @@ class Mesh:
         for corner in range(3):
             np.add.at(normals, self.faces[:, corner], self.normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.divide(normals, length, out=normals, where=length > 0)
+        np.divide(normals, length, out=normals, where=length > 0)
+        return normals
 
     def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""

@@ -159,7 +159,7 @@ def test_landmarks_in_metres_are_understood(tmp_path: Path) -> None:
     body = first(CaesarBodies(tmp_path))
     assert body.landmarks.tolist() == list(VERTICES)
     assert body.notes[0] == "landmarks read as metres: as millimetres they are a thousandth of the body"
-    assert body.notes[1].startswith("landmarks snapped by up to 0.0 mm (")
+    assert body.notes[1].startswith("landmarks snapped by up to 0.1 mm (")  # the file has four decimals
 
 
 @pytest.mark.parametrize("up", ["auto", "-z"])
