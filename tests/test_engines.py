@@ -220,9 +220,9 @@ def test_a_bad_body_is_one_error_whatever_the_cluster(nodes: Nodes, tmp_path: Pa
 
 
 def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    ours = [(name, "0.1" if name == "embreex" else version) for name, version in workers.installed()]
+    ours = tuple((name, "0.1" if name == "embreex" else version) for name, version in workers.installed())
     with monkeypatch.context() as patch:
-        patch.setattr(workers, "installed", lambda: tuple(ours))
+        patch.setattr(cluster, "expected", lambda packing: replace(workers.expected(packing), installed=ours))
         with (
             pytest.raises(
                 BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .*, this machine has 0.1: install"

@@ -57,7 +57,7 @@ class _Replay(Executor):
         packing: Packing
         body: BodyRef
         views: tuple[View, ...]
-        packing, body, views = args
+        packing, body, views, _ = args
         keys = [sample_key(packing.source, body, view) for view in views]
         answer: Future[Any] = Future()
         answer.set_result(Rendered(list(zip(keys, self._members, strict=False)), ()))

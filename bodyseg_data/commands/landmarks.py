@@ -87,14 +87,15 @@ def _proposed(options: Options, out: Path) -> Sitter:
     """Propose, write and list the landmarks of one mesh."""
     if out.suffix != ".json":
         raise BadConfig(f"--propose must be a .json file, found {out}")
+    if out.exists():
+        raise BadConfig(f"{out} is there already, perhaps corrected by hand: propose to another file, or delete it")
     for file in (out, options.out):  # now rather than after the work
         if not file.parent.is_dir():
             raise BadConfig(f"cannot write {file}: no such folder")
-    mesh, title = _to_propose(options)
+    mesh, title, upward = _to_propose(options)
     from bodyseg_data.proposal import propose
 
-    sys.stderr.write(f"laying the open body over {title}: half a minute\n")
-    upward = [_UP[options.up]] if options.up != "auto" else list(_UP.values())
+    sys.stderr.write(f"laying the open body over {title}: about a quarter of a minute\n")
     proposal = propose(mesh, [_upright(axis).T for axis in upward])
     write_atomically(out, proposal.landmarks.to_json().encode())
     sys.stdout.write(_table(proposal))
@@ -104,18 +105,19 @@ def _proposed(options: Options, out: Path) -> Sitter:
     return f"{title}, proposed", facing, partition(facing, vertices), vertices
 
 
-def _to_propose(options: Options) -> tuple[Mesh, str]:
-    """The mesh in metres and in the axes of its file, and its name. Sources need no landmarks for it."""
+def _to_propose(options: Options) -> tuple[Mesh, str, list[NDArray[np.float64]]]:
+    """The mesh in metres and in the axes of its file, its name, and what may be up. Sources need no landmarks."""
+    upward = [_UP[options.up]] if options.up != "auto" else list(_UP.values())
     if options.mesh is not None:
-        return _read(options.mesh, options), options.mesh.name
+        return _read(options.mesh, options), options.mesh.name, upward
     source, bodies = _bodies(options)
     if len(bodies) != 1:
         raise BadConfig(f"--propose takes one mesh at a time, found {len(bodies)} in --meshes")
     from bodyseg_data.bodies.mesh_bodies import MeshBodies
 
     if isinstance(source, MeshBodies):
-        return _read(source.path_of(bodies[0]), options), bodies[0].mesh
-    return source.build(bodies[0]).mesh, bodies[0].mesh
+        return _read(source.path_of(bodies[0]), options), bodies[0].mesh, upward
+    return source.build(bodies[0]).mesh, bodies[0].mesh, [_UP["y"]]
 
 
 def _read(path: Path, options: Options) -> Mesh:
