@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,15 @@ from bodyseg_data.proposal import Proposal, propose  # noqa: E402
 from bodyseg_data.proposal_body import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.proposal_fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
 from bodyseg_data.proposal_surface import Points, farthest, remoteness, spread_over, vertex_normals  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """As `propose` works: more threads only get into each other's way."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -302,3 +312,31 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
     assert main(["landmarks", *words]) == 2
     assert "corrected.json is there already" in capsys.readouterr().err
     assert corrected.read_text() == "by hand"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--figure", "x.png"], "bench proposal draws no figure: leave --figure out"),
+        (["--views", "3"], "bench proposal measures whole bodies: leave --views out"),
+    ],
+)
+def test_the_bench_refuses_what_it_has_no_use_for(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "proposal", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
+    counts = len(standing.mesh.vertices), len(standing.mesh.faces)
+    right = standing.landmarks.copy()
+    places = standing.mesh.vertices[right]
+    swapped = right.copy()
+    swapped[[15, 16]] = right[[16, 15]]
+    for vertices, wrong in ((right, 0), (swapped, 2)):
+        landmarks = LandmarkSet("x", "x", *counts, tuple(vertices.tolist()))
+        figures = measure(standing.mesh, places, Proposal(landmarks, np.zeros(33)))
+        assert figures["swapped"] == figures["beyond_8_cm"] == wrong
+        assert figures["median_cm"] == 0
+        assert (figures["worst_cm"] > 30 and figures["wrong_surface"] > 0.03) == bool(wrong)

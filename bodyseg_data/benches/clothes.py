@@ -27,6 +27,7 @@ _DISTANCE_CM: Final = 255
 _WINDOW_PX: Final = 15  # 5 cm at that distance
 _STEP_PX: Final = 5
 _EDGE_M: Final = 0.08  # a window with more range than this holds the edge of a limb
+_ROUNDING_M: Final = 1e-5  # bodies are rounded to the micrometre
 _PERCENTILES: Final = (25, 50, 75, 95)
 _BARE: Final = ("Sellion", "Nuchale", "Supramenton", "Dactylion", "Digit II")
 """Parts of head, hands and feet, which no outfit covers."""
@@ -124,7 +125,8 @@ def _away(dressed: Body, bare: Body) -> Floats:
     """Distance [V] between dressed and bare vertices; both are centred afresh, so the bare head aligns them."""
     offset = np.median(dressed.mesh.vertices - bare.mesh.vertices, axis=0)
     away: Floats = np.linalg.norm(dressed.mesh.vertices - bare.mesh.vertices - offset, axis=1)
-    return away.round(6)
+    away[away < _ROUNDING_M] = 0
+    return away
 
 
 def _percentiles(values: Floats) -> dict[str, float]:
