@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gzip
 import os
 from pathlib import Path
@@ -41,6 +42,8 @@ def contents(path: Path, packed: bool, limit: int) -> bytes | None:
 
     Raises OSError if it cannot be read, gzip.BadGzipFile, EOFError or zlib.error if it is not a whole gzip file.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))  # a pipe would wait for ever
     data = bytearray()
     with gzip.open(path) if packed else path.open("rb") as file:
         while len(data) <= limit and (chunk := file.read(_CHUNK_BYTES)):

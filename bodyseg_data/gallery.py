@@ -34,7 +34,7 @@ def choose(keys: Sequence[str], count: int) -> list[int]:
     which view of a mesh is drawn from its name. Raises BadConfig for fewer samples than asked for.
     """
     if not 1 <= count <= len(keys):
-        raise BadConfig(f"a gallery of this set shows 1 to {len(keys)} views, found {count}")
+        raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
     groups: dict[str, dict[str, list[int]]] = {}
     for index, key in enumerate(keys):
         match = _KEY.fullmatch(key)

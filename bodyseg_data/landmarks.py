@@ -97,7 +97,9 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
 def read_text(path: Path) -> str:
     """The text of a landmark file in UTF-8. Raises BadLandmarks."""
     try:
-        return path.read_text(encoding="utf-8")
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise BadLandmarks(f"cannot read the landmark file {path}: not a regular file")
+        return path.read_text(encoding="utf-8-sig")  # some editors put a mark at the beginning
     except (OSError, UnicodeDecodeError) as error:
         raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
 

@@ -16,6 +16,7 @@ import math
 import re
 import zlib
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -80,6 +81,7 @@ LARGEST_BYTES: Final = 1 << 20
 _SIDES: Final = {"rt": "rt", "right": "rt", "lt": "lt", "left": "lt"}
 _PLACEHOLDER_MM: Final = -999.0
 _LEAST_SHARE: Final = 0.6  # of a name that a cut one keeps
+_LONGEST_NAME: Final = 60  # twice what the survey has; telling letters apart takes their number's square
 _MARGIN: Final = 2  # letters by which a misspelt name must be nearer to one than to the next
 _AUX: Final = re.compile(r"\s*AUX\s*=", re.IGNORECASE)
 _END: Final = re.compile(r"\s*END\s*=", re.IGNORECASE)
@@ -112,8 +114,11 @@ def read_lnd(path: Path) -> PointLandmarks:
     return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
 
 
+@lru_cache(maxsize=4096)
 def recognise(written: str) -> str | None:
     """Which of `CAESAR_LANDMARKS` a name in a file means; None if that is not certain."""
+    if len(written) > _LONGEST_NAME:
+        return None
     side, words = _normalised(written.partition("#")[0])
     names = {known: words for known, (its_side, words) in _KNOWN.items() if its_side == side}
     exact = [known for known, other in names.items() if other == words]

@@ -42,7 +42,8 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
     if (out / MANIFEST_NAME).exists():
         if read_manifest(out).plan != digest:
             raise BadConfig(
-                f"{out} already holds a set of shards packed with other options: choose another folder, or delete it"
+                f"{out} already holds a set of shards packed with other options or from other files: "
+                "choose another folder, or delete it"
             )
     elif not state.exists() and out.exists() and any(out.glob("*.tar")):
         raise BadConfig(f"{out} holds tars that no packing here knows of: choose another folder")
@@ -69,7 +70,8 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
         stored = None
     if stored != description:
         raise BadConfig(
-            f"{out} holds an unfinished packing with other options: finish it with those, or delete the folder"
+            f"{out} holds an unfinished packing with other options or of other files: "
+            "finish it with those, or delete the folder"
         )
 
 

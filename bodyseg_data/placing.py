@@ -108,7 +108,11 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
 
 
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
-    """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body with its head well above its feet."""
+    """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
+
+    Its head is well above its feet; and what lies at the front of head, chest and pelvis is in front of what lies at
+    their back, which it is not if right and left, or front and back, are mistaken for each other.
+    """
     heights = dict(zip(LANDMARKS, landmarks[:, 1], strict=True))
     feet = (heights["Rt. Lateral Malleolus"] + heights["Lt. Lateral Malleolus"]) / 2
     above = heights["Sellion"] - feet
@@ -116,6 +120,21 @@ def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
         raise BadMesh(
             f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
             "axis points up? --up gives it)"
+        )
+    places = dict(zip(LANDMARKS, landmarks, strict=True))
+    ahead = [
+        places[front][2] - places[back][2]
+        for front, back in (
+            ("Sellion", "Nuchale"),
+            ("Suprasternale", "Cervicale"),
+            ("Rt. ASIS", "Rt. PSIS"),
+            ("Lt. ASIS", "Lt. PSIS"),
+        )
+    ]
+    if min(ahead) < 0:
+        raise BadMesh(
+            f"{where}: Sellion, Suprasternale and the ASIS lie in front of Nuchale, Cervicale and the PSIS, found one "
+            f"{-100 * min(ahead):.0f} cm behind: are right and left, or two names, exchanged?"
         )
 
 

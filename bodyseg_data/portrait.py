@@ -25,6 +25,9 @@ Sitter = tuple[str, Mesh, Partition, NDArray[np.int64]]
 SIDES: Final = (("front", 0), ("its left", 90), ("back", 180), ("its right", 270))
 """Caption and azimuth in degrees of each view."""
 
+HEIGHTS_PX: Final = range(100, 4001)
+"""How high a body may be drawn."""
+
 _DISTANCE_M: Final = 12.0  # far enough that the four views look drawn to one scale
 _FINER: Final = 3  # rendered so many times finer, then reduced, for smooth outlines
 _MARGIN: Final = 26
@@ -49,7 +52,7 @@ def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None =
     the embree renderer.
     """
     heights = [600] * len(sitters) if heights_px is None else list(heights_px)
-    if not sitters or len(heights) != len(sitters) or not all(100 <= height <= 4000 for height in heights):
+    if not sitters or len(heights) != len(sitters) or not all(height in HEIGHTS_PX for height in heights):
         raise BadConfig(
             f"a picture needs one height of 100 to 4000 pixels for each of its bodies and at least one body, "
             f"found heights {heights} for {len(sitters)} bodies"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -200,3 +201,28 @@ def test_subjects_that_cannot_be_labelled_are_named_before_anything_is_rendered(
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="'caesar' needs one mesh .* a subject: found none in"):
         CaesarBodies(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "exchanged", [[("Rt.", "Lt."), ("Lt.", "Rt.")], [("Sellion", "Nuchale"), ("Nuchale", "Sellion")]]
+)
+def test_exchanged_names_are_seen(tmp_path: Path, exchanged: list[tuple[str, str]]) -> None:
+    """Right for left turns a body back to front, and every label with it."""
+    write_subject(tmp_path)
+    file = tmp_path / "csr0001a.lnd"
+    names = dict(exchanged)
+    file.write_text(re.sub("|".join(names), lambda match: names[match[0]], file.read_text()))
+    with pytest.raises(BadMesh, match=r"csr0001a\.ply: Sellion, .* found one \d+ cm behind: are right and left"):
+        first(CaesarBodies(tmp_path))
+
+
+def test_links_to_folders_are_followed_once_and_pipes_are_no_files(tmp_path: Path) -> None:
+    write_subject(tmp_path / "disk")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "linked").symlink_to(tmp_path / "disk")
+    (tmp_path / "disk" / "round").symlink_to(tmp_path / "data")
+    os.mkfifo(tmp_path / "data" / "csr0002a.ply")
+    (tmp_path / "data" / "csr0003a.ply").symlink_to("/dev/zero")
+    source = CaesarBodies(tmp_path / "data")
+    assert [body.subject for body in source.bodies()] == ["csr0001a"]
+    assert first(source).landmarks.tolist() == list(VERTICES)

@@ -129,6 +129,11 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
         ),
         (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling draws no figure: leave --figure out"),
         (["bench", "render", "--figure", "x.jpg"], "bodyseg bench: --figure must be a .png file, found x.jpg"),
+        (
+            ["bench", "occlusion", "--json", "none/x.json"],
+            "--json needs a file in a folder that is there, found none/x",
+        ),
+        (["landmarks", "--source", "open", "--out", "x.png", "--height", "0"], "100 to 4000 pixels, found 0"),
         (["bench", "partition", "--views", "3"], "bodyseg bench: bench partition measures whole bodies"),
         (
             ["bench", "render", "--mit", "x"],
@@ -136,7 +141,7 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
         ),
         (
             ["shard", "--source", "open", "--out", "x", "--report", "none/x.json"],
-            "--report needs a folder that is there",
+            "--report needs a file in a folder that is there",
         ),
         (["shard", "--source", "mit", "--path", "nowhere", "--plan"], "bodyseg shard: "),
         (["shard", "--source", "open", "--plan", "--rig", "no.toml"], "cannot read the rig file no.toml"),

@@ -83,5 +83,6 @@ def test_one_picture_of_two_sets(figures_set: Path, tmp_path: Path, capsys: pyte
         colours = np.asarray(picture.convert("RGB"))
     assert colours.shape[1] > COLUMNS * 150
     assert (colours.max(axis=2).astype(int) - colours.min(axis=2) > 100).mean() > 0.02  # parts in their colours
+    assert cli.main(["gallery", str(figures_set), "--out", str(tmp_path / "all.png")]) == 0  # 24 are there, not 48
     assert cli.main(["gallery", str(figures_set), "--out", str(tmp_path / "gallery.jpg")]) == 2
     assert "must be a .png file" in capsys.readouterr().err

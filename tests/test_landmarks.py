@@ -230,3 +230,9 @@ def _frame(path: Path) -> Mesh:
         elif kind == "f":
             faces.append([int(value.split("/")[0]) - 1 for value in values])
     return Mesh(path.stem, np.array(vertices), np.array(faces))
+
+
+def test_a_mark_at_the_beginning_of_a_file_does_not_matter(tmp_path: Path) -> None:
+    marked = tmp_path / "marked.json"
+    marked.write_bytes(b"\xef\xbb\xbf" + load_landmarks("open").to_json().encode())
+    assert load_landmarks(marked).vertices == load_landmarks("open").vertices

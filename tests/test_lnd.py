@@ -212,3 +212,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*cut\.lnd\.gz"):
             read_lnd(path)
+
+
+def test_a_name_without_end_takes_no_time_without_end(tmp_path: Path) -> None:
+    assert recognise("Rt. " + "Acromion" * 100_000) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
 import struct
 import tracemalloc
@@ -322,3 +323,9 @@ def test_real_frames_are_read_as_they_are(mit_folder: Path, tmp_path: Path) -> N
     packed = tmp_path / "mesh_0000.obj.gz"
     packed.write_bytes(gzip.compress(path.read_bytes()))
     np.testing.assert_array_equal(read_mesh(packed)[0], vertices)
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "scan.ply")
+    with pytest.raises(BadMesh, match=r"scan\.ply.*not a regular file"):
+        read_mesh(tmp_path / "scan.ply")

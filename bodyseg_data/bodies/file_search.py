@@ -31,16 +31,25 @@ def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Pa
 def files_below(root: Path) -> list[Path]:
     """All files in a folder and its sub-folders, sorted; none whose name, or whose folder's, begins with a dot.
 
+    Links are followed, to each folder once. Pipes, devices and the like are no files.
+
     Raises BadConfig for a folder that cannot be listed.
     """
 
     def refuse(error: OSError) -> None:
         raise BadConfig(f"cannot list {error.filename}: {error.strerror or error}") from error
 
-    found = []
-    for folder, folders, names in os.walk(root, onerror=refuse):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        found += [Path(folder, name) for name in names if not name.startswith(".")]
+    found: list[Path] = []
+    seen: set[tuple[int, int]] = set()
+    for folder, folders, names in os.walk(root, onerror=refuse, followlinks=True):
+        status = Path(folder).stat()
+        place = (status.st_dev, status.st_ino)
+        if place in seen:  # a link back to where it lies would lead round for ever
+            folders.clear()
+            continue
+        seen.add(place)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        found += [file for name in names if not name.startswith(".") and (file := Path(folder, name)).is_file()]
     return sorted(found)
 
 

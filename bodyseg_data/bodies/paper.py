@@ -32,6 +32,10 @@ class PaperBodies:
     def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
         if landmarks is not None and not landmarks.is_dir():
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
+        if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
+            raise BadConfig(
+                f"--landmarks must hold one of the sub-folders {', '.join(_PARTS)}: found none in {landmarks}"
+            )
         self._source_of: dict[BodyRef, BodySource] = {}
         self._missing: list[str] = []
         for name, (opened, complete) in _PARTS.items():

@@ -100,6 +100,8 @@ def _check(options: Options) -> None:
         if not bench.figure:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
         check_picture(options.figure, "--figure")
+    if options.json is not None and (options.json.is_dir() or not options.json.absolute().parent.is_dir()):
+        raise BadConfig(f"--json needs a file in a folder that is there, found {options.json}")
     if options.views is not None and bench.views is None:
         raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
     if options.mit is not None and not bench.mit:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.gallery import choose, draw_gallery
@@ -14,6 +15,8 @@ from bodyseg_data.streaming import RangeImages
 
 EXAMPLE = "bodyseg gallery shards hard-shards --views 48 --out gallery.png"
 
+_VIEWS: Final = 48
+
 
 @dataclass(frozen=True)
 class Options:
@@ -21,7 +24,7 @@ class Options:
 
     folders: tuple[Path, ...] = option("folders of sets of shards, all of one rig", positional=True)
     out: Path = option("write the picture to this PNG file")
-    views: int = option("how many views, evenly over the sets' subjects and meshes", 48)
+    views: int | None = option("how many views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
 
 
 def run(options: Options) -> int:
@@ -33,7 +36,8 @@ def run(options: Options) -> int:
         if images.manifest.rig.camera != camera:
             raise BadConfig(f"a gallery shows sets of one rig, found another in {images.path} than in {sets[0].path}")
     places = [(images, index) for images in sets for index in range(len(images))]
-    chosen = choose([key for images in sets for key in images.keys], options.views)
+    count = min(_VIEWS, len(places)) if options.views is None else options.views
+    chosen = choose([key for images in sets for key in images.keys], count)
     samples = [places[place][0].clean(places[place][1]) for place in chosen]
     title = f"{len(samples)} of {len(places)} views, rig {sets[0].manifest.rig.name}"
     save_picture(draw_gallery(samples, camera, title), options.out)

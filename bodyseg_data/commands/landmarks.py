@@ -20,7 +20,7 @@ from bodyseg_data.partition import partition
 from bodyseg_data.parts import LANDMARKS, PARTS
 from bodyseg_data.pictures import check_picture, save_picture
 from bodyseg_data.placing import Units, UpAxis, metres_a_unit
-from bodyseg_data.portrait import Sitter, draw_portraits
+from bodyseg_data.portrait import HEIGHTS_PX, Sitter, draw_portraits
 
 if TYPE_CHECKING:
     from bodyseg_data.proposal import Proposal
@@ -50,6 +50,8 @@ class Options:
 def run(options: Options) -> int:
     """Draw and write the picture; propose landmarks before if asked to."""
     check_picture(options.out)
+    if options.height not in HEIGHTS_PX:
+        raise BadConfig(f"--height must be {HEIGHTS_PX.start} to {HEIGHTS_PX.stop - 1} pixels, found {options.height}")
     if (options.mesh is None) == (options.source is None):
         raise BadConfig("give either --source or --mesh")
     if options.mesh is not None and (options.path, options.landmarks, options.meshes) != (None, None, ()):

@@ -91,8 +91,8 @@ def run(options: Options) -> int:
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
-    if options.report is not None and not options.report.absolute().parent.is_dir():
-        raise BadConfig(f"--report needs a folder that is there, found no {options.report.parent}")
+    if options.report is not None and (options.report.is_dir() or not options.report.absolute().parent.is_dir()):
+        raise BadConfig(f"--report needs a file in a folder that is there, found {options.report}")
     _warn_of_missing(packing)
     origin = {} if options.report is None else provenance(_command(options))
     start = time.perf_counter()
