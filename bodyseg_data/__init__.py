@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from bodyseg_data.errors import BodysegError
+    from bodyseg_data.loading import Loader, loader
     from bodyseg_data.parts import BACKGROUND, PARTS
     from bodyseg_data.rig import Rig, load_rig
     from bodyseg_data.sample import Sample
-    from bodyseg_data.streaming import Batch, Loader, RangeImages, loader
+    from bodyseg_data.streaming import Batch, RangeImages
     from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation
 
 _HOME: Final = {
@@ -26,9 +27,9 @@ _HOME: Final = {
     "load_rig": "rig",
     "Sample": "sample",
     "Batch": "streaming",
-    "Loader": "streaming",
+    "Loader": "loading",
     "RangeImages": "streaming",
-    "loader": "streaming",
+    "loader": "loading",
     "VARIANTS": "variants",
     "Artifacts": "variants",
     "Augmentation": "variants",

@@ -37,13 +37,18 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def refuse_special(path: Path) -> None:
+    """Raise OSError for a pipe, which reading would wait at for ever, a device and the like."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
 def contents(path: Path, packed: bool, limit: int) -> bytes | None:
     """All bytes of a file, unpacked if it is `packed` with gzip; None if there are more than `limit` of them.
 
     Raises OSError if it cannot be read, gzip.BadGzipFile, EOFError or zlib.error if it is not a whole gzip file.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise OSError(errno.EINVAL, "not a regular file", str(path))  # a pipe would wait for ever
+    refuse_special(path)
     data = bytearray()
     with gzip.open(path) if packed else path.open("rb") as file:
         while len(data) <= limit and (chunk := file.read(_CHUNK_BYTES)):

@@ -13,8 +13,9 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.connectivity import Edges, components, find_edges
 from bodyseg_data.errors import BadConfig, Unanswerable
-from bodyseg_data.mending import Edges, components, find_edges, find_fans
+from bodyseg_data.mending import find_fans
 from bodyseg_data.mesh_repair import SAME_POINT_M
 from bodyseg_data.system_libraries import missing_library
 

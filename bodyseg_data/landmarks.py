@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.errors import BadLandmarks
+from bodyseg_data.files import refuse_special
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.parts import LANDMARKS
 
@@ -97,8 +98,7 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
 def read_text(path: Path) -> str:
     """The text of a landmark file in UTF-8. Raises BadLandmarks."""
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise BadLandmarks(f"cannot read the landmark file {path}: not a regular file")
+        refuse_special(path)
         return path.read_text(encoding="utf-8-sig")  # some editors put a mark at the beginning
     except (OSError, UnicodeDecodeError) as error:
         raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error

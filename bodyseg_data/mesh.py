@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.connectivity import components, find_edges
 from bodyseg_data.errors import BadMesh
-from bodyseg_data.system_libraries import missing_library
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -86,17 +86,12 @@ class Mesh:
 
     def _clashing_edge(self) -> tuple[int, int] | None:
         """An edge that exactly two faces share and both go along in the same direction, if there is one."""
-        ways = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).astype(np.int64)
-        low, high = ways.min(axis=1), ways.max(axis=1)
-        edges, place, count = np.unique(low * len(self.vertices) + high, return_inverse=True, return_counts=True)
-        balance = np.bincount(place, weights=np.where(ways[:, 0] == low, 1, -1))
-        real = edges // len(self.vertices) != edges % len(self.vertices)  # not from a vertex to itself
-        bad = np.flatnonzero((count == 2) & (balance != 0) & real)
-        return (
-            None
-            if not len(bad)
-            else (int(edges[bad[0]] // len(self.vertices)), int(edges[bad[0]] % len(self.vertices)))
-        )
+        edges = find_edges(self.faces)
+        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
+        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
+        real = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
+        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & real)
+        return None if not len(bad) else (int(edges.ends[bad[0], 0]), int(edges.ends[bad[0], 1]))
 
     def signed_volume(self) -> float:
         """Volume enclosed, m3, about the middle of the vertices; negative if faces point inwards."""
@@ -104,11 +99,10 @@ class Mesh:
 
     def _lowest_closed_volume(self) -> float:
         """Signed volume, m3, of the closed connected piece that has the least; infinite if no piece is closed."""
-        ends = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=2).reshape(-1, 2).astype(np.int64)
-        keys, count = np.unique(ends.min(axis=1) * len(self.vertices) + ends.max(axis=1), return_counts=True)
+        edges = find_edges(self.faces)
         piece = self.pieces("checking a mesh")
         closed = np.ones(piece.max() + 1, np.bool_)
-        closed[piece[keys[count == 1] // len(self.vertices)]] = False
+        closed[piece[edges.ends[edges.faces == 1, 0]]] = False
         faces = self.faces[closed[piece[self.faces[:, 0]]]]
         if not len(faces):
             return np.inf
@@ -123,15 +117,7 @@ class Mesh:
 
         feature: what they are wanted for, for the message of the MissingLibrary that is raised without scipy.
         """
-        try:
-            from scipy.sparse import coo_matrix
-            from scipy.sparse.csgraph import connected_components
-        except ImportError as error:
-            raise missing_library(feature, error) from error
-        rows, columns = self.faces.ravel(), np.roll(self.faces, 1, axis=1).ravel()
-        links = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(self.vertices),) * 2)
-        piece: NDArray[np.int32] = connected_components(links, directed=False)[1]
-        return piece
+        return components(len(self.vertices), self.faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:

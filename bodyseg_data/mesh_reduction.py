@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body
+from bodyseg_data.connectivity import find_edges
 from bodyseg_data.errors import BadConfig, BadMesh
-from bodyseg_data.mending import find_edges
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.mesh_repair import load_pymeshlab
 from bodyseg_data.rendering import open_renderer

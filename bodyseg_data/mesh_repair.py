@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.connectivity import components
 from bodyseg_data.errors import BadMesh
 from bodyseg_data.system_libraries import missing_library, require_libraries
 
@@ -97,12 +98,9 @@ def _used_part(
 
 def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """The faces, turned round in every connected piece that encloses a negative volume."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T  # two edges of a triangle connect its three vertices
-    links = coo_array((np.ones(edges.shape[1], np.bool_), edges), shape=(len(vertices), len(vertices)))
-    count, piece_of_vertex = connected_components(links, directed=False)
+    # Two edges of a triangle connect its three vertices.
+    piece_of_vertex = components(len(vertices), faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    count = int(piece_of_vertex.max()) + 1
     piece = piece_of_vertex[faces[:, 0]]
     # About a point of the piece itself, so that the sign is right also for one with small holes.
     size = np.bincount(piece_of_vertex, minlength=count)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.borders import Borders, find_borders
+from bodyseg_data.connectivity import components
 from bodyseg_data.errors import BadLandmarks, Unanswerable
 from bodyseg_data.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
-from bodyseg_data.mending import Mended, components, mend
+from bodyseg_data.mending import Mended, mend
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.nearest_surface import nearest_corner
 from bodyseg_data.parts import LANDMARKS, PART_COUNT

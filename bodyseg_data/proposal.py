@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.open_bodies import _one_thread
+from bodyseg_data.bodies.anny_library import one_thread
 from bodyseg_data.bodies.postures import POSTURES
 from bodyseg_data.errors import BadMesh
 from bodyseg_data.landmarks import LandmarkSet
@@ -24,7 +24,7 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.parts import PART_COUNT
 from bodyseg_data.proposal_body import FittingBody, Tensor, fitting_body
 from bodyseg_data.proposal_fit import FINE_REACH_M, Fit, Matcher, Stage, apart, laid, lay, refine
-from bodyseg_data.proposal_surface import FEATURE, Points, spread_over, vertex_normals
+from bodyseg_data.proposal_surface import FEATURE, Points, spread_over
 
 UPRIGHT: Final = (np.eye(3),)
 """How the body's frame may be tilted in a mesh that is upright: not at all."""
@@ -70,7 +70,7 @@ def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Propo
     piece has fewer than 33 vertices, MissingLibrary without Anny or scipy, BadConfig if Anny's cache cannot be used.
     """
     whole = _largest_piece(mesh)
-    with _one_thread():
+    with one_thread():
         body = fitting_body()
         fit = _laid_over(body, spread_over(mesh, _FINE_POINTS), tilts)
         places, normals = lay(body, fit, body.landmarks)
@@ -200,7 +200,7 @@ def _on_surface(
     """For each of 33 places and normals [33, 3] another one of the vertices `among`, and how far it is, metres."""
     from scipy.spatial import KDTree
 
-    facing = vertex_normals(mesh)[among]
+    facing = mesh.vertex_normals[among]
     tree = KDTree(np.concatenate([mesh.vertices[among], _NORMAL_REACH_M * facing], axis=1))
     # As many candidates as there are landmarks: one is always left.
     nearest = tree.query(np.concatenate([places, _NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]

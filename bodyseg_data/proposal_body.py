@@ -15,17 +15,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.open_bodies import _cache_faults, _no_anny, _one_process
+from bodyseg_data.bodies.anny_library import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.people import person
 from bodyseg_data.bodies.posing import Pose, bone_rotations
 from bodyseg_data.landmarks import load_landmarks
 from bodyseg_data.mesh import Mesh
-from bodyseg_data.proposal_surface import farthest, remoteness, vertex_normals
+from bodyseg_data.proposal_surface import farthest, remoteness
 
 _PEOPLE: Final = 96
 _SHAPES: Final = 14
 _POINTS: Final = 2400
-_BODY_FROM_ANNY: Final = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=torch.float64)  # Anny: -y front, z up
 
 Tensor = torch.Tensor
 
@@ -114,12 +113,8 @@ class FittingBody:
 
 def fitting_body() -> FittingBody:
     """Build it: some seconds. Raises MissingLibrary without Anny, BadConfig if its cache cannot be used."""
-    try:
-        from anny import Anny
-    except ImportError as error:
-        raise _no_anny(error) from error
-    with _one_process(), _cache_faults(), torch.inference_mode():
-        anny = Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
+    with torch.inference_mode():
+        anny = load_anny()
         who = [person(index).phenotype() for index in range(_PEOPLE)]
         table = {name: torch.tensor([one[name] for one in who], dtype=torch.float64) for name in who[0]}
         table["height"] = torch.arange(_PEOPLE, dtype=torch.float64) * 0.618034 % 1
@@ -132,7 +127,7 @@ def fitting_body() -> FittingBody:
     order, levels = _by_depth(parents)
     bones = {anny.bone_labels[bone]: place for place, bone in enumerate(order)}
     mesh = Mesh("the open body", mean[0].numpy(), faces)
-    normals = torch.from_numpy(vertex_normals(mesh))
+    normals = torch.from_numpy(mesh.vertex_normals)
 
     def skin(chosen: NDArray[np.int64]) -> Skin:
         at = torch.from_numpy(chosen)
@@ -174,7 +169,7 @@ def _by_depth(parents: Sequence[int]) -> tuple[list[int], list[tuple[slice, Tens
 
 def _people(template: Tensor, shapes: Tensor, coefficients: Tensor) -> Tensor:
     """[people, N, 3] in the body frame."""
-    return (template + torch.einsum("ps,snd->pnd", coefficients, shapes)) @ _BODY_FROM_ANNY.T
+    return (template + torch.einsum("ps,snd->pnd", coefficients, shapes)) @ torch.from_numpy(BODY_FROM_ANNY.T)
 
 
 def _main_shapes(vertices: Tensor, heads: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:

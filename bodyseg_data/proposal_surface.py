@@ -49,15 +49,6 @@ def spread_over(mesh: Mesh, count: int) -> Points:
     return Points(places, normals, remoteness(mesh)[mesh.faces[faces, 0]])
 
 
-def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Mean outward normal of the faces around each vertex by area, unit length, [V, 3]."""
-    normals = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], mesh.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return normals
-
-
 def remoteness(mesh: Mesh) -> NDArray[np.float64]:
     """How far out on the body every vertex lies: distance along the surface from all over it, its mean as 1, [V].
 

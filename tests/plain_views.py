@@ -13,6 +13,8 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.partition import Partition
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rendering import Surface
+from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.rendering.sampling import faces_towards, surface_points
 from bodyseg_data.rig import PlacedCamera, Rig
 from bodyseg_data.sample import steps
@@ -48,3 +50,33 @@ def take_whole_frames(
     facing[rows, columns] = faces_towards(mesh, faces, points, projector.position)
     whole = steps(cast_whole_frame(mesh, projector).range, "projector")
     return steps(seen.range, "camera"), whole, labels, facing
+
+
+def check_rays(mesh: Mesh, camera: PlacedCamera) -> int:
+    """How many pixels see the body, once they are known to be the right ones."""
+    renderer, whole = EmbreeRenderer(mesh), cast_whole_frame(mesh, camera)
+    seen = renderer.see(camera)
+    assert (seen.face.dtype, seen.range.dtype) == (np.int32, np.float32)
+    np.testing.assert_array_equal(seen.face, whole.face)
+    np.testing.assert_array_equal(seen.range, whole.range)
+    some = np.flatnonzero(np.random.default_rng(1).random(whole.range.size) < 0.3)
+    ranges = renderer.ranges(camera, some)
+    assert ranges.dtype == np.float32
+    np.testing.assert_array_equal(ranges, whole.range.take(some))
+    return int((whole.face >= 0).sum())
+
+
+def check_filled(mesh: Mesh, camera: PlacedCamera) -> int:
+    """How many pixels see the body, once they are known to be those of the rays."""
+    filled, cast = RasterRenderer(mesh).see(camera), cast_whole_frame(mesh, camera)
+    assert (filled.face.dtype, filled.range.dtype) == (np.int32, np.float32)
+    np.testing.assert_array_equal(filled.face >= 0, filled.range > 0)
+    body = filled.face >= 0
+    assert (body != (cast.face >= 0)).sum() <= 3, "single precision moves a ray by a thousandth of a pixel"
+    both = body & (cast.face >= 0)
+    assert (filled.face != cast.face)[both].sum() <= 5 + 0.005 * both.sum(), "rays that pass an edge"
+    same = both & (filled.face == cast.face)
+    if same.any():
+        apart = np.abs(filled.range - cast.range)[same]
+        assert np.median(apart) < 5e-7 and np.quantile(apart, 0.999) < 2e-5
+    return int(body.sum())

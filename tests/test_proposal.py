@@ -28,7 +28,7 @@ from bodyseg_data.parts import LANDMARKS  # noqa: E402
 from bodyseg_data.proposal import Proposal, propose  # noqa: E402
 from bodyseg_data.proposal_body import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.proposal_fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
-from bodyseg_data.proposal_surface import Points, farthest, remoteness, spread_over, vertex_normals  # noqa: E402
+from bodyseg_data.proposal_surface import Points, farthest, remoteness, spread_over  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -76,7 +76,7 @@ def test_the_fitting_body_moves_as_the_open_body_does(body: FittingBody) -> None
         assert abs(scale * 1.7 / SUBJECT_A.stature_m - 1) < 0.1
         error = np.linalg.norm(wanted - scale * places, axis=1)
         assert np.median(error) < 0.03 and error.max() < 0.06, pose  # the mean person is of another build
-        facing = vertex_normals(built.mesh)[built.landmarks]
+        facing = built.mesh.vertex_normals[built.landmarks]
         assert np.median((facing * normals).sum(axis=1)) > 0.97
 
 

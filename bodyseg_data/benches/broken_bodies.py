@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body
-from bodyseg_data.mending import find_edges
+from bodyseg_data.connectivity import find_edges
 from bodyseg_data.mesh import Mesh
 
 Indices = NDArray[np.int64]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.files import write_atomically
 from bodyseg_data.machine import hardware
 
 
@@ -14,6 +18,20 @@ def provenance(command: str) -> dict[str, str]:
     To be asked before the measurement begins.
     """
     return {"command": command, "commit": _commit(), "hardware": hardware()}
+
+
+def check_target(path: Path, option: str) -> None:
+    """Raise BadConfig unless figures can go into the file that `option` gives: to be asked before the measurement."""
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
+
+
+def write_figures(path: Path, figures: dict[str, Any]) -> None:
+    """Write figures as JSON at once or not at all. Raises BadConfig."""
+    try:
+        write_atomically(path, (json.dumps(figures, indent=1) + "\n").encode())
+    except OSError as error:
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _commit() -> str:

@@ -6,11 +6,9 @@ parses that data for about 40 seconds and keeps the result in ~/.cache/anny (or 
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Final, Literal
@@ -19,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.bodies.anny_library import BODY_FROM_ANNY, load_anny, no_anny, one_thread
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions import MOTIONS, SUBJECTS, Motion
 from bodyseg_data.bodies.people import PEOPLE, SUBJECT_A, Person, person, standing_pose
 from bodyseg_data.bodies.posing import Pose, bone_rotations
 from bodyseg_data.bodies.postures import POSTURES
-from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.errors import BadConfig
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.splits import split_by_motion, split_by_order
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 
 _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: people's crowns and soles differ by far less in where they are highest and lowest
-_BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # Anny: x left, -y front, z up
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class MadeBodies:
         try:
             version = importlib.metadata.version("anny")
         except importlib.metadata.PackageNotFoundError as error:
-            raise _no_anny(error) from error
+            raise no_anny(error) from error
         figures = [self.figure(body) for body in bodies]
         return hashlib.sha256(repr((version, load_landmarks("open").vertices, figures)).encode()).hexdigest()
 
@@ -141,24 +139,14 @@ def _person(index: int) -> Figure:
     return Figure(person(index), standing_pose(index))
 
 
-def _no_anny(error: Exception) -> MissingLibrary:
-    return MissingLibrary(f"making bodies needs the package 'anny': pip install 'bodyseg[render]' ({error})")
-
-
 class _Model:
     """Anny, asked for one body at a time."""
 
     def __init__(self) -> None:
-        try:
-            import torch
-            from anny import Anny
-        except ImportError as error:
-            raise _no_anny(error) from error
+        self._anny = load_anny()
+        import torch
+
         self._torch = torch
-        with _one_thread(), _one_process(), _cache_faults():
-            # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on
-            # the machine and on its threads. Plain "lbs" skinning needs nothing compiled.
-            self._anny = Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
         self._faces: NDArray[np.int32] = self._anny.faces.numpy().astype(np.int32)
         self._heights, self._height_shapes = self._crown_and_soles()
         self._wardrobe = lru_cache(maxsize=4)(self._cut)
@@ -179,10 +167,10 @@ class _Model:
         return rounded, faces
 
     def _posed(self, who: Person, pose: Pose) -> NDArray[np.float64]:
-        with _one_thread(), self._torch.inference_mode():
+        with one_thread(), self._torch.inference_mode():
             shape = who.phenotype() | {"height": self._height(who)}
             output = self._anny(self._pose_parameters(pose), shape)
-            vertices: NDArray[np.float64] = output["vertices"][0].numpy() @ _BODY_FROM_ANNY.T
+            vertices: NDArray[np.float64] = output["vertices"][0].numpy() @ BODY_FROM_ANNY.T
         return vertices
 
     def _cut(self, who: Person, outfit: Outfit) -> tuple[Refinement, Wardrobe]:
@@ -211,53 +199,5 @@ class _Model:
         """Anny's pose [1, bones, 4, 4]: turns in axes aligned with the world, each in its parent's frame."""
         turns = np.tile(np.eye(4), (1, len(self._bones), 1, 1))
         for bone, rotation in bone_rotations(pose).items():
-            turns[0, self._bones[bone], :3, :3] = _BODY_FROM_ANNY.T @ rotation @ _BODY_FROM_ANNY
+            turns[0, self._bones[bone], :3, :3] = BODY_FROM_ANNY.T @ rotation @ BODY_FROM_ANNY
         return self._torch.from_numpy(turns)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch's sums depend on how many threads share them, so one thread makes each body."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-@contextmanager
-def _one_process() -> Iterator[None]:
-    """Anny writes its cache in place: of several processes on a fresh machine, one fills it while the others wait."""
-    from anny.paths import get_anny_cache_path
-
-    try:
-        get_anny_cache_path().mkdir(parents=True, exist_ok=True)
-        lock = (get_anny_cache_path() / "bodyseg.lock").open("w")
-    except OSError:  # a cache that cannot be written to needs no lock: it is full, or Anny will say what is wrong
-        yield
-        return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-@contextmanager
-def _cache_faults() -> Iterator[None]:
-    """Anny's cache is the one part of it that can be at fault on a user's machine."""
-    from anny.paths import get_anny_cache_path
-    from safetensors import SafetensorError
-
-    try:
-        yield
-    except OSError as error:
-        raise BadConfig(
-            f"anny needs a folder for its cache: cannot use {get_anny_cache_path()} ({error}); "
-            "set ANNY_CACHE_DIR to a folder that can be written to"
-        ) from error
-    except SafetensorError as error:
-        raise BadConfig(
-            f"anny's cache in {get_anny_cache_path()} is damaged ({error}): delete that folder, the next run fills it"
-        ) from error

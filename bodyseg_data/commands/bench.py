@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from bodyseg_data.benches.provenance import provenance
+from bodyseg_data.benches.provenance import check_target, provenance, write_figures
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
 from bodyseg_data.options import option
 from bodyseg_data.pictures import check_picture
 
@@ -78,14 +77,10 @@ def run(options: Options) -> int:
     module = importlib.import_module(f"bodyseg_data.benches.{options.what}")
     with Progress("measuring", "steps") as progress:
         figures: dict[str, Any] = getattr(module, f"bench_{options.what}")(progress=progress.update, **given)
-    text = json.dumps(origin | figures, indent=1) + "\n"
     if options.json is None:
-        sys.stdout.write(text)
+        sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
     else:
-        try:
-            write_atomically(options.json, text.encode())
-        except OSError as error:
-            raise BadConfig(f"cannot write {options.json}: {error.strerror or error}") from error
+        write_figures(options.json, origin | figures)
         sys.stderr.write(f"wrote {options.json}\n")
     if options.figure is not None:
         module = importlib.import_module(f"bodyseg_data.benches.{options.what}_figure")
@@ -100,8 +95,8 @@ def _check(options: Options) -> None:
         if not bench.figure:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
         check_picture(options.figure, "--figure")
-    if options.json is not None and (options.json.is_dir() or not options.json.absolute().parent.is_dir()):
-        raise BadConfig(f"--json needs a file in a folder that is there, found {options.json}")
+    if options.json is not None:
+        check_target(options.json, "--json")
     if options.views is not None and bench.views is None:
         raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
     if options.mit is not None and not bench.mit:

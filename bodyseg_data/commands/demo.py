@@ -17,12 +17,13 @@ from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.engines import PROCESSES
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import write_atomically
+from bodyseg_data.loading import loader
 from bodyseg_data.machine import processors
 from bodyseg_data.options import option
 from bodyseg_data.packing import Packing
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.pictures import save_picture
-from bodyseg_data.streaming import RangeImages, loader
+from bodyseg_data.streaming import RangeImages
 from bodyseg_data.variants import VARIANTS
 from bodyseg_data.views import ViewGrid
 

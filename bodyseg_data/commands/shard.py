@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.benches.provenance import provenance
+from bodyseg_data.benches.provenance import check_target, provenance, write_figures
 from bodyseg_data.bodies import SourceName
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.codec import CodecName
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.engines import PROCESSES, check_engine, open_engine
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
 from bodyseg_data.geodesics import Geodesics
 from bodyseg_data.machine import processors
 from bodyseg_data.manifest import Manifest
@@ -91,8 +90,8 @@ def run(options: Options) -> int:
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
-    if options.report is not None and (options.report.is_dir() or not options.report.absolute().parent.is_dir()):
-        raise BadConfig(f"--report needs a file in a folder that is there, found {options.report}")
+    if options.report is not None:
+        check_target(options.report, "--report")
     _warn_of_missing(packing)
     origin = {} if options.report is None else provenance(_command(options))
     start = time.perf_counter()
@@ -101,10 +100,7 @@ def run(options: Options) -> int:
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start)
-        try:
-            write_atomically(options.report, (json.dumps(origin | figures, indent=1) + "\n").encode())
-        except OSError as error:
-            raise BadConfig(f"cannot write {options.report}: {error.strerror or error}") from error
+        write_figures(options.report, origin | figures)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "

@@ -8,23 +8,15 @@ so no ray slips between them, and nothing has to be clipped.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.kernels import compiled
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.rendering import Surface
 from bodyseg_data.rig import PlacedCamera
-
-try:
-    _numba: Any = import_module("numba")
-except ImportError as error:
-    raise MissingLibrary(
-        f"the raster renderer needs the package 'numba': pip install 'bodyseg[render]' ({error})"
-    ) from error
 
 _NEAR_M: Final = 1e-3  # a triangle that comes nearer to the camera's plane is looked for in the whole frame
 _MARGIN_PX: Final = 1e-6  # added to the box of a triangle's pixels, for rounding
@@ -114,5 +106,5 @@ def _fill_loop(
                         depth[pixel], face[pixel] = z, number
 
 
-_project: Any = _numba.njit(_project_loop, nogil=True, error_model="numpy")  # numba has no type stubs on every Python
-_fill: Any = _numba.njit(_fill_loop, nogil=True, error_model="numpy")
+_project: Any = compiled(_project_loop, "the raster renderer")
+_fill: Any = compiled(_fill_loop, "the raster renderer")

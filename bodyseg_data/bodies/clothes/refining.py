@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.connectivity import find_edges
 from bodyseg_data.errors import BadMesh
 
 
@@ -36,11 +37,10 @@ def _split(
     points: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Ends [N, 2] of the edges split, whose middles are numbered on from the last vertex, and the new faces."""
-    around = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).astype(np.int64)  # edge k: from corner k to k + 1
-    edges, place = np.unique(np.sort(around.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-    long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest_m
+    edges = find_edges(faces)
+    long = edges.lengths(points) > longest_m
     number = np.where(long, len(points) + np.cumsum(long) - 1, -1)
-    middle = number[place.reshape(-1)].reshape(-1, 3)
+    middle = number[edges.of_side]
     count = (middle >= 0).sum(axis=1)
     new = [faces[count == 0]]
     for split, corner in ((1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (3, 0)):
@@ -54,4 +54,4 @@ def _split(
             3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
         }[split]
         new += [np.stack(part, axis=1) for part in parts]
-    return edges[long], np.concatenate(new).astype(np.int32)
+    return edges.ends[long], np.concatenate(new).astype(np.int32)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.clothes.outfits import Outfit
+from bodyseg_data.connectivity import find_edges
 from bodyseg_data.landmarks import load_landmarks
 from bodyseg_data.parts import LANDMARKS
 
@@ -55,7 +56,7 @@ def cut(rest: Floats, faces: NDArray[np.int32], outfit: Outfit) -> Cut:
     end = crotch + outfit.leg * (ankle - crotch)
     y = rest[:, 1]
 
-    edges = _edges(faces)
+    edges = find_edges(faces).ends.astype(np.int32)
     snap = _Snap(rest, edges)
     above_hem = snap(y - hem, armless)
     snap.tuck(y - hem, armless & ~above_hem)
@@ -196,16 +197,11 @@ def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
     return np.asarray((ring.min(axis=0) + ring.max(axis=0)) / 2, np.float64)
 
 
-def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return np.unique(np.sort(pairs, axis=1), axis=0)
-
-
 def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
-    ends = _edges(faces)
+    ends = find_edges(faces).ends
     lengths = np.linalg.norm(rest[ends[:, 0]] - rest[ends[:, 1]], axis=1)
     graph = csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(rest),) * 2)
     return np.asarray(dijkstra(graph, directed=False, indices=source), np.float64)
