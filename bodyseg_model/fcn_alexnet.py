@@ -1,0 +1,92 @@
+"""The paper's network: AlexNet made fully convolutional (section 3.4, Fig. 4; Long, Shelhamer and Darrell, CVPR 2015).
+
+Widths, groups and rounding are those of the AlexNet that was published with Caffe, whose weights the paper starts from:
+conv2, conv4 and conv5 have two groups, and pooling counts a last window that is not full.
+
+Two things Fig. 4 leaves open. It gives upfeat a stride of 16, but the strides before it multiply to 4 * 2 * 2 * 2 = 32
+and a bilinear kernel of 63 = 2 * 32 - 1 belongs to 32: upfeat has a stride of 32 here. And it does not say how layers
+are padded: as in Caffe's FCN-AlexNet, conv1 is padded by 100, so that any image gets an answer, which is then cropped.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import torch
+from torch import nn
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.parts import PART_COUNT
+
+STRIDE: Final = 32
+_PADDING: Final = 100
+_KERNEL: Final = 2 * STRIDE - 1
+
+# Pixel m of conv7 sees the image around 32 m + 13: in the image's pixels, conv1 puts it at 4 m + 5 - 100, each of the
+# three poolings doubles it and adds one of its own pixels, conv6 adds two and a half. Upfeat puts it at 32 m + 31.
+_CROP: Final = 18
+
+RANGE_SCALE: Final = 50.0
+"""Ranges are multiplied by this, per metre: a person at 2.5 m is then as bright as the pictures AlexNet knows."""
+
+
+class FcnAlexnet(nn.Module):
+    """Range image -> scores of the 33 parts, at the image's own size, whatever it is.
+
+    normalise: AlexNet's local response normalisation after conv1 and conv2. It has no parameters; Fig. 4 does not list
+    it, but weights imported from AlexNet were learned with it.
+
+    New layers are drawn from a Gaussian of standard deviation 0.01, those of AlexNet as in `nn.Conv2d` until
+    `pretrained.import_alexnet` fills them. Upfeat is bilinear and frozen; its filters are stored between all 16 x 16
+    channels, as Caffe stores them, which makes 57.9 million parameters in all.
+    """
+
+    def __init__(self, normalise: bool = False) -> None:
+        super().__init__()
+        self.normalise = normalise
+        self.conv1 = nn.Conv2d(1, 96, 11, stride=4, padding=_PADDING)
+        self.conv2 = nn.Conv2d(96, 256, 5, padding=2, groups=2)
+        self.conv3 = nn.Conv2d(256, 384, 3, padding=1)
+        self.conv4 = nn.Conv2d(384, 384, 3, padding=1, groups=2)
+        self.conv5 = nn.Conv2d(384, 256, 3, padding=1, groups=2)
+        self.conv6 = nn.Conv2d(256, 4096, 6)
+        self.conv7 = nn.Conv2d(4096, 4096, 1)
+        self.conv8 = nn.Conv2d(4096, 16, 1)
+        self.upfeat = nn.ConvTranspose2d(16, 16, _KERNEL, stride=STRIDE, bias=False)
+        self.score = nn.Conv2d(16, PART_COUNT, 1)
+        for layer in (self.conv8, self.score):
+            nn.init.normal_(layer.weight, std=0.01)
+            nn.init.zeros_(layer.get_parameter("bias"))
+        self.upfeat.weight = nn.Parameter(bilinear_filters(16, STRIDE), requires_grad=False)
+        self._pool = nn.MaxPool2d(3, stride=2, ceil_mode=True)
+        self._norm = nn.LocalResponseNorm(5, alpha=1e-4, beta=0.75) if normalise else nn.Identity()
+        self._drop = nn.Dropout(0.5)
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Scores (logits), float [B, 33, H, W], of range images in metres, float [B, 1, H, W], 0 = nothing measured.
+
+        Raises BadConfig for any other shape.
+        """
+        if range_m.ndim != 4 or range_m.shape[1] != 1 or not range_m.numel():
+            raise BadConfig(f"range images must be [B, 1, H, W], found {list(range_m.shape)}")
+        rows, columns = range_m.shape[2:]
+        x = self._pool(self._norm(self.conv1(range_m * RANGE_SCALE).relu()))
+        x = self._pool(self._norm(self.conv2(x).relu()))
+        x = self.conv4(self.conv3(x).relu()).relu()
+        x = self._pool(self.conv5(x).relu())
+        x = self._drop(self.conv6(x).relu())
+        x = self._drop(self.conv7(x).relu())
+        x = self.upfeat(self.conv8(x).relu())
+        scores: torch.Tensor = self.score(x[:, :, _CROP : _CROP + rows, _CROP : _CROP + columns])
+        return scores
+
+
+def bilinear_filters(channels: int, stride: int) -> torch.Tensor:
+    """Transposed-convolution filters that interpolate between pixels `stride` apart, each channel by itself.
+
+    float32 [channels, channels, 2 * stride - 1, 2 * stride - 1].
+    """
+    slope = 1 - (torch.arange(2 * stride - 1) - (stride - 1)).abs() / stride
+    filters = torch.zeros(channels, channels, len(slope), len(slope))
+    filters[range(channels), range(channels)] = slope[:, None] * slope
+    return filters
