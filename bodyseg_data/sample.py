@@ -38,7 +38,7 @@ class Sample:
     """A clean rendering of one body from one view.
 
     range: uint16 [H, W], what the camera sees, in steps of 0.1 mm along its optical axis; 0 is background.
-    projector_range: uint16 [Hp, Wp], the same for the projector.
+    projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
@@ -46,10 +46,16 @@ class Sample:
 
     key: str
     range: NDArray[np.uint16]
-    projector_range: NDArray[np.uint16]
+    projector_range: NDArray[np.uint16] | None
     labels: NDArray[np.uint8]
     faces_projector: NDArray[np.bool_]
     info: SampleInfo
+
+    def shading_range(self) -> NDArray[np.uint16]:
+        """The projector's range. Raises BadSample if it was not read."""
+        if self.projector_range is None:
+            raise BadSample(f"{self.key}: the projector's range is needed, the sample was read without it")
+        return self.projector_range
 
     def check(self) -> None:
         """Raise BadSample, naming the key, if the arrays break a rule of the format."""
@@ -57,6 +63,8 @@ class Sample:
         kinds = {"range": np.uint16, "projector_range": np.uint16, "labels": np.uint8, "faces_projector": np.bool_}
         for field, kind in kinds.items():
             array = getattr(self, field)
+            if array is None and field == "projector_range":
+                continue
             if array.dtype != kind or array.ndim != 2 or not array.size:
                 raise BadSample(
                     f"{self.key}: {field} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"

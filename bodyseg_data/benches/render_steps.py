@@ -16,8 +16,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.benches.codec_rivals import predicted
 from bodyseg_data.bodies import BodyRef, BodySource
-from bodyseg_data.codec import FACING_BIT, BsiCodec, encode_sample
+from bodyseg_data.codec import encode_sample
+from bodyseg_data.codecs.bsi import encode_images
+from bodyseg_data.codecs.labels import join_labels
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.packing import Packing
 from bodyseg_data.partition import partition
@@ -33,6 +36,7 @@ from bodyseg_data.shards import ShardWriter
 from bodyseg_data.views import View
 
 _FORMER_LEVEL: Final = 9
+_QUICK_LEVEL: Final = 1
 _ROUNDS: Final = 3
 
 STAGES: Final = ("build", "partition", "camera", "projector", "labels", "encode", "write")
@@ -101,22 +105,32 @@ class _Scene:
 def _taken(sampler: Sampler, view: View) -> Images:
     """As packing has it."""
     sample = sampler.take(view)
-    return _images(sample.range, sample.projector_range, sample.labels, sample.faces_projector)
+    return _images(sample.range, sample.shading_range(), sample.labels, sample.faces_projector)
 
 
 def _images(camera: NDArray[Any], projector: NDArray[Any], labels: NDArray[Any], facing: NDArray[np.bool_]) -> Images:
-    return [(camera, 0), (projector, 0), (np.where(facing, labels | FACING_BIT, labels), BACKGROUND)]
+    return [(camera, 0), (projector, 0), (join_labels(labels, facing), BACKGROUND)]
 
 
 @dataclass(frozen=True)
 class _Step:
     name: str
     images: Callable[[_Scene, View], Images]
-    codec: BsiCodec
+    store: Callable[[Images], int]
+
+
+def _differences(level: int) -> Callable[[Images], int]:
+    codec = predicted("two-way", "bytes", "zstd", level)
+    return lambda images: sum(len(codec.encode(image, background)) for image, background in images)
+
+
+def _as_packed(images: Images) -> int:
+    (camera, _), (projector, _), (labels, _) = images
+    return len(encode_images(camera, labels, projector))
 
 
 def _steps() -> list[_Step]:
-    former, now = BsiCodec(_FORMER_LEVEL), BsiCodec()
+    former, quick = _differences(_FORMER_LEVEL), _differences(_QUICK_LEVEL)
     return [
         _Step("every ray of both frames", lambda scene, view: scene.by_pixel(view, scene.every_ray), former),
         _Step("rays in the box around the body", lambda scene, view: scene.by_pixel(view, scene.in_box), former),
@@ -128,9 +142,12 @@ def _steps() -> list[_Step]:
         ),
         _Step("part and facing by triangle", lambda scene, view: _taken(scene.by_rays, view), former),
         _Step(
-            f"zstd level {now.level} instead of {_FORMER_LEVEL}", lambda scene, view: _taken(scene.by_rays, view), now
+            f"zstd level {_QUICK_LEVEL} instead of {_FORMER_LEVEL}",
+            lambda scene, view: _taken(scene.by_rays, view),
+            quick,
         ),
-        _Step("triangles filled instead of rays cast", lambda scene, view: _taken(scene.by_filling, view), now),
+        _Step("triangles filled instead of rays cast", lambda scene, view: _taken(scene.by_filling, view), quick),
+        _Step("runs and slopes instead of differences", lambda scene, view: _taken(scene.by_filling, view), _as_packed),
     ]
 
 
@@ -145,11 +162,10 @@ def measure_steps(packing: Packing, refs: Sequence[BodyRef], views: Sequence[Vie
             for turn in range(_ROUNDS * len(chain)):
                 number = turn % len(chain)
                 start = time.process_time()
-                images = chain[number].images(scene, view)
-                coded = [chain[number].codec.encode(image, background) for image, background in images]
+                size = chain[number].store(chain[number].images(scene, view))
                 best[number] = min(best[number], time.process_time() - start)
                 if turn < len(chain):
-                    sizes[number] += sum(map(len, coded))
+                    sizes[number] += size
             spent = [total + one for total, one in zip(spent, best, strict=True)]
             count += 1
     return [

@@ -3,7 +3,8 @@
 The shadow test (`artifacts/occlusion.py`) reads four texels for each camera pixel whose surface faces the projector;
 the projector is asked for those only. If none of the four lies in front of the point by more than the gap that the test
 allows, the test answers "lit" whether they are there or empty. So a texel is kept only if a pixel reads it that has
-such a texel among its four; the test then gives the same bits as from a whole image.
+such a texel among its four; the test then gives the same bits as from a whole image. What is kept is rounded as far
+as no answer changes (`coarsening.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import FARTHEST, GAP_STEPS, ShadowTest, framed
+from bodyseg_data.artifacts.occlusion import FARTHEST, GAP_STEPS, Floats, ShadowTest, framed
+from bodyseg_data.rendering.coarsening import coarsened
 from bodyseg_data.rig import Rig
 
 # The test interpolates in single precision; one step is far more than it can be off by.
@@ -34,7 +36,16 @@ def shadow_test(rig: Rig) -> ShadowTest:
 def shading_range(
     test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
 ) -> NDArray[np.uint16]:
-    """The projector's range where it can shade a view, 0 elsewhere, uint16 [Hp, Wp], in steps.
+    """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in
+    steps. The shadow test gives the same bits from it as from the whole exact image. Arguments as `exact_range`'s.
+    """
+    return coarsened(*exact_range(test, camera_range, faces_projector, ranges))
+
+
+def exact_range(
+    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
+) -> tuple[NDArray[np.uint16], Floats, Floats, Floats]:
+    """The projector's exact range where it can shade, 0 elsewhere, and the points that it is about (`reached`).
 
     camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: asked once, for
     the texels that the shadow test reads.
@@ -54,7 +65,7 @@ def shading_range(
         np.minimum(nearest, texels[shift:].take(start), out=nearest)
     behind = np.minimum(away - np.float32(1), FARTHEST) - nearest
     image[~_footprint(start[behind > _SURELY_LIT], image.shape)] = 0
-    return image
+    return image, x, y, away
 
 
 def _footprint(start: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -1,0 +1,135 @@
+"""The projector's range with as few bits as the shadows need.
+
+The shadow test (`artifacts/occlusion.py`) compares: four texels with one another, and each of them or what they
+interpolate to with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
+within which no pixel's answer can change, whatever the others do within theirs; a texel that may be empty is emptied,
+any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over
+large areas. Whether the answers are the same is then asked, and where they are not, the exact ranges come back.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS, Floats, reached
+
+COARSEST_STEP: Final = 1024
+"""Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
+
+_EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
+_EDGE, _GAP = int(EDGE_STEPS), int(GAP_STEPS)
+_MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
+
+Range = NDArray[np.uint16]
+Ints = NDArray[np.int32]
+
+
+def coarsened(image: Range, x: Floats, y: Floats, away: Floats) -> Range:
+    """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`reached`) as with `image`."""
+    texels = _four_places(image.shape, x, y)
+    read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
+    texels, points = texels[:, read], (x[read], y[read], away[read])
+    answers = reached(image, *points)
+    coarse = _simplest(image, *_bounds(image, texels, points, answers))
+    while len(wrong := np.flatnonzero(reached(coarse, *points) != answers)):
+        coarse.ravel()[texels[:, wrong]] = image.ravel()[texels[:, wrong]]
+    return coarse
+
+
+def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    answer: NDArray[np.bool_] = four[0] | four[1] | four[2] | four[3]
+    return answer
+
+
+def _four_places(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+    """The four texels around points [4, N] as flat indices, in the order of `four_texels`; the border is repeated."""
+    left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+    rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
+    columns = [np.clip(left + beside, 0, shape[1] - 1) for beside in (0, 1)]
+    return np.stack([row + column for row in rows for column in columns])
+
+
+def _bounds(
+    image: Range, texels: NDArray[np.intp], points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
+) -> tuple[Ints, Ints]:
+    """The least and the greatest that every texel may be, flat [Hp * Wp], less one step as the test has it, if those
+    that may be empty are.
+
+    A point stays lit if all its texels are at most the gap before it. That bounds from below only, so every lit point
+    is tried with it, also one whose texels are not there yet; but texels that shade another point may be bounded
+    from above. Points for which that is in the way keep what their texels are now, and may thereby be in others' way.
+    """
+    ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
+    away = np.minimum(points[2] - np.float32(1), FARTHEST)
+    enough = np.ceil(away).astype(np.int32) - _GAP + _MARGIN
+    lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
+    hard = np.flatnonzero(~lit | _any(ranges < enough))
+    read, needed = texels[:, hard], enough[hard]
+    low, high = _as_they_are(ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
+    kept = ~lit[hard]
+    left = ~kept
+    while kept.any():
+        np.minimum.at(highest, read[:, kept].ravel(), high[:, kept].ravel())
+        moved = np.zeros(image.size, np.bool_)
+        moved[read[:, kept]] = True
+        asked = np.flatnonzero(left & _any(moved[read]))
+        kept[:] = False
+        kept[asked[_any(highest[read[:, asked]] < needed[asked])]] = True
+        left &= ~kept
+    low[:, left] = needed[left]
+    np.maximum.at(lowest, read.ravel(), low.ravel())
+    easy = np.flatnonzero(_any(highest[texels] < _EMPTY))
+    easy = easy[lit[easy] & ~_any(ranges[:, easy] < enough[easy])]
+    for texel in texels[:, easy]:
+        np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 mixes up what it repeats
+    return lowest, highest
+
+
+def _as_they_are(ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+    """Bounds [4, N] around the texels [4, N] of each point that keep its answer; points: x, y, and their range as the
+    test has it.
+    """
+    nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
+    limit = np.ceil(points[2]).astype(np.int32) - _EDGE
+    # An edge: each texel stays on its side of the limit, and two of them far enough from each other.
+    behind = ranges >= limit
+    low = np.where(behind, np.minimum(ranges, limit + _MARGIN), 0)
+    high = np.where(behind, _EMPTY, np.maximum(ranges, limit - 1 - _MARGIN))
+    between = np.clip(limit - 1 - _MARGIN, nearest, np.maximum(farthest - _EDGE, nearest))
+    high = np.where(ranges == nearest, np.minimum(high, between), high)
+    low = np.where(ranges == farthest, np.maximum(low, between + _EDGE), low)
+    # One surface: it stays one, and on its side of the point.
+    x, y = points[0] - np.floor(points[0]), points[1] - np.floor(points[1])
+    upper, lower = ranges[0] + x * (ranges[1] - ranges[0]), ranges[2] + x * (ranges[3] - ranges[2])
+    spare = np.abs(upper + y * (lower - upper) - (points[2] - _GAP)) - _MARGIN
+    flat = (_EDGE - 1 - (farthest - nearest)) // 2
+    tight = np.minimum(np.maximum(spare, 0).astype(np.int32), flat)
+    one = np.flatnonzero(farthest - nearest < _EDGE)
+    low[:, one] = (ranges - np.where(lit, tight, flat))[:, one]
+    high[:, one] = np.minimum(ranges + np.where(lit, flat, tight), _EMPTY)[:, one]
+    # All so far in front that it is dark either way.
+    dark = np.flatnonzero(farthest < limit - _MARGIN)
+    low[:, dark], high[:, dark] = 0, (limit - 1 - _MARGIN)[dark]
+    return low, high
+
+
+def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
+    """Within the bounds, the roundest numbers, of those the nearest to the ranges; empty where that is within them."""
+    places = np.flatnonzero(highest < _EMPTY)
+    exact = image.ravel()[places].astype(np.int32)
+    low, high = lowest[places] + 1, highest[places] + 1  # stored ranges are one step more than the test's
+    chosen, step = exact.copy(), COARSEST_STEP
+    missing = np.ones(len(places), np.bool_)
+    while step > 1:
+        rounded = np.clip((exact + step // 2) // step * step, -(-low // step) * step, high // step * step)
+        fits = missing & (rounded >= low) & (rounded <= high)
+        chosen[fits] = rounded[fits]
+        missing &= ~fits
+        step //= 2
+    chosen[missing] = np.clip(exact, low, high)[missing]
+    coarse: Range = np.zeros(image.shape, np.uint16)
+    coarse.ravel()[places] = chosen
+    return coarse
