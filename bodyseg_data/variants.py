@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, Literal
+from importlib import import_module
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import Noise, add_noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.errors import BadConfig, BadSample
+from bodyseg_data.kernels import use_compiled
 from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.randomness import check_seed, generator
+from bodyseg_data.randomness import Stream, chance, check_seed, pixel_draws, stream
 from bodyseg_data.rig import Rig
 from bodyseg_data.sample import Sample
 
@@ -89,30 +91,75 @@ class Augmentation:
         check_seed(self.seed)
 
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:
-        """Apply the variant's artifacts in the paper's order: occlusion, then noise, then missing data."""
+        """The sample as the variant shows it, in arrays of its own. Raises as `into`."""
+        return self.into(sample, epoch, np.empty(sample.range.shape, np.uint16), np.empty(sample.range.shape, np.uint8))
+
+    def into(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
+        """As calling, but into arrays that are there: uint16 and uint8 [H, W], contiguous, whatever they hold.
+
+        Applies the variant's artifacts in the paper's order: occlusion, then noise, then missing data. Raises BadSample
+        for arrays that do not fit the sample, or a sample that does not fit the rig or lacks the projector's range.
+        """
+        _check_fit(sample, "the image", image, np.uint16)
+        _check_fit(sample, "the image of labels", labels, np.uint8)
         variant = VARIANTS[self.variant]
-        where = np.flatnonzero(sample.range)
+        sigma_mm = missing_rate = None
+        if variant.noise:
+            sigma_mm = self.artifacts.noise.sigma_mm(chance(self.seed, epoch, sample.key, "sigma"))
+        if variant.missing_data:
+            missing_rate = self.artifacts.missing_data.rate(chance(self.seed, epoch, sample.key, "missing rate"))
+        made = RangeImage(sample.key, image, labels, sigma_mm, missing_rate)
+        test = _shadow_test(self.rig) if variant.occlusion else None
+        if self.variant == "none":
+            np.copyto(image, sample.range)
+            np.copyto(labels, sample.labels)
+        elif use_compiled():
+            _loops().apply_artifacts(sample, test, self._streams(sample, epoch), made)
+        else:
+            self._apply_plainly(sample, test, epoch, made)
+        return made
+
+    def prepare(self) -> None:
+        """Load, or make, whatever compiled code is needed, so that workers forked from this process have it too."""
+        if self.variant != "none" and use_compiled():
+            _loops().compile_all()
+
+    def _apply_plainly(self, sample: Sample, test: ShadowTest | None, epoch: int, made: RangeImage) -> None:
+        """What the compiled loops do, in NumPy."""
+        where = np.flatnonzero(sample.range != 0)
         ranges = sample.range.ravel()[where]
         kept = np.ones(len(where), np.bool_)
-        sigma_mm = missing_rate = None
-        if variant.occlusion:
-            test = _shadow_test(self.rig)
-            kept &= test.lit(sample.range, sample.projector_range, sample.faces_projector).ravel()[where]
-        if variant.noise:
-            draws = generator(self.seed, epoch, sample.key, "noise")
-            sigma_mm = self.artifacts.noise.draw_sigma_mm(draws)
-            ranges = add_noise(ranges, sigma_mm, draws)
-        if variant.missing_data:
-            draws = generator(self.seed, epoch, sample.key, "missing data")
-            missing_rate = self.artifacts.missing_data.draw_rate(draws)
-            kept &= kept_pixels(len(where), missing_rate, draws)
+        if test is not None:
+            kept &= test.lit(sample.range, sample.shading_range(), sample.faces_projector).ravel()[where]
+        noise, missing_data = self._streams(sample, epoch)
+        if made.sigma_mm is not None:
+            ranges = add_noise(ranges, made.sigma_mm, pixel_draws(noise, len(where), np.uint32))
+        if made.missing_rate is not None:
+            kept &= kept_pixels(made.missing_rate, pixel_draws(missing_data, len(where), np.uint16))
         survivors = where[kept]
-        image = np.zeros(sample.range.shape, np.uint16)
-        labels = np.full(sample.labels.shape, BACKGROUND, np.uint8)
-        image.ravel()[survivors] = ranges[kept]
+        made.range.fill(0)
+        made.labels.fill(BACKGROUND)
+        made.range.ravel()[survivors] = ranges[kept]
         # A pixel that the variant removed shows nothing, so there is nothing to classify.
-        labels.ravel()[survivors] = sample.labels.ravel()[survivors]
-        return RangeImage(sample.key, image, labels, sigma_mm, missing_rate)
+        made.labels.ravel()[survivors] = sample.labels.ravel()[survivors]
+
+    def _streams(self, sample: Sample, epoch: int) -> tuple[Stream, Stream]:
+        """The random words of noise and of missing data."""
+        noise, missing_data = (stream(self.seed, epoch, sample.key, purpose) for purpose in ("noise", "missing data"))
+        return noise, missing_data
+
+
+def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.generic]) -> None:
+    if array.dtype != kind or array.shape != sample.range.shape or not array.flags.carray:
+        raise BadSample(
+            f"{sample.key}: {what} must be a contiguous array of {kind.__name__} {sample.range.shape} "
+            f"that can be written to, found {array.dtype} {array.shape}"
+        )
+
+
+def _loops() -> Any:
+    """The compiled loops; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.compiled")
 
 
 @lru_cache(maxsize=8)

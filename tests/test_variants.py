@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import samples
+from numpy.typing import NDArray
+from strategies import keys
 
-from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
-from bodyseg_data.artifacts.noise import Noise, add_noise
+from bodyseg_data import variants
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.errors import BadConfig, BadSample
 from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.randomness import generator
 from bodyseg_data.rig import Camera, Rig
 from bodyseg_data.sample import Sample, SampleInfo
 from bodyseg_data.streaming import RangeImages
@@ -84,82 +85,135 @@ def test_draws_differ_by_epoch_seed_and_sample(figures_set: Path, clean: list[Sa
     assert len({made(figures_set, sample)["noise"].sigma_mm for sample in clean}) == len(clean)
 
 
-@given(sample=samples(), sigma=st.sampled_from([0.0, 100.0, 1000.0]), rate=st.sampled_from([0.0, 0.5, 1.0]))
-def test_no_pixel_appears_vanishes_by_rounding_or_wraps_around(sample: Sample, sigma: float, rate: float) -> None:
-    noisy = add_noise(sample.range[sample.range > 0], sigma, generator(0, 0, sample.key, "noise"))
-    assert noisy.dtype == np.uint16
-    assert (noisy > 0).all()
-    if sigma == 0:
-        assert np.array_equal(noisy, sample.range[sample.range > 0])
-    change = noisy.astype(int) - sample.range[sample.range > 0]
-    # Six sigma, in steps: a value that wrapped around would be off by up to 65536.
-    assert (np.abs(change) <= sigma * 10 * 6).all()
-    kept = kept_pixels(len(noisy), rate, generator(0, 0, sample.key, "missing data"))
-    assert kept.all() == (rate == 0 or not len(noisy)) or 0 < rate < 1
-    assert kept.any() == (rate < 1 and len(noisy) > 0) or 0 < rate < 1
+def same_bits(a: RangeImage, b: RangeImage) -> bool:
+    settings = (a.key, a.sigma_mm, a.missing_rate) == (b.key, b.sigma_mm, b.missing_rate)
+    return settings and np.array_equal(a.range, b.range) and np.array_equal(a.labels, b.labels)
 
 
-@pytest.mark.parametrize("start", [1, 65535])
-def test_noise_at_the_ends_of_16_bits_stays_within(start: int) -> None:
-    noisy = add_noise(np.full(10_000, start, np.uint16), 100.0, generator(0, 0, "k", "noise"))
-    assert noisy.min() >= 1
-    assert np.count_nonzero(noisy == start) > 4_000, "half of the draws point outwards and stop at the end"
-    assert np.abs(noisy.astype(int) - start).max() < 6_000
+def in_both_forms(augmentation: Augmentation, sample: Sample, epoch: int = 0) -> RangeImage:
+    """What the plain form makes, after comparing with the compiled one."""
+    images = []
+    for compiled in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(variants, "use_compiled", lambda compiled=compiled: compiled)
+            dirty = np.full(sample.range.shape, 12_345, np.uint16), np.full(sample.range.shape, 77, np.uint8)
+            images.append(augmentation.into(sample, epoch, *dirty))
+            assert images[-1].range is dirty[0] and images[-1].labels is dirty[1]
+            assert same_bits(images[-1], augmentation(sample, epoch))
+    assert same_bits(*images)
+    return images[1]
 
 
-def test_noise_is_gaussian_with_the_drawn_sigma() -> None:
-    count = 200_000
-    noisy = add_noise(np.full(count, 25_000, np.uint16), 40.0, generator(0, 0, "k", "noise"))
-    errors = (noisy.astype(float) - 25_000) / 10  # millimetres
-    assert abs(errors.mean()) < 5 * 40 / np.sqrt(count)
-    assert errors.std() == pytest.approx(40, rel=5 / np.sqrt(2 * count))
-    within = [np.mean(np.abs(errors) < k * 40) for k in (1, 2, 3)]
-    assert within == pytest.approx([0.6827, 0.9545, 0.9973], abs=0.005)
-    assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < 5 / np.sqrt(count)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_both_forms_give_the_same_bits_of_rendered_samples(
+    figures_set: Path, clean: list[Sample], name: VariantName
+) -> None:
+    augmentation = Augmentation(RangeImages(figures_set).manifest.rig, name)
+    for epoch, sample in enumerate(clean):
+        in_both_forms(augmentation, sample, epoch)
 
 
-def test_sigma_is_uniform_from_0_to_100_mm() -> None:
-    drawn = np.sort([Noise().draw_sigma_mm(generator(0, 0, f"k{number}", "noise")) for number in range(2_000)])
-    # Kolmogorov-Smirnov distance to the uniform law; 1.95 / sqrt(n) is exceeded once in a thousand.
-    assert np.abs(drawn / 100 - (np.arange(2_000) + 0.5) / 2_000).max() < 1.95 / np.sqrt(2_000)
+@st.composite
+def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
+    """A rig of few pixels and a sample that fits it: whole, empty and sprinkled frames, surfaces, edges, extremes."""
+    rows, columns = draw(st.integers(1, 20)), draw(st.integers(1, 20))
+    camera = Camera(rows, columns, 30.0, (columns / 2, rows / 2), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
+    aim = (draw(st.floats(-1, 1)), 0.0, draw(st.sampled_from([2.5, 0.4, -2.5])))
+    projector = replace(camera, focal_px=28.0, position_m=(draw(st.floats(-1, 1)), 0.03, 0.1), aims_at_m=aim)
+    rig = Rig("random", 2.5, camera, projector).with_projector_scale(draw(st.integers(1, 3)))
+    draws = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+
+    def image(device: Camera) -> NDArray[np.uint16]:
+        shape = device.rows, device.columns
+        y, x = np.mgrid[: device.rows, : device.columns]
+        surface = draws.uniform(2_000, 60_000) + draws.uniform(-60, 60) * y + draws.uniform(-60, 60) * x
+        made = np.clip(surface + draws.choice([0, 100, 300, 5_000, -5_000], shape, p=[0.8, *[0.05] * 4]), 1, 65_535)
+        made[draws.random(shape) < 0.02] = draws.choice([1, 65_535])
+        made[draws.random(shape) < draws.choice([0.0, 0.1, 0.9, 1.0])] = 0
+        return made.astype(np.uint16)
+
+    seen, projected = image(rig.camera), image(rig.projector)
+    labels = np.where(seen > 0, draws.integers(0, 33, seen.shape), BACKGROUND).astype(np.uint8)
+    facing = (seen > 0) & (draws.random(seen.shape) < draws.choice([0.0, 0.8, 1.0]))
+    return rig, Sample(draw(keys), seen, projected, labels, facing, _info())
 
 
-def test_missing_rates_are_0_5_and_50_percent_by_default() -> None:
-    drawn = [MissingData().draw_rate(generator(0, 0, f"k{number}", "missing data")) for number in range(3_000)]
-    for rate in (0.0, 0.05, 0.5):
-        assert drawn.count(rate) == pytest.approx(1_000, abs=5 * np.sqrt(3_000 * 2 / 9))
-    assert set(drawn) == {0.0, 0.05, 0.5}
-
-
-def test_missing_rates_from_a_range_are_one_setting_away() -> None:
-    settings = MissingData(between=(0.0, 0.5))
-    drawn = [settings.draw_rate(generator(0, 0, f"k{number}", "missing data")) for number in range(1_000)]
-    assert 0 <= min(drawn) < 0.01
-    assert 0.49 < max(drawn) <= 0.5
-    assert np.mean(drawn) == pytest.approx(0.25, abs=5 * 0.5 / np.sqrt(12 * 1_000))
-
-
-@pytest.mark.parametrize("rate", [0.05, 0.5])
-def test_pixels_are_lost_independently_at_the_drawn_rate(rate: float) -> None:
-    count = 200_000
-    lost = ~kept_pixels(count, rate, generator(0, 0, "k", "missing data"))
-    assert lost.mean() == pytest.approx(rate, abs=5 * np.sqrt(rate * (1 - rate) / count))
-    assert abs(np.corrcoef(lost[1:], lost[:-1])[0, 1]) < 5 / np.sqrt(count)
-
-
-@pytest.mark.parametrize(
-    ("kind", "options", "message"),
-    [
-        (Noise, {"low_mm": -1.0}, "0 <= low <= high <= 1000 mm, found low -1.0"),
-        (Noise, {"low_mm": 50.0, "high_mm": 20.0}, "found low 50.0 and high 20.0"),
-        (MissingData, {"rates": ()}, "shares from 0 to 1, found \\[\\]"),
-        (MissingData, {"rates": (0.5, 50.0)}, "shares from 0 to 1, found \\[0.5, 50.0\\]"),
-        (MissingData, {"between": (0.5, 0.1)}, "0 <= low <= high <= 1, found \\(0.5, 0.1\\)"),
-    ],
+@settings(deadline=None, max_examples=150)
+@given(
+    scene=scenes(),
+    noise=st.sampled_from([Noise(), Noise(0.0, 0.0), Noise(1000.0, 1000.0)]),
+    rate=st.sampled_from([0.0, 2**-17, 0.05, 0.5, 1.0]),
+    seed=st.integers(0, 2**63 - 1),
+    epoch=st.integers(0, 2**70),
 )
-def test_settings_that_make_no_sense_are_refused(kind: Any, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(BadConfig, match=message):
-        kind(**options)
+def test_both_forms_give_the_same_bits_of_anything(
+    scene: tuple[Rig, Sample], noise: Noise, rate: float, seed: int, epoch: int
+) -> None:
+    rig, sample = scene
+    sample.check()
+    artifacts = Artifacts(noise, MissingData(rates=(rate,)))
+    made = {name: in_both_forms(Augmentation(rig, name, seed, artifacts), sample, epoch) for name in VARIANTS}
+    foreground = sample.range > 0
+    # No pixel appears, vanishes by rounding, or wraps around: six sigma and a half, in steps, is the farthest.
+    assert np.array_equal(made["noise"].range > 0, foreground)
+    assert (np.abs(made["noise"].range.astype(int) - sample.range) <= noise.high_mm * 10 * 6.4 + 0.5).all()
+    assert np.array_equal(made["none"].range, sample.range)
+    kept = {name: image.range > 0 for name, image in made.items()}
+    assert np.array_equal(kept["all"], kept["occ"] & kept["md"])
+    assert np.array_equal(made["all"].range[kept["all"]], made["noise"].range[kept["all"]])
+    if rate in (0.0, 1.0):
+        assert np.array_equal(kept["md"], foreground & (rate == 0))
+
+
+def test_arrays_that_nothing_may_write_to_or_that_are_parts_of_others_are_read() -> None:
+    rig, sample = _synthetic()
+    wide = np.zeros((24, 40), np.uint16)
+    wide[:, ::2] = sample.range
+    constant = sample.labels.copy()
+    constant.flags.writeable = False
+    odd = np.zeros(sample.projector_range.nbytes + 1, np.uint8)[1:].view(np.uint16).reshape(24, 20)
+    odd[:] = sample.projector_range
+    assert not odd.flags.aligned
+    other = replace(sample, range=wide[:, ::2], labels=constant, projector_range=odd)
+    for name in VARIANTS:
+        assert same_bits(in_both_forms(Augmentation(rig, name), other), Augmentation(rig, name)(sample))
+    assert not constant.flags.writeable and sample.range.flags.writeable and sample.labels.flags.writeable
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_arrays_that_do_not_fit_the_sample_are_refused(
+    name: VariantName, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+    rig, sample = _synthetic()
+    augmentation = Augmentation(rig, name)
+    image, labels = np.zeros((24, 20), np.uint16), np.zeros((24, 20), np.uint8)
+    constant = image.copy()
+    constant.flags.writeable = False
+    for wrong in (image[1:], image.astype(np.int32), np.zeros((24, 40), np.uint16)[:, ::2], constant):
+        with pytest.raises(BadSample, match=r"^pinned: the image must be a contiguous array of uint16 \(24, 20\) that"):
+            augmentation.into(sample, 0, wrong, labels)
+    with pytest.raises(BadSample, match=r"^pinned: the image of labels must be .* uint8 \(24, 20\) .*, found bool"):
+        augmentation.into(sample, 0, image, labels > 0)  # type: ignore[arg-type]
+    if VARIANTS[name].occlusion:
+        with pytest.raises(BadSample, match="the projector's range is needed"):
+            augmentation.into(replace(sample, projector_range=None), 0, image, labels)
+        with pytest.raises(BadSample, match="the projector range must be uint16"):
+            augmentation.into(replace(sample, projector_range=image[1:]), 0, image, labels)
+        with pytest.raises(BadSample, match="the camera range must be uint16"):
+            augmentation.into(replace(sample, range=image[1:]), 0, image[1:], labels[1:])
+    else:
+        assert same_bits(augmentation(replace(sample, projector_range=None)), augmentation(sample))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_preparing_changes_no_bit(name: VariantName) -> None:
+    rig, sample = _synthetic()
+    augmentation = Augmentation(rig, name)
+    before = augmentation(sample)
+    augmentation.prepare()
+    assert same_bits(augmentation(sample), before)
 
 
 def _synthetic() -> tuple[Rig, Sample]:
@@ -172,17 +226,20 @@ def _synthetic() -> tuple[Rig, Sample]:
     ranges[:2] = 0
     seen = np.where((rows >= 6) & (rows < 16) & (columns >= 12) & (columns < 19), 15_000, 21_000).astype(np.uint16)
     labels = np.where(ranges == 0, BACKGROUND, (rows + columns) % 33).astype(np.uint8)
-    info = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train")
     facing = (ranges > 0) & (columns < 18)
-    return Rig("small", 2.0, camera, projector), Sample("pinned", ranges, seen, labels, facing, info)
+    return Rig("small", 2.0, camera, projector), Sample("pinned", ranges, seen, labels, facing, _info())
+
+
+def _info() -> SampleInfo:
+    return SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train")
 
 
 PINNED = {
     "none": "61bf1849b19ef709",
     "occ": "e729783d4a545aca",
-    "noise": "c93d8fae3d0b55d8",
-    "md": "1193e1daede92984",
-    "all": "e439800a9896b9e5",
+    "noise": "0b1738ef81f2a3e1",
+    "md": "536a530a38235606",
+    "all": "29eeb1281b14b13c",
 }
 
 
@@ -191,7 +248,8 @@ def test_the_bits_of_every_variant_are_pinned(name: VariantName) -> None:
     """A set described by (shards, variant, seed, epoch) must stay what it was."""
     rig, sample = _synthetic()
     sample.check()
-    images = [Augmentation(rig, name, seed=5)(replace(sample, key=f"pinned-{n}"), epoch=2) for n in range(4)]
+    augmentation = Augmentation(rig, name, seed=5)
+    images = [in_both_forms(augmentation, replace(sample, key=f"pinned-{n}"), 2) for n in range(4)]
     data = b"".join(image.range.astype("<u2").tobytes() + image.labels.tobytes() for image in images)
     assert hashlib.sha256(data).hexdigest()[:16] == PINNED[name]
 

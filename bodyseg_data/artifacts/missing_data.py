@@ -27,15 +27,22 @@ class MissingData:
         if self.between is not None and not 0 <= self.between[0] <= self.between[1] <= 1:
             raise BadConfig(f"missing-data rates must lie between 0 <= low <= high <= 1, found {self.between}")
 
-    def draw_rate(self, generator: np.random.Generator) -> float:
-        """The share of pixels that one image loses."""
-        chance = float(generator.random())
+    def rate(self, chance: float) -> float:
+        """The share of pixels that one image loses; chance: uniform from 0 to below 1."""
         if self.between is not None:
             low, high = self.between
             return low + (high - low) * chance
         return self.rates[int(chance * len(self.rates))]
 
 
-def kept_pixels(count: int, rate: float, generator: np.random.Generator) -> NDArray[np.bool_]:
-    """Which of `count` foreground pixels survive, bool [count]; each is lost independently with probability `rate`."""
-    return generator.random(count, np.float32) >= np.float32(rate)
+def threshold(rate: float) -> int:
+    """How many of the 65 536 values of 16 random bits lose a pixel: the rate, to the nearest of them."""
+    return round(rate * 65536)
+
+
+def kept_pixels(rate: float, draws: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Which foreground pixels survive, bool [N]; draws: uint16 [N], random bits.
+
+    Each is lost independently with probability `rate`, to the nearest multiple of 2**-16.
+    """
+    return draws >= np.uint32(threshold(rate))

@@ -1,8 +1,13 @@
-"""Measurement noise: additive Gaussian on the foreground, one standard deviation an image (paper, section 3.2)."""
+"""Measurement noise: additive Gaussian on the foreground, one standard deviation an image (paper, section 3.2).
+
+Normals are made of 32 random bits each, by the inverse of their distribution function (docs/noise.md).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,17 +29,67 @@ class Noise:
                 f"noise must satisfy 0 <= low <= high <= 1000 mm, found low {self.low_mm} and high {self.high_mm}"
             )
 
-    def draw_sigma_mm(self, generator: np.random.Generator) -> float:
-        """The standard deviation of one image, millimetres."""
-        return float(generator.uniform(self.low_mm, self.high_mm))
+    def sigma_mm(self, chance: float) -> float:
+        """The standard deviation of one image, millimetres; chance: uniform from 0 to below 1."""
+        return self.low_mm + (self.high_mm - self.low_mm) * chance
 
 
-def add_noise(foreground: NDArray[np.uint16], sigma_mm: float, generator: np.random.Generator) -> NDArray[np.uint16]:
-    """Noisy copy of the foreground's ranges, uint16 [N] in and out, steps of 0.1 mm.
+# A segment is a float's exponent and the highest four bits of its mantissa, the rest is the place in the segment. The
+# lowest segment begins at 0.5, the last one is 2**31 alone.
+SEGMENT_SHIFT: Final = 19
+PLACE_MASK: Final = (1 << SEGMENT_SHIFT) - 1
+FIRST_SEGMENT: Final = (127 - 1) << 4
+_OCTAVES: Final = 32
+
+
+def _segments() -> NDArray[np.float32]:
+    """Quadratics that meet the inverse distribution function at the three Chebyshev points of every segment.
+
+    float32 [3, segments]: what to multiply 1, place and place**2 by.
+    """
+    places = 0.5 - 0.5 * np.sqrt([0.75, 0.0, 0.75]) * (1, 0, -1)  # cosines of 30, 90 and 150 degrees
+    starts = np.ldexp(1 + np.arange(16) / 16, np.arange(-1, _OCTAVES - 1)[:, None]).ravel()
+    widths = np.repeat(np.ldexp(1 / 16, np.arange(-1, _OCTAVES - 1)), 16)
+    inverse = NormalDist().inv_cdf
+    a, b, c = ([-inverse(x) for x in (starts + place * widths) / 2**32] for place in places)
+    slope = np.subtract(b, a) / (places[1] - places[0])
+    bend = (np.subtract(c, b) / (places[2] - places[1]) - slope) / (places[2] - places[0])
+    constant = a - slope * places[0] + bend * places[0] * places[1]
+    linear = slope - bend * (places[0] + places[1])
+    scale = 2.0**-SEGMENT_SHIFT
+    table = np.stack([constant, linear * scale, bend * scale**2])
+    return np.ascontiguousarray(np.pad(table, ((0, 0), (0, 1))), np.float32)
+
+
+SEGMENTS: Final = _segments()
+
+
+def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
+    """One standard normal for each 32 random bits, float32 [N].
+
+    The highest bit is the sign. The others, a whole number m, stand for the quantile (m + 0.5) / 2**32, so normals
+    reach from -6.34 to 6.34 and their mean is 0. Every step is exact or rounds to nearest in float32, so that every
+    form and machine gives the same bits.
+    """
+    bits = ((draws & np.uint32(0x7FFFFFFF)).astype(np.float32) + np.float32(0.5)).view(np.int32)
+    place = (bits & PLACE_MASK).astype(np.float32)
+    segment = (bits >> SEGMENT_SHIFT) - FIRST_SEGMENT
+    constant, linear, bend = (row.take(segment) for row in SEGMENTS)
+    size = constant + place * (linear + place * bend)
+    signed: NDArray[np.float32] = np.where(draws >> np.uint32(31), size, -size)
+    return signed
+
+
+def steps_of(sigma_mm: float) -> np.float32:
+    """Millimetres as steps of a stored range."""
+    return np.float32(sigma_mm / 1000 / RANGE_STEP_M)
+
+
+def add_noise(foreground: NDArray[np.uint16], sigma_mm: float, draws: NDArray[np.uint32]) -> NDArray[np.uint16]:
+    """Noisy copy of the foreground's ranges, uint16 [N] in and out, steps of 0.1 mm; draws: uint32 [N], random bits.
 
     Rounds to the nearest step and stays within 1 .. 65535: a foreground pixel neither becomes background (0) nor wraps
-    around in 16 bits. One normal is drawn a pixel, in the order given, whatever sigma is.
+    around in 16 bits.
     """
-    normals = generator.standard_normal(len(foreground), np.float32)
-    noisy = foreground + normals * np.float32(sigma_mm / 1000 / RANGE_STEP_M)
+    noisy = foreground.astype(np.float32) + normals(draws) * steps_of(sigma_mm)
     return np.clip(np.rint(noisy), 1, 65535).astype(np.uint16)

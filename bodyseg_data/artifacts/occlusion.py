@@ -73,14 +73,18 @@ class ShadowTest:
         of each device, 0 where there is nothing. faces_projector: bool [H, W], whether the triangle seen turns its
         outside to the projector. Raises BadSample for arrays of another kind or shape than the rig's.
         """
-        camera, projector = self.rig.camera, self.rig.projector
-        _check("the camera range", camera_range, np.uint16, (camera.rows, camera.columns))
-        _check("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
-        _check("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
+        self.check(camera_range, projector_range, faces_projector)
         answer = np.zeros(camera_range.shape, np.bool_)
         pixels, x, y, away = self.project(camera_range, np.flatnonzero(faces_projector & (camera_range > 0)))
         answer.ravel()[pixels] = reached(projector_range, x, y, away)
         return answer
+
+    def check(self, camera_range: Any, projector_range: Any, faces_projector: Any) -> None:
+        """Raise BadSample for images of another kind or shape than the rig's."""
+        camera, projector = self.rig.camera, self.rig.projector
+        _check("the camera range", camera_range, np.uint16, (camera.rows, camera.columns))
+        _check("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
+        _check("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
 
     def project(
         self, camera_range: NDArray[np.uint16], pixels: NDArray[np.intp]
