@@ -6,9 +6,26 @@ and exit with status 2; code that uses the library can catch `BodysegError` or a
 
 from __future__ import annotations
 
+from typing import Final
+
+_LONGEST: Final = 1000
+
+
+def one_line(text: str) -> str:
+    """`text` with letters that cannot be printed escaped and, if it is very long, without its middle."""
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
 
 class BodysegError(Exception):
-    """Base of everything this project raises on purpose."""
+    """Base of everything this project raises on purpose.
+
+    Its text is one line that can be printed, whatever was found in a file.
+    """
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class BadConfig(BodysegError):
@@ -33,6 +50,14 @@ class BadSample(BodysegError):
 
 class BadShard(BodysegError):
     """A shard or its manifest is cut, altered, or of another format."""
+
+
+class Unreachable(BodysegError):
+    """Files of a remote set cannot be had: absent, refused, or too many attempts in a row have failed."""
+
+
+class WorkerLost(BodysegError):
+    """A worker process of a loader has ended, or failed, before its work was done."""
 
 
 class MissingLibrary(BodysegError):

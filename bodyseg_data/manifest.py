@@ -16,9 +16,10 @@ from bodyseg_data.parts import LANDMARKS
 from bodyseg_data.rig import Rig, rig_from_json
 from bodyseg_data.sample import RANGE_STEP_M, check_key
 from bodyseg_data.splits import SPLITS, Split
+from bodyseg_data.store import Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
-MANIFEST_FORMAT: Final = "bodyseg shards 2"
+MANIFEST_FORMAT: Final = "bodyseg shards 3"
 
 _FIELDS: Final = {"format", "range_step_m", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
 _SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
@@ -26,6 +27,9 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BLOCK: Final = 512
 _LARGEST_SAMPLE: Final = 1 << 30
 _LARGEST_SHARD: Final = 1 << 40
+_LARGEST_MANIFEST: Final = 1 << 28
+_TIMES: Final = 3
+"""So often a manifest is fetched that arrives altered."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +122,8 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         if not all(type(value) is kind for value in values):
             raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
     notes = tree["notes"]
-    if not isinstance(notes, list) or not all(isinstance(note, str) for note in notes):
-        raise BadShard(f"{where}: 'notes' must be a list of text")
+    if not isinstance(notes, list) or not all(isinstance(note, str) and note.isprintable() for note in notes):
+        raise BadShard(f"{where}: 'notes' must be a list of text that can be printed")
     if type(tree["size"]) is not int or not 0 <= tree["size"] <= _LARGEST_SHARD:
         raise BadShard(f"{where}: 'size' must be a number of bytes, at most {_LARGEST_SHARD}")
     if not tree["keys"]:
@@ -149,24 +153,50 @@ def write_manifest(manifest: Manifest, folder: Path) -> None:
     )
 
 
-def read_manifest(folder: Path) -> Manifest:
-    """Read and check a set's manifest. Raises BadShard with the file and the rule broken."""
-    path = folder / MANIFEST_NAME
+def read_manifest(where: Path | Store) -> Manifest:
+    """Read and check the manifest of a set. Raises BadShard with the file and the rule broken, or Unreachable."""
+    store = store_at(where)
+    path = f"{store.name}/{MANIFEST_NAME}"
+    for attempt in range(1, _TIMES + 1):
+        data = _contents(store, path)
+        try:
+            return _manifest(_tree(data, path), path)
+        except BadShard:
+            if attempt == _TIMES or not store.doubt(MANIFEST_NAME):
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _contents(store: Store, path: str) -> bytes:
     try:
-        tree = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise BadShard(
-            f"{folder} holds no {MANIFEST_NAME}: not a set of shards, or its packing has not ended"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
+        data = store.whole(MANIFEST_NAME, _LARGEST_MANIFEST)
+    except OSError as error:
+        raise BadShard(f"{path} cannot be read: {error}") from error
+    if data is None:
+        raise BadShard(f"{store.name} holds no {MANIFEST_NAME}: not a set of shards, or its packing has not ended")
+    return data
+
+
+def _tree(data: bytes, path: str) -> dict[str, Any]:
+    """What the file says, as it was written."""
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
     if not isinstance(tree, dict) or tree.get("format") != MANIFEST_FORMAT:
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
         raise BadShard(f"{path}: 'format' must be {MANIFEST_FORMAT!r}, found {found!r}")
     stored = tree.pop("digest", None)
-    computed = _digest(tree)
+    try:
+        computed = _digest(tree)
+    except RecursionError as error:  # brackets nested as deeply as can just be read
+        raise BadShard(f"{path} cannot be read: {error}") from error
     if stored != computed:
         raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")
+    return tree
+
+
+def _manifest(tree: dict[str, Any], path: str) -> Manifest:
     for field, expected in (("parts", list(LANDMARKS)), ("range_step_m", RANGE_STEP_M)):
         if tree.get(field) != expected:
             raise BadShard(f"{path}: {field!r} are not those of format {MANIFEST_FORMAT!r}")
@@ -184,7 +214,7 @@ def read_manifest(folder: Path) -> Manifest:
         rig = rig_from_json(tree.get("rig"))
     except BadConfig as error:
         raise BadShard(f"{path}: {error}") from error
-    shards = tuple(record_from_json(record, str(path)) for record in tree["shards"])
+    shards = tuple(record_from_json(record, path) for record in tree["shards"])
     keys = [key for shard in shards for key in shard.keys]
     if len(set(keys)) != len(keys) or len({shard.name for shard in shards}) != len(shards):
         raise BadShard(f"{path}: sample keys and shard names must be unique")

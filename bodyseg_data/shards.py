@@ -14,13 +14,16 @@ from types import TracebackType
 from typing import IO, Final
 
 from bodyseg_data.codec import decode_sample
-from bodyseg_data.errors import BadSample, BadShard
+from bodyseg_data.errors import BadSample, BadShard, Unreachable, one_line
 from bodyseg_data.files import sync_folder
 from bodyseg_data.manifest import Manifest, ShardRecord
 from bodyseg_data.sample import Sample, check_key
 from bodyseg_data.splits import Split
+from bodyseg_data.store import Store, open_file, store_at
 
 _BLOCK: Final = 512
+_TIMES: Final = 3
+"""So often altered bytes are read, if they come over a network, before they count as what is there."""
 
 
 class ShardWriter:
@@ -56,7 +59,7 @@ class ShardWriter:
 
     def note(self, mesh: str, notes: Sequence[str]) -> None:
         """Have the shard's record say what was noted of a mesh; see `ShardRecord.notes`."""
-        self._notes.extend(f"{mesh}: {note}" for note in notes)
+        self._notes.extend(one_line(f"{mesh}: {note}") for note in notes)
 
     def _append(self, data: bytes) -> None:
         self._file.write(data)
@@ -113,32 +116,42 @@ class ShardReader:
     Holds no open file, so it may be forked, pickled and used by several threads; opening costs a hundredth of decoding.
     """
 
-    def __init__(self, folder: Path, manifest: Manifest) -> None:
-        self._folder, self._manifest = folder, manifest
+    def __init__(self, where: Path | Store, manifest: Manifest) -> None:
+        self._store, self._manifest = store_at(where), manifest
 
-    def read(self, shard: int, index: int) -> Sample:
-        """Sample `index` of shard number `shard`.
+    def read(self, shard: int, index: int, projector: bool = True) -> Sample:
+        """Sample `index` of shard number `shard`, its projector's range only if asked for.
 
-        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or not a sample.
+        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or not a sample, and
+        Unreachable if a remote set cannot be reached.
         """
         record = self._manifest.shards[shard]
         where = place(record, index)
+        for attempt in range(1, _TIMES + 1):
+            try:
+                data = self._store.read(record.name, record.offsets[index], record.lengths[index])
+            except OSError as error:
+                raise BadShard(f"{where}: cannot be read: {error.strerror or error}") from error
+            try:
+                check_bytes(data, record, index)
+                break
+            except BadShard:
+                if attempt == _TIMES or not self._store.doubt(record.name):
+                    raise
         try:
-            with (self._folder / record.name).open("rb", buffering=0) as file:
-                data = os.pread(file.fileno(), record.lengths[index], record.offsets[index])
-        except OSError as error:
-            raise BadShard(f"{where}: cannot be read: {error.strerror or error}") from error
-        check_bytes(data, record, index)
-        return _decoded(record, index, parse_members(record.keys[index], data))
+            members = parse_members(record.keys[index], data)
+        except BadSample as error:
+            raise BadShard(f"{where}: {error}") from error
+        return _decoded(record, index, members, projector)
 
-    def decode(self, shard: int, index: int, members: Mapping[str, bytes]) -> Sample:
+    def decode(self, shard: int, index: int, members: Mapping[str, bytes], projector: bool = True) -> Sample:
         """The same sample from members that some reader of tars found: extension -> bytes.
 
         The bytes of a shard follow from its members, so they can be checked all the same. Raises BadShard.
         """
         record = self._manifest.shards[shard]
         check_bytes(_sample_bytes(record.keys[index], members), record, index)
-        return _decoded(record, index, members)
+        return _decoded(record, index, members, projector)
 
 
 def place(record: ShardRecord, index: int) -> str:
@@ -146,9 +159,9 @@ def place(record: ShardRecord, index: int) -> str:
     return f"{record.name}: {record.keys[index]}: offset {record.offsets[index]}"
 
 
-def _decoded(record: ShardRecord, index: int, members: Mapping[str, bytes]) -> Sample:
+def _decoded(record: ShardRecord, index: int, members: Mapping[str, bytes], projector: bool) -> Sample:
     try:
-        return decode_sample(record.keys[index], members)
+        return decode_sample(record.keys[index], members, projector)
     except BadSample as error:
         raise BadShard(f"{place(record, index)}: {error}") from error
 
@@ -176,7 +189,8 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
         except (tarfile.HeaderError, UnicodeDecodeError) as error:
             raise BadSample(f"{key}: no tar header at byte {position} of the sample: {error}") from error
         stem, _, extension = header.name.partition(".")
-        if not header.isreg() or stem != key or not extension or extension in members:
+        # Not `isreg`, for which sparse files are regular, too.
+        if header.type != tarfile.REGTYPE or stem != key or not extension or extension in members:
             raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {header.name!r}")
         start = position + _BLOCK
         if not 0 <= header.size <= len(data) - start:
@@ -199,18 +213,19 @@ class Fault:
         return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
 
 
-def find_faults(folder: Path, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
+def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
     """Everything wrong with one shard: its size, every sample's bytes and content, its hash.
 
     A fault inside a sample is reported at that sample; one elsewhere at the end of the archive.
     """
-    path = folder / shard.name
     sha256 = hashlib.sha256()
     sound = True
+    end = size = 0
     try:
-        with path.open("rb") as file:
+        with open_file(store_at(where), shard.name) as file:
             for index, key in enumerate(shard.keys):
                 data = file.read(shard.lengths[index])
+                end += len(data)
                 sha256.update(data)
                 try:
                     check_bytes(data, shard, index)
@@ -219,12 +234,15 @@ def find_faults(folder: Path, manifest: Manifest, shard: ShardRecord) -> Iterato
                     sound = False
                     problem = str(error).removeprefix(f"{place(shard, index)}: ").removeprefix(f"{key}: ")
                     yield Fault(shard.name, key, shard.offsets[index], problem)
-            end = file.tell()
+            size = end
             while rest := file.read(1 << 20):
                 sha256.update(rest)
-            size = file.tell()
+                size += len(rest)
     except OSError as error:
         yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
+        return
+    except Unreachable as error:
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error}")
         return
     if size != shard.size:
         yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")

@@ -30,7 +30,7 @@ EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 class Options:
     """What the command takes."""
 
-    folder: Path = option("folder of a set of shards", positional=True)
+    folder: str = option("folder or address of a set of shards", positional=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     split: Split | None = option("only this split (default: both)", None)
     out: Path | None = option("write a contact sheet to this PNG file", None)
@@ -66,7 +66,7 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
         lines.append(Row(sample, {name: make(sample, images.epoch) for name, make in augmentations.items()}))
-    title = f"{images.path.name}: {len(images)} samples, rig {images.manifest.rig.name}"
+    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {images.manifest.rig.name}"
     return draw_sheet(lines, images.augmentation.variant, title)
 
 
@@ -99,7 +99,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
             progress.update(index + 1, len(images))
     manifest = images.manifest
     return {
-        "path": str(images.path),
+        "path": images.path,
         "source": manifest.source,
         "renderer": manifest.renderer,
         "codec": manifest.codec,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
+from bodyseg_data.addresses import open_store
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.manifest import read_manifest
 from bodyseg_data.options import option
 from bodyseg_data.shards import find_faults
+from bodyseg_data.store import LocalFolder, Store
 
 EXAMPLE = "bodyseg verify shards"
 
@@ -19,15 +20,18 @@ EXAMPLE = "bodyseg verify shards"
 class Options:
     """What the command takes."""
 
-    folder: Path = option("folder of a set of shards", positional=True)
+    folder: str = option("folder or address of a set of shards", positional=True)
 
 
 def run(options: Options) -> int:
     """Print one line a fault and return 1, or say that there is none and return 0."""
-    if not options.folder.is_dir():
-        raise BadConfig(f"no such folder: {options.folder}")
+    store, pattern = open_store(options.folder)
+    if pattern != "*":
+        raise BadConfig(f"a whole set is verified, found {pattern!r} at the end of its path")
+    if isinstance(store, LocalFolder) and not store.path.is_dir():
+        raise BadConfig(f"no such folder: {store.path}")
     try:
-        manifest = read_manifest(options.folder)
+        manifest = read_manifest(store)
     except BadShard as error:
         sys.stdout.write(f"{error}\n")
         return 1
@@ -35,13 +39,13 @@ def run(options: Options) -> int:
     with Progress("verifying", "samples") as progress:
         done, total = 0, manifest.samples()
         for shard in manifest.shards:
-            for fault in find_faults(options.folder, manifest, shard):
+            for fault in find_faults(store, manifest, shard):
                 sys.stdout.write(f"{fault}\n")
                 faults += 1
             done += len(shard)
             progress.update(done, total)
     listed = {shard.name for shard in manifest.shards}
-    for stray in sorted(path.name for path in options.folder.glob("*.tar") if path.name not in listed):
+    for stray in _strays(store, listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
     for note in manifest.notes():
@@ -49,5 +53,12 @@ def run(options: Options) -> int:
     if faults:
         return 1
     size = sum(shard.size for shard in manifest.shards)
-    sys.stdout.write(f"{options.folder}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
+    sys.stdout.write(f"{store.name}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
     return 0
+
+
+def _strays(store: Store, listed: set[str]) -> list[str]:
+    """Shards that the manifest does not name; only a folder of this machine can be listed."""
+    if not isinstance(store, LocalFolder):
+        return []
+    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)
