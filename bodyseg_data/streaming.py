@@ -6,6 +6,11 @@ draw belongs to a sample's key. So batches are the same bits for any number of w
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -14,17 +19,24 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from bodyseg_data.errors import BadConfig, BadShard, BodysegError
-from bodyseg_data.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.addresses import open_store
+from bodyseg_data.batch_order import BatchOrder, Request
+from bodyseg_data.cached_store import keep_shards
+from bodyseg_data.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.manifest import read_manifest
 from bodyseg_data.randomness import check_epoch, check_seed, permutation
+from bodyseg_data.remote import Patience
 from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.shards import ShardReader
 from bodyseg_data.splits import SPLITS, Split
-from bodyseg_data.variants import Artifacts, Augmentation, RangeImage, check_variant
+from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation, RangeImage, check_variant
 
 
 class Batch(TypedDict):
-    """range: float32 [B, 1, H, W], metres, 0 background; labels: uint8 [B, H, W], 0..32 or 255; key: B names."""
+    """range: float32 [B, 1, H, W], metres, 0 background; labels: uint8 [B, H, W], 0..32 or 255; key: B names.
+
+    Where 16 bits were asked for, range is uint16 in steps of 0.1 mm.
+    """
 
     range: torch.Tensor
     labels: torch.Tensor
@@ -34,11 +46,17 @@ class Batch(TypedDict):
 class RangeImages(Dataset[dict[str, Any]]):
     """A set of shards seen as one of the five variants, made on the fly. Random access; `len()` is exact.
 
-    path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"). variant: "none", "occ",
-    "noise", "md" or "all". split: "train", "test", or None for both. seed: of all draws and of the order. epoch: the
-    first one. artifacts: how strong they are; the paper's by default.
+    path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
+    address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
+    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first one. artifacts: how strong
+    they are; the paper's by default.
 
-    Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished.
+    Of remote sets (docs/remote.md): cache: the folder that keeps fetched shards, None for `bodyseg` in the user's cache
+    folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
+    patience: how much trouble is borne.
+
+    Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished,
+    Unreachable for a remote one that cannot be had, MissingLibrary for a package that its address needs.
     """
 
     def __init__(
@@ -49,15 +67,19 @@ class RangeImages(Dataset[dict[str, Any]]):
         seed: int = 0,
         epoch: int = 0,
         artifacts: Artifacts | None = None,
+        cache: str | Path | None = None,
+        cache_bytes: int | None = None,
+        storage_options: Mapping[str, Any] | None = None,
+        patience: Patience | None = None,
     ) -> None:
         seed = check_seed(seed)
         if artifacts is not None and not isinstance(artifacts, Artifacts):
             raise BadConfig(f"artifacts must be an Artifacts, found {type(artifacts).__name__}")
         if split is not None and split not in SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
-        folder, pattern = _locate(str(path))
-        self.path = folder
-        self.manifest = read_manifest(folder)
+        store, pattern = open_store(str(path), storage_options, patience)
+        self.path = store.name
+        self.manifest = read_manifest(store)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(
             self.manifest.rig, check_variant(variant), seed, Artifacts() if artifacts is None else artifacts
@@ -72,7 +94,8 @@ class RangeImages(Dataset[dict[str, Any]]):
             held = ", ".join(f"{self.manifest.samples(name)} {name}" for name in SPLITS)
             raise BadConfig(f"{path} has no sample of split {split!r} that matches {pattern!r}; the set holds {held}")
         self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
-        self._reader = ShardReader(folder, self.manifest)
+        records = [self.manifest.shards[number] for number in np.unique(self._places[:, 0])]
+        self._reader = ShardReader(keep_shards(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -102,39 +125,93 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
-        return self.augmentation(self.clean(index), self.epoch if epoch is None else check_epoch(epoch))
+        return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
 
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        """One sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key."""
+    def _sample(self, index: int) -> Sample:
+        """What the variant needs of a stored sample."""
+        shard, within = self._places[index].tolist()
+        return self._reader.read(shard, within, VARIANTS[self.augmentation.variant].occlusion)
+
+    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
+        try:
+            self.augmentation.into(self._sample(index), epoch, image, labels)
+        except BadSample as error:
+            shard, _, offset = self.place(index)
+            raise BadShard(f"{shard}: offset {offset}: {error}") from error
+
+    def __getitem__(self, index: int | Request) -> dict[str, Any]:
+        """One sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
+
+        index: the sample's place, or (epoch, place) as `batches` gives; a place alone means the epoch last set here,
+        of which workers that are running already do not hear.
+        """
+        epoch, index = index if isinstance(index, tuple) else (None, index)
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} of {len(self)} samples")
-        return _single(self.image(index))
+        return _single(self.image(index, epoch))
+
+    def place(self, index: int) -> tuple[str, str, int]:
+        """(shard's name, key, offset in the shard) of a sample."""
+        number, within = self._places[index].tolist()
+        shard = self.manifest.shards[number]
+        return shard.name, shard.keys[within], shard.offsets[within]
+
+    def batches(
+        self,
+        batch_size: int,
+        shuffle: bool | None = None,
+        drop_last: bool = False,
+        rank: int | None = None,
+        ranks: int | None = None,
+    ) -> BatchOrder:
+        """A `batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as of `loader`."""
+        return BatchOrder(self, batch_size, shuffle, drop_last, rank, ranks)
+
+    def identity(self) -> dict[str, Any]:
+        """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
+        return {
+            "set": self._digest,
+            "split": self.split,
+            "variant": self.variant,
+            "seed": self.seed,
+            "artifacts": json.loads(json.dumps(asdict(self.augmentation.artifacts))),
+        }
+
+    @cached_property
+    def _digest(self) -> str:
+        """Of the chosen samples' keys and bytes, in stored order, however they are cut into shards."""
+        digest = hashlib.blake2b(digest_size=16)
+        for number, within in self._places.tolist():
+            shard = self.manifest.shards[number]
+            digest.update(f"{shard.keys[within]} {shard.crc32[within]}\n".encode())
+        return digest.hexdigest()
 
     def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
         """The order in which a pass visits the samples, int64 [len(self)]; a function of seed and epoch alone."""
         return permutation(len(self), self.seed, epoch) if shuffle else np.arange(len(self))
 
     def webdataset(self, epoch: int | None = None) -> Any:
-        """A `webdataset.WebDataset` over the chosen shards that gives this variant's images, in stored order.
+        """A pipeline of `webdataset` over the chosen shards that gives this variant's images, in stored order.
 
-        For reading where random access is slow, or in a pipeline of your own: chain `.shuffle(1000)` and so on. The
-        images have the same bits as by index, and each one's bytes are checked against the manifest: raises BadShard
-        for a sample that is altered or unknown. A tar cut between two samples only ends early, which no reader of a
-        stream can see; `bodyseg verify` does.
+        For a pipeline of your own: chain `.shuffle(1000)` and so on; workers share the shards out. Each sample is read
+        by its place in the manifest, as by index: to a reader of streams, a tar that is cut or has an altered header
+        may look as if it just ended. Raises BadShard for a sample that is altered or missing.
         """
         import webdataset
 
         chosen = self.epoch if epoch is None else check_epoch(epoch)
-        places = {self.manifest.shards[shard].keys[index]: (shard, index) for shard, index in self._places.tolist()}
+        held: dict[str, list[int]] = {url: [] for url in self.urls()}
+        for index in range(len(self)):
+            held[f"{self.path}/{self.place(index)[0]}"].append(index)
 
-        def image(raw: dict[str, Any]) -> dict[str, Any]:
-            key = raw["__key__"]
-            if key not in places:
-                raise BadShard(f"{raw.get('__url__', self.path)}: {key}: not among the chosen samples of the manifest")
-            members = {name: data for name, data in raw.items() if not name.startswith("_")}
-            return _single(self.augmentation(self._reader.decode(*places[key], members), chosen))
+        def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
+            for shard in shards:
+                for index in held[shard["url"]]:
+                    yield _single(self.image(index, chosen))
 
-        return webdataset.WebDataset(self.urls(), shardshuffle=False, handler=_refuse).map(image)
+        pipeline = webdataset.FluidWrapper(webdataset.SimpleShardList(list(held)))
+        return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)
 
     def stored_bytes(self) -> int:
         """Bytes that the chosen samples take in their shards, headers included."""
@@ -142,51 +219,18 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def urls(self) -> list[str]:
         """The paths of the shards that hold the chosen samples, in stored order."""
-        return [str(self.path / self.manifest.shards[number].name) for number in np.unique(self._places[:, 0])]
+        return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._places[:, 0])]
 
 
-def _refuse(error: Exception) -> bool:
-    """What a pipeline does with a tar it cannot read."""
-    raise error if isinstance(error, BodysegError) else BadShard(f"a shard cannot be read: {error}") from error
-
-
-def _locate(path: str) -> tuple[Path, str]:
-    """Folder of the set and the pattern its shards must match."""
-    if "://" in path:
-        raise BadConfig(f"shards are read from local folders, found {path!r}: copy the set here first")
-    place = Path(path)
-    if any(mark in place.name for mark in "*?["):
-        return place.parent, place.name
-    if place.name == MANIFEST_NAME:
-        return place.parent, "*"
-    if place.suffix == ".tar":
-        return place.parent, place.name
-    return place, "*"
-
-
-class PackedBatch(TypedDict):
-    """What crosses from a worker: 16 bits a pixel, not 32, because the copy between processes is the bottleneck."""
-
-    range: torch.Tensor
-    labels: torch.Tensor
-    key: list[str]
-
-
-def pack_batch(images: list[RangeImage]) -> PackedBatch:
-    """Images of one size as one batch of 16 bits."""
-    return {
-        "range": torch.from_numpy(np.stack([image.range for image in images])[:, None]),
-        "labels": torch.from_numpy(np.stack([image.labels for image in images])),
-        "key": [image.key for image in images],
-    }
-
-
-def metres(packed: PackedBatch) -> Batch:
-    """The batch that users get."""
-    steps = packed["range"]
-    return {"range": steps.to(torch.float32).mul_(RANGE_STEP_M), "labels": packed["labels"], "key": packed["key"]}
+def metres(steps: NDArray[np.uint16], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Range in steps as metres, rounded once."""
+    found: NDArray[np.float32] = np.multiply(steps, np.float32(RANGE_STEP_M), out=out)
+    return found
 
 
 def _single(image: RangeImage) -> dict[str, Any]:
-    batch = metres(pack_batch([image]))
-    return {"range": batch["range"][0], "labels": batch["labels"][0], "key": image.key}
+    return {
+        "range": torch.from_numpy(metres(image.range)[None]),
+        "labels": torch.from_numpy(image.labels),
+        "key": image.key,
+    }

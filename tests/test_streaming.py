@@ -164,7 +164,7 @@ def test_a_webdataset_pipeline_checks_every_sample(figures_set: Path, tmp_path: 
         with pytest.raises(BadShard, match="train-00000.tar: open-.*: (altered|cut short): "):
             list(images.webdataset())
     shutil.copy(copy / "test-00000.tar", path)
-    with pytest.raises(BadShard, match="not among the chosen samples of the manifest"):
+    with pytest.raises(BadShard, match="train-00000.tar: open-.*: offset 0: altered: "):  # another's samples
         list(images.webdataset())
     gc.collect()
 
@@ -268,5 +268,3 @@ def test_an_empty_selection_is_refused(tmp_path: Path, figures_set: Path) -> Non
         RangeImages(figures_set / "val-*.tar")
     with pytest.raises(BadShard, match="holds no manifest.json"):
         RangeImages(tmp_path)
-    with pytest.raises(BadConfig, match="shards are read from local folders, found 'https://example.org/shards'"):
-        RangeImages("https://example.org/shards")

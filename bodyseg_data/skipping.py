@@ -1,0 +1,91 @@
+"""What a loader leaves out: bad samples, up to a budget, every one on record."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from bodyseg_data.errors import BadConfig, BadSample, BadShard
+
+OnError = Literal["stop", "skip"]
+
+SKIPPABLE = (BadShard, BadSample)
+"""The errors that are about one sample's bytes."""
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A sample that was left out. offset: where it starts in its shard, bytes; why: the error that reading it gave."""
+
+    epoch: int
+    key: str
+    shard: str
+    offset: int
+    why: str
+
+
+class SkipLedger:
+    """Counts and records what is skipped. budget: None skips nothing; else the most samples that one pass may lose.
+
+    path: a file to which each record is appended as a line of JSON.
+    """
+
+    def __init__(self, budget: int | None, path: Path | None) -> None:
+        self._budget, self._path = budget, path
+        self.skipped: list[Skipped] = []
+
+    @property
+    def strict(self) -> bool:
+        """Whether nothing may be skipped."""
+        return self._budget is None
+
+    def add(self, record: Skipped, error: Exception) -> None:
+        """Put one more on record. Raises `error` if nothing may be skipped, BadShard if this is one too many."""
+        if self._budget is None or not isinstance(error, SKIPPABLE):
+            # Another object than `error`, which would tie itself and a traceback's frames into a cycle.
+            raise type(error)(str(error))
+        if sum(earlier.epoch == record.epoch for earlier in self.skipped) >= self._budget:
+            raise BadShard(
+                f"{record.why} (epoch {record.epoch} has lost {self._budget} samples before, all that its skip_budget "
+                "allows)"
+            )
+        self.skipped.append(record)
+        if self._path is not None:
+            try:
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(record)) + "\n")
+            except OSError as problem:
+                raise BadConfig(f"{self._path} cannot be written: {problem.strerror or problem}") from problem
+
+    def state(self) -> list[dict[str, Any]]:
+        """All records as plain JSON."""
+        return [asdict(record) for record in self.skipped]
+
+    def load_state(self, state: Any) -> None:
+        """Take over the records of an earlier run. Raises BadConfig."""
+        try:
+            records = [Skipped(**record) for record in state]
+        except TypeError:
+            raise BadConfig("a state's 'skipped' must be a list of records as a loader writes them") from None
+        kinds = {"epoch": int, "key": str, "shard": str, "offset": int, "why": str}
+        for record in records:
+            if any(type(getattr(record, field)) is not kind for field, kind in kinds.items()):
+                raise BadConfig(f"a state's record of a skipped sample must be like a loader's, found {record}")
+        self.skipped = records
+
+
+def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:
+    """The most samples a pass may lose: `budget` itself if whole, else that share of `samples`. Raises BadConfig."""
+    if on_error not in ("stop", "skip"):
+        raise BadConfig(f"on_error must be stop or skip, found {on_error!r}")
+    if (on_error == "skip") != (budget is not None):
+        raise BadConfig(f"on_error='skip' and a skip_budget belong together, found {on_error!r} and {budget!r}")
+    if budget is None:
+        return None
+    if isinstance(budget, int) and not isinstance(budget, bool) and budget >= 0:
+        return budget
+    if isinstance(budget, float) and 0 <= budget < 1:
+        return int(budget * samples)
+    raise BadConfig(f"skip_budget must be a number of samples, or a share from 0 to 1, found {budget!r}")
