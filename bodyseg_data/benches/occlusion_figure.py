@@ -1,119 +1,262 @@
-"""Draws where the shadow test errs: `bodyseg bench occlusion --figure FILE.png`."""
+"""Draws error against time and bytes of ways to make the shadow: `bodyseg bench occlusion --figure FILE.png`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
+from bodyseg_data.benches.occlusion_crops import draw_crops
+from bodyseg_data.benches.occlusion_rivals import DEFAULT
+from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.pictures import save_chart
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.benches.occlusion import ExactView, exact_view
-from bodyseg_data.benches.occlusion_rivals import Method, nearest
-from bodyseg_data.bodies import open_source
-from bodyseg_data.errors import BadConfig, MissingLibrary
-from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rig import load_rig
-from bodyseg_data.views import View
+Row = dict[str, Any]
+Setting = tuple[Any, ...]
 
-_SHOWN: Final = (("arms_crossed", View(215, 20), (150, 110)), ("deep_squat", View(215, 330), (150, 110)))
-"""Pose, view, and size [rows, columns] of the detail, which is put where the most errors are."""
-
-_COLOURS: Final = {
-    "background": (255, 255, 255),
-    "lit": (222, 222, 222),
-    "in shadow": (120, 120, 128),
-    "wrongly lit": (214, 39, 40),
-    "wrongly dark": (31, 90, 200),
+_FAMILIES: Final = {
+    "nearest texel": ("o", "nearest texel"),
+    "farthest of four texels": ("s", "farthest of four"),
+    "plane through the texel": ("D", "plane through the texel"),
+    "votes of four texels": ("^", "votes of four"),
+    "interpolated range everywhere": ("v", "interpolated everywhere"),
+    DEFAULT.family: ("P", "interpolated, votes at edges"),
 }
-_MARGIN: Final = 8
+"""Family -> marker, name in the legend."""
+
+_SIZES: Final = {0.5: 14, 1: 32, 2: 62, 3: 100}
+_NO_ERROR: Final = 0.0010  # where "none" is drawn, since a log axis has no zero
+_TOP: Final = 0.04  # larger errors are left out
+_LIMIT: Final = 0.005
+_ON_FRONT: Final = "#1f4fa8"
+_BEHIND: Final = "#b9b9b9"
+_COMPILED: Final = "#f2c14e"
+_AXES: Final = {
+    "us_per_view": ("decoding and test, µs of processor a view", (30, 50, 100, 200, 500, 1000, 2000, 5000)),
+    "bytes": ("added to a sample, bytes: projector image and facing bit", (200, 500, 1000, 2000, 5000, 20000, 100000)),
+}
+_ROOM: Final = 5.5  # to the left of all points, for names
+_RIVALS: Final = (
+    ("nearest texel", 10.0, 1, False, "nearest texel, 10 mm, no facing bit"),
+    ("farthest of four texels", 10.0, 1, True, "farthest of four, 10 mm"),
+    ("nearest texel", 20.0, 1, True, "nearest texel, 20 mm"),
+    ("votes of four texels", 20.0, 1, True, "votes of four, 20 mm"),
+    ("plane through the texel", 10.0, 1, True, "plane through the texel, 10 mm"),
+    (DEFAULT.family, DEFAULT.bias_mm, 1, True, "default"),
+    (DEFAULT.family, DEFAULT.bias_mm, 2, True, "default, image ×2"),
+)
+"""Those that are shown scene by scene: family, bias, scale, facing bit, name."""
+
+_NAMED: Final = (
+    (("nearest texel", 20.0, 1, True), "nearest texel, 20 mm", (-24, 12)),
+    ((DEFAULT.family, DEFAULT.bias_mm, 1, True), "default", (-34, -8)),
+    (("nearest texel", 20.0, 2, True), "nearest texel, 20 mm, ×2", (-30, -10)),
+    ((DEFAULT.family, DEFAULT.bias_mm, 2, True), "default, ×2", (-30, -10)),
+    ((DEFAULT.family, DEFAULT.bias_mm, 3, True), "default, ×3", (-30, -8)),
+)
+"""Settings, names, and where the names stand from their points."""
+
+_SCENE_STYLES: Final = (
+    ("o", "white", "#777777"),
+    ("s", "#d0d0d0", "#555555"),
+    ("o", "#9a9a9a", "#555555"),
+    ("^", "#9a9a9a", "#555555"),
+    ("D", "#d0d0d0", "#555555"),
+    ("P", _ON_FRONT, "black"),
+    ("P", "#8fb0ea", "black"),
+)
 
 
-def draw_occlusion(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG: exact mask, the default's, and both errors, whole and in detail, for two open bodies.
+def draw_occlusion(figures: Row, path: Path) -> None:
+    """Write what `bench_occlusion` measured as a PNG, and beside it, as NAME_errors.png, the default's worst errors.
 
-    figures: what the bench measured; these views are rendered anew and need none of it.
-
-    Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
+    Raises MissingLibrary without matplotlib, BadConfig if a file cannot be written.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-        from matplotlib.patches import Patch, Rectangle
     except ImportError as error:
         raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-
-    rig = load_rig()
-    test = ShadowTest(rig)
-    source = open_source("open")
-    simple = Method("nearest texel, 10 mm,\nno facing bit", 10.0, nearest(10.0), facing_bit=False)
-    figure = Figure(figsize=(15, 10.5), layout="constrained")
+    rows = [row for row in figures["methods"] if row["wrong_pixels"] <= _TOP]
+    maps = [row for row in rows if row["family"] in _FAMILIES and row["form"] == "numpy"]
+    compiled = [row for row in rows if row["form"] == "compiled"]
+    mask = next(row for row in rows if row["family"] not in _FAMILIES)
+    figure = Figure(figsize=(14, 12), layout="constrained")
     FigureCanvasAgg(figure)
-    axes: Any = figure.subplots(len(_SHOWN), 5, width_ratios=(1, 1, 1, 1, 1.3), squeeze=False)
-    for row, (pose, view, detail) in zip(axes, _SHOWN, strict=True):
-        body = next(body for body in source.bodies() if body.pose == pose)
-        built = source.build(body)
-        exact = exact_view(rig, EmbreeRenderer(built.mesh), built, body, view)
-        masks = exact.lit, test.lit(*exact.images(1)), simple.lit(test, exact.images(1))
-        crop = _crop(exact.range > 0)
-        titles = f"{pose}, {view.name}\nexact shadow rays", "default", "default: errors", f"{simple.name}: errors"
-        pictures = [
-            _picture(exact, mask, errors) for mask, errors in zip((*masks[:2], *masks[1:]), (0, 0, 1, 1), strict=True)
-        ]
-        for axis, title, picture in zip(row, titles, pictures, strict=False):
-            axis.imshow(picture[crop], interpolation="nearest")
-            axis.set_title(title, fontsize=10)
-        for axis, mask in zip(row[2:4], masks[1:], strict=True):
-            axis.set_xlabel(f"{100 * _wrong(exact, mask):.2f} % of pixels wrong", fontsize=10)
-        top, left = _densest(masks[1] != exact.lit, detail)
-        window = slice(top, top + detail[0]), slice(left, left + detail[1])
-        row[4].imshow(pictures[2][window], interpolation="nearest")
-        row[4].set_title("default: errors, detail", fontsize=10)
-        corner = left - crop[1].start - 0.5, top - crop[0].start - 0.5
-        row[2].add_patch(Rectangle(corner, detail[1], detail[0], fill=False, edgecolor="black", linewidth=0.8))
-        for axis in row:
-            axis.set_xticks([])
-            axis.set_yticks([])
-    patches = [
-        Patch(facecolor="#{:02x}{:02x}{:02x}".format(*rgb), edgecolor="grey", label=name)
-        for name, rgb in _COLOURS.items()
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
+    upper, lower = parts
+    axes: Any = upper.subplots(1, 2, sharey=True)
+    for axis, cost in zip(axes, _AXES, strict=True):
+        _scatter(axis, cost, maps, mask)
+    _compiled(axes[0], compiled)
+    axes[0].set_ylabel("foreground pixels wrong, against exact shadow rays", fontsize=10)
+    _name_points(axes, figures, [*compiled, *maps])
+    _legend(axes[0])
+    _scenes(lower.subplots(), figures, maps)
+    save_chart(figure, path, dpi=120)
+    draw_crops(figures, path.with_name(f"{path.stem}_errors.png"))
+
+
+def front(rows: list[Row], costs: tuple[str, ...]) -> list[Row]:
+    """Those of which no other is nowhere worse and somewhere better."""
+
+    def beaten(row: Row, other: Row) -> bool:
+        pairs = [(other[cost], row[cost]) for cost in costs]
+        return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+    return [row for row in rows if not any(beaten(row, other) for other in rows)]
+
+
+def _scatter(axis: Any, cost: str, maps: list[Row], mask: Row) -> None:
+    best = front(maps, ("wrong_pixels", "us_per_view", "bytes"))
+    line = sorted((row[cost], row["wrong_pixels"]) for row in front(maps, ("wrong_pixels", cost)))
+    axis.plot(*zip(*line, strict=True), color="black", linewidth=1, linestyle="--", drawstyle="steps-post", zorder=2)
+    for row in maps:
+        shown = row in best
+        colour, edge = (_ON_FRONT, "black") if shown else (_BEHIND, "#7d7d7d")
+        axis.scatter(
+            row[cost],
+            row["wrong_pixels"],
+            s=_SIZES[row["projector_scale"]],
+            marker=_FAMILIES[row["family"]][0],
+            facecolors=colour if row["facing_bit"] else "none",
+            edgecolors=edge,
+            linewidths=0.7,
+            alpha=0.95 if shown else 0.7,
+            zorder=4 if shown else 3,
+        )
+    axis.scatter(mask[cost], _NO_ERROR, s=150, marker="*", color="black", zorder=5)
+    axis.annotate(
+        "exact mask, stored: no error, one rig",
+        (mask[cost], _NO_ERROR),
+        (12, -3),
+        textcoords="offset points",
+        fontsize=10,
+        weight="bold",
+    )
+    axis.axhline(_LIMIT, color="black", linewidth=0.7, linestyle=":", zorder=1)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_ylim(_NO_ERROR / 1.25, _TOP * 1.4)
+    axis.set_yticks([_NO_ERROR, 0.002, 0.005, 0.01, 0.02, 0.05], ["none", "0.2 %", "0.5 %", "1 %", "2 %", "5 %"])
+    label, ticks = _AXES[cost]
+    low = min(mask[cost], *(row[cost] for row in maps)) / _ROOM
+    high = max(row[cost] for row in maps) * 1.4
+    axis.set_xlim(low, high)
+    axis.minorticks_off()
+    kept = [tick for tick in ticks if low <= tick <= high]
+    axis.set_xticks(kept, [f"{tick:,}".replace(",", " ") for tick in kept])
+    axis.set_xlabel(label, fontsize=10)
+    axis.grid(color="#e2e2e2", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _compiled(axis: Any, rows: list[Row]) -> None:
+    """Marks on white: the same points as their namesakes in NumPy, further to the left."""
+    for row in rows:
+        axis.scatter(
+            row["us_per_view"],
+            row["wrong_pixels"],
+            s=_SIZES[row["projector_scale"]] * 1.3,
+            marker=_FAMILIES[row["family"]][0],
+            facecolors=_COMPILED,
+            edgecolors="black",
+            linewidths=0.8,
+            zorder=5,
+        )
+    line = sorted((row["us_per_view"], row["wrong_pixels"]) for row in front(rows, ("wrong_pixels", "us_per_view")))
+    if line:
+        axis.plot(*zip(*line, strict=True), color="black", linewidth=1, linestyle="-", drawstyle="steps-post", zorder=2)
+
+
+def _name_points(axes: Any, figures: Row, rows: list[Row]) -> None:
+    default = figures["default"]
+    for axis, cost in zip(axes, _AXES, strict=True):
+        point = default[cost], default["wrong_pixels"]
+        axis.scatter(*point, s=330, facecolors="none", edgecolors="black", linewidths=1.8, zorder=6)
+        for setting, name, offset in _NAMED:
+            row = _find(rows, setting)
+            axis.annotate(
+                f"{name}: {100 * row['wrong_pixels']:.2f} %",
+                (row[cost], row["wrong_pixels"]),
+                offset,
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                fontsize=9.5,
+                weight="bold" if name == "default" else "normal",
+                arrowprops={"arrowstyle": "-", "color": "black", "linewidth": 0.7, "shrinkB": 4},
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+                zorder=7,
+            )
+
+
+def _find(maps: list[Row], setting: Setting) -> Row:
+    """The first row with this family, bias, scale and facing bit, unrounded and without a slope."""
+    keys = "family", "bias", "projector_scale", "facing_bit", "step_mm", "slope"
+    return next(row for row in maps if tuple(row[key] for key in keys) == (*setting, 0.1, 0.0))
+
+
+def _legend(axis: Any) -> None:
+    from matplotlib.lines import Line2D
+
+    def mark(marker: str, label: str, face: str = "#8a8a8a", size: float = 7.0, edge: str = "#4a4a4a") -> Any:
+        return Line2D(
+            [],
+            [],
+            linestyle="",
+            marker=marker,
+            markerfacecolor=face,
+            markeredgecolor=edge,
+            markersize=size,
+            label=label,
+        )
+
+    handles = [mark(marker, name) for marker, name in _FAMILIES.values()]
+    handles += [mark("o", f"image ×{scale:g}", size=area**0.5) for scale, area in _SIZES.items()]
+    handles += [
+        mark("o", "no facing bit", "none"),
+        mark("o", "NumPy: none is better in all\nthree, error, time and bytes", _ON_FRONT, edge="black"),
+        mark("o", "compiled", _COMPILED, edge="black"),
+        Line2D([], [], color="black", linestyle="--", linewidth=1, label="front of this panel, NumPy"),
+        Line2D([], [], color="black", linewidth=1, label="front of this panel, compiled"),
     ]
-    figure.legend(handles=patches[1:], loc="outside lower center", ncols=4, fontsize=10, frameon=False)
-    try:
-        figure.savefig(path, dpi=130)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    axis.legend(handles=handles, loc="upper left", fontsize=9, framealpha=1, edgecolor="none", borderaxespad=0.2)
 
 
-def _picture(view: ExactView, mask: NDArray[np.bool_], errors: int) -> NDArray[np.uint8]:
-    """RGB [H, W, 3]: the mask, or the exact mask with the pixels where `mask` differs in colour."""
-    picture = np.full((*mask.shape, 3), _COLOURS["background"], np.uint8)
-    shown = view.lit if errors else mask
-    foreground = view.range > 0
-    picture[foreground & shown], picture[foreground & ~shown] = _COLOURS["lit"], _COLOURS["in shadow"]
-    if errors:
-        picture[mask & ~view.lit & view.inside] = _COLOURS["wrongly lit"]
-        picture[~mask & view.lit & view.inside] = _COLOURS["wrongly dark"]
-    return picture
-
-
-def _wrong(view: ExactView, mask: NDArray[np.bool_]) -> float:
-    return float((mask != view.lit)[view.inside].mean())
-
-
-def _crop(foreground: NDArray[np.bool_]) -> tuple[slice, slice]:
-    spans = []
-    for axis in (1, 0):
-        used = np.flatnonzero(foreground.any(axis=axis))
-        spans.append(slice(max(int(used[0]) - _MARGIN, 0), int(used[-1]) + _MARGIN + 1))
-    return spans[0], spans[1]
-
-
-def _densest(errors: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
-    """Top and left of the window of `size` with the most errors."""
-    total = np.pad(errors.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    height, width = size
-    sums = total[height:, width:] - total[:-height, width:] - total[height:, :-width] + total[:-height, :-width]
-    top, left = np.unravel_index(int(sums.argmax()), sums.shape)
-    return int(top), int(left)
+def _scenes(axis: Any, figures: Row, maps: list[Row]) -> None:
+    names = list(figures["scenes"])
+    for index, ((*setting, label), (marker, face, edge)) in enumerate(zip(_RIVALS, _SCENE_STYLES, strict=True)):
+        row = _find(maps, tuple(setting))
+        places = [place + (index - len(_RIVALS) / 2 + 0.5) * 0.1 for place in range(len(names))]
+        values = [row["scenes"][name] for name in names]
+        axis.scatter(
+            values,
+            places,
+            s=90 if label == "default" else 55,
+            marker=marker,
+            facecolors=face,
+            edgecolors=edge,
+            linewidths=0.9,
+            label=label,
+            zorder=3,
+        )
+    axis.set_xscale("log")
+    axis.set_xlim(0.0008, 1.2)
+    axis.minorticks_off()
+    axis.set_xticks([0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1], ["0.1 %", "0.3 %", "1 %", "3 %", "10 %", "30 %", "100 %"])
+    axis.set_yticks(
+        range(len(names)),
+        [f"{name}\n({figures['scenes'][name]['pixels'] / 1e6:.3f} million pixels)" for name in names],
+        fontsize=9,
+    )
+    axis.set_ylim(len(names) - 0.45, -0.55)
+    for place in range(1, len(names)):
+        axis.axhline(place - 0.5, color="#dddddd", linewidth=0.8)
+    axis.axvline(_LIMIT, color="black", linewidth=0.7, linestyle=":")
+    axis.grid(axis="x", color="#ececec", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.set_xlabel("pixels of the scene that are wrong", fontsize=10)
+    axis.set_title("Where it is hard: error scene by scene", loc="left", fontsize=11)
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9, frameon=False)
