@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef, BodySource, open_source
 from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.codec import CodecName, encode_sample, image_codec
+from bodyseg_data.codec import CodecName, check_codec, encode_sample
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.geodesics import Geodesics, check_method
 from bodyseg_data.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
@@ -37,7 +37,7 @@ from bodyseg_data.shards import ShardWriter
 from bodyseg_data.splits import SPLITS, Split
 from bodyseg_data.views import View, ViewGrid
 
-PACKING_VERSION: Final = 2
+PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
 
 Progress = Callable[[int, int], None]
@@ -76,7 +76,7 @@ class Packing:
         check_method(self.geodesics)
         check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
-        image_codec(self.codec)
+        check_codec(self.codec)
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""

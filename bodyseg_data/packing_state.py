@@ -66,7 +66,7 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
     except FileNotFoundError:
         write_atomically(path, json.dumps(description, indent=1).encode())
         return
-    except ValueError:
+    except (ValueError, RecursionError):
         stored = None
     if stored != description:
         raise BadConfig(
@@ -86,7 +86,7 @@ def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, S
         known = {record.name: record for record in read_manifest(out).shards}
     else:
         for name in names:
-            with contextlib.suppress(OSError, ValueError, BadShard):
+            with contextlib.suppress(OSError, ValueError, RecursionError, BadShard):
                 known[name] = record_from_json(json.loads((state / f"{name}.json").read_bytes()), str(state))
     records = {name: known[name] for name in names if name in known and _intact(out / name, known[name])}
     if complete and len(records) < len(names):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
+import io
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from PIL import Image, ImageDraw, ImageFont
 
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.files import write_atomically
 from bodyseg_data.parts import COLOURS, PART_COUNT, PARTS
 
 PAPER: Final = (250, 250, 247)
@@ -48,11 +49,20 @@ def check_picture(path: Path, option: str = "--out") -> None:
 
 def save_picture(picture: Image.Image, path: Path) -> None:
     """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
-    aside = path.with_name(f".{path.name}.part")
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    _write(buffer.getvalue(), path)
+
+
+def save_chart(figure: Any, path: Path, dpi: int) -> None:
+    """Write a figure of matplotlib as PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    _write(buffer.getvalue(), path)
+
+
+def _write(data: bytes, path: Path) -> None:
     try:
-        picture.save(aside, "PNG", optimize=True)
-        aside.replace(path)
+        write_atomically(path, data)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
         raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error

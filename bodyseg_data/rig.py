@@ -212,7 +212,7 @@ def parse_rig(text: str, where: str) -> Rig:
     """A rig from TOML text; `where` names its origin in messages."""
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
         raise BadConfig(f"rig {where} is not TOML: {error}") from error
     if tree.pop("format", None) != RIG_FORMAT:
         raise BadConfig(f"rig {where}: 'format' must be {RIG_FORMAT!r}")

@@ -20,6 +20,14 @@ def _is_number(value: Any) -> bool:
     return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
 
 
+def _shown(value: Any) -> str:
+    """The beginning of what was found."""
+    try:
+        return str(value)[:60]
+    except ValueError:  # hexadecimal numbers may be longer than Python is willing to print
+        return "a number of thousands of digits"
+
+
 class Table:
     """A TOML table that is read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
 
@@ -35,7 +43,7 @@ class Table:
     def number(self, key: str) -> float:
         value = self._take(key, "number")
         if not _is_number(value):
-            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {str(value)[:60]!r}")
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {_shown(value)!r}")
         return float(value)
 
     def positive(self, key: str) -> float:
@@ -53,19 +61,19 @@ class Table:
     def text(self, key: str) -> str:
         value = self._take(key, "text")
         if not isinstance(value, str):
-            raise BadConfig(f"{self.where}: {key!r} must be text, found {value!r}")
+            raise BadConfig(f"{self.where}: {key!r} must be text, found {_shown(value)}")
         return value
 
     def numbers(self, key: str, count: int) -> Any:
         values = self._take(key, "list")
         if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
-            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {str(values)[:60]}")
+            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
         return numbers(values, count)
 
     def table(self, key: str) -> Table:
         value = self._take(key, "table")
         if not isinstance(value, dict):
-            raise BadConfig(f"{self.where}: {key!r} must be a table, found {value!r}")
+            raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
         return Table(value, f"{self.where}, [{key}]")
 
     def has(self, key: str) -> bool:

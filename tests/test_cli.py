@@ -256,7 +256,8 @@ def test_every_bench_has_its_module_and_its_figure() -> None:
     for name, takes in bench.BENCHES.items():
         measure = getattr(importlib.import_module(f"bodyseg_data.benches.{name}"), f"bench_{name}")
         parameters = inspect.signature(measure).parameters
-        assert {"progress", *(["views"] if takes.views else []), *(["mit"] if takes.mit else [])} == set(parameters)
+        given = {"progress", *(name for name in ("views", "mit", "workers") if getattr(takes, name))}
+        assert given == set(parameters)
         assert (util.find_spec(f"bodyseg_data.benches.{name}_figure") is not None) == takes.figure
 
 

@@ -151,6 +151,26 @@ def test_a_finished_shard_that_was_altered_is_made_again(tmp_path: Path, figures
     assert contents(out) == contents(figures_set)
 
 
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", '"\\ud800"', "NaN"])
+def test_records_that_say_nothing_are_made_again(
+    text: str, tmp_path: Path, figures_set: Path, pack_figures: Pack
+) -> None:
+    out = tmp_path / "shards"
+    with dying_after(4), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    records = list((out / STATE_NAME).glob("*.tar.json"))
+    assert records
+    for record in records:
+        record.write_text(text)
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == contents(figures_set)
+    with dying_after(0), pytest.raises(Interrupted):
+        pack_figures(tmp_path / "other", shard_samples=5)
+    (tmp_path / "other" / STATE_NAME / "plan.json").write_text(text)
+    with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
+        pack_figures(tmp_path / "other", shard_samples=5)
+
+
 def test_a_finished_set_is_left_as_it_is(tmp_path: Path, pack_figures: Pack) -> None:
     out = pack_figures(tmp_path / "shards", meshes=2)
     stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}

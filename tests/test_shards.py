@@ -19,7 +19,7 @@ from test_sample import GOOD
 from bodyseg_data.cli import main
 from bodyseg_data.codec import encode_sample
 from bodyseg_data.errors import BadSample, BadShard
-from bodyseg_data.manifest import MANIFEST_NAME, _digest, read_manifest
+from bodyseg_data.manifest import MANIFEST_NAME, _digest, read_manifest, record_from_json, record_to_json
 from bodyseg_data.shards import ShardReader, ShardWriter, find_faults, parse_members
 
 
@@ -39,7 +39,7 @@ def test_plain_webdataset_reads_every_sample(figures_set: Path) -> None:
     gc.collect()
     for sample in seen.values():
         members = {name for name in sample if not name.startswith("__")}
-        assert members == {"json", "labels.bsi", "projector.bsi", "range.bsi"}
+        assert members == {"json", "bsi"}
         assert json.loads(sample["json"])["source"] == "open"
 
 
@@ -48,9 +48,9 @@ def test_plain_tarfile_reads_the_same_bytes_as_the_reader(figures_set: Path) -> 
     shard = manifest.shards[0]
     with tarfile.open(figures_set / shard.name) as tar:
         names = tar.getnames()
-        first = {name.partition(".")[2]: tar.extractfile(name).read() for name in names[:4]}  # type: ignore[union-attr]
+        first = {name.partition(".")[2]: tar.extractfile(name).read() for name in names[:2]}  # type: ignore[union-attr]
         assert all((member.mtime, member.uid, member.uname) == (0, 0, "") for member in tar)
-    assert len(names) == 4 * len(shard)
+    assert len(names) == 2 * len(shard)
     assert encode_sample(ShardReader(figures_set, manifest).read(0, 0)) == first
 
 
@@ -159,10 +159,10 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 2', found 'list'"),
+        (lambda data: b"[]", "'format' must be 'bodyseg shards 3', found 'list'"),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
-        (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 2', found 'bodyseg shards 3'"),
+        (_edit("format", "bodyseg shards 4"), "'format' must be 'bodyseg shards 3', found 'bodyseg shards 4'"),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
         (lambda data: data.replace(b'"samples": 5', b'"samples": 6', 1), "altered after it was written"),
     ],
@@ -243,6 +243,15 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_notes_are_lines_whatever_was_noted(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+        writer.write(GOOD.key, encode_sample(GOOD))
+        writer.note("a", ["read\nfrom \ud800"])
+    assert writer.record is not None
+    assert writer.record.notes == (r"a: read\nfrom \ud800",)
+    assert record_from_json(json.loads(json.dumps(record_to_json(writer.record))), "here") == writer.record
+
+
 def test_the_shard_bytes_are_pinned(tmp_path: Path) -> None:
     """Format drift is a failing test. The members here do not depend on any compressor's version."""
     with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
@@ -295,7 +304,7 @@ def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_righ
     change: dict[str, Any], problem: str, figures_set: Path, tmp_path: Path
 ) -> None:
     with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
-        writer.write(GOOD.key, encode_sample(replace(GOOD, **change)))
+        writer.write(GOOD.key, encode_sample(replace(GOOD, **change), "png"))  # which stores anything
     assert writer.record is not None
     manifest = replace(read_manifest(figures_set), shards=(writer.record,))
     (fault,) = find_faults(tmp_path, manifest, writer.record)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.pictures import save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
 _MARKERS: Final = {"exact": "*", "unfolded": "o", "edges": "s", "marching": "^", "heat": "D"}
@@ -52,10 +53,7 @@ def draw_partition(figures: dict[str, Any], path: Path) -> None:
         axis.set_title(title, fontsize=11)
     axes[0][0].set_ylabel("surface labelled differently from the exact answer", fontsize=10)
     _table(lower.subplots(), figures)
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    save_chart(figure, path, dpi=120)
 
 
 def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.pictures import save_chart
 
 _NOTHING: Final = 0.01  # mm; where "none" is drawn, since a log axis has no zero
 _TITLES: Final = {
@@ -52,10 +53,7 @@ def draw_reduction(figures: dict[str, Any], path: Path) -> None:
         axes[0].scatter(default["triangles"], _error(default), **star)
         axes[1].scatter(_error(default), default["views_per_second"], **star)
     _dress(axes, figures)
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    save_chart(figure, path, dpi=120)
 
 
 def _rows(kind: dict[str, Any]) -> list[dict[str, Any]]:

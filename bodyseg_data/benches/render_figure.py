@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.pictures import save_chart
 
 _OURS: Final = "#1f5ac8"
 _PLAIN: Final = "#9a9aa2"
@@ -38,10 +39,7 @@ def draw_render(figures: dict[str, Any], path: Path) -> None:
     _steps(rows[2], figures["steps"])
     for axis in rows:
         axis.spines[["top", "right"]].set_visible(False)
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    save_chart(figure, path, dpi=120)
 
 
 def _speed(axis: Any, figures: dict[str, Any]) -> None:

@@ -21,12 +21,13 @@ EXAMPLE = "bodyseg bench occlusion --json occlusion.json"
 @dataclass(frozen=True)
 class _Bench:
     """What a bench takes. views: what --views counts, and its default; None if it measures whole bodies. figure:
-    whether it draws one. mit: whether it also measures on MIT frames.
+    whether it draws one. mit: whether it also measures on MIT frames. workers: whether it loads with workers.
     """
 
     views: str | None = None
     figure: bool = False
     mit: bool = False
+    workers: bool = False
 
 
 BENCHES: Final = {
@@ -39,6 +40,9 @@ BENCHES: Final = {
     "interpenetration": _Bench("one frame in how many, 5"),
     "clothes": _Bench(mit=True),
     "proposal": _Bench(mit=True),
+    "reliability": _Bench("hostile inputs in all, 100000"),
+    "codec": _Bench("samples in all, 60", figure=True),
+    "loader": _Bench("samples in all, 1080", figure=True, workers=True),
 }
 """Name -> what it takes. `benches/NAME.py` measures by its `bench_NAME`, `benches/NAME_figure.py` draws."""
 
@@ -60,18 +64,23 @@ class Options:
         "interpenetration",
         "clothes",
         "proposal",
+        "reliability",
+        "codec",
+        "loader",
     ] = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
     views: int | None = option(f"how much to measure on ({_COUNTS})", None)
     mit: Path | None = option(f"for {_WITH_MIT}: folder of MIT frames to measure on as well", None)
+    workers: tuple[int, ...] | None = option("for loader: numbers of worker processes to measure with (0 2)", None)
 
 
 def run(options: Options) -> int:
     """Measure, and write or print the figures."""
     _check(options)
-    given = {name: getattr(options, name) for name in ("views", "mit") if getattr(options, name) is not None}
-    shown = [f"--{name} {getattr(value, 'name', value)}" for name, value in given.items()]
+    names = ("views", "mit", "workers")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    shown = [f"--{name} {_shown(value)}" for name, value in given.items()]
     shown += [f"--{name} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
     module = importlib.import_module(f"bodyseg_data.benches.{options.what}")
@@ -89,6 +98,11 @@ def run(options: Options) -> int:
     return 0
 
 
+def _shown(value: Any) -> str:
+    """As on the command line; of a folder its name only, since the rest belongs to this machine."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(getattr(value, "name", value))
+
+
 def _check(options: Options) -> None:
     bench = BENCHES[options.what]
     if options.figure is not None:
@@ -101,3 +115,5 @@ def _check(options: Options) -> None:
         raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
     if options.mit is not None and not bench.mit:
         raise BadConfig(f"--mit is for bench {_WITH_MIT}, found it with bench {options.what}")
+    if options.workers is not None and not bench.workers:
+        raise BadConfig(f"--workers is for bench loader, found it with bench {options.what}")
