@@ -10,8 +10,8 @@ from urllib.parse import unquote
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.manifest import MANIFEST_NAME
-from bodyseg_data.remote import Patience, RemoteFolder
-from bodyseg_data.store import LocalFolder, Store
+from bodyseg_data.stores import LocalFolder, Store
+from bodyseg_data.stores.remote import Patience, RemoteFolder
 
 _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 

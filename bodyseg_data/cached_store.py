@@ -12,10 +12,10 @@ from typing import Final
 
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.manifest import ShardRecord
-from bodyseg_data.remote import RemoteFolder
 from bodyseg_data.shard_cache import DEFAULT_CACHE_BYTES, ShardCache, default_folder
 from bodyseg_data.shards import check_bytes
-from bodyseg_data.store import Store
+from bodyseg_data.stores import Store
+from bodyseg_data.stores.remote import RemoteFolder
 
 _TIMES: Final = 3
 """So often altered bytes are fetched before they count as what the server has."""

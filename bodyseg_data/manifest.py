@@ -16,7 +16,7 @@ from bodyseg_data.parts import LANDMARKS
 from bodyseg_data.rig import Rig, rig_from_json
 from bodyseg_data.sample import RANGE_STEP_M, check_key
 from bodyseg_data.splits import SPLITS, Split
-from bodyseg_data.store import Store, store_at
+from bodyseg_data.stores import Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
 MANIFEST_FORMAT: Final = "bodyseg shards 3"

@@ -19,7 +19,7 @@ from bodyseg_data.files import sync_folder
 from bodyseg_data.manifest import Manifest, ShardRecord
 from bodyseg_data.sample import Sample, check_key
 from bodyseg_data.splits import Split
-from bodyseg_data.store import Store, open_file, store_at
+from bodyseg_data.stores import Store, open_file, store_at
 
 _BLOCK: Final = 512
 _TIMES: Final = 3

@@ -25,10 +25,10 @@ from bodyseg_data.cached_store import keep_shards
 from bodyseg_data.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.manifest import read_manifest
 from bodyseg_data.randomness import check_epoch, check_seed, permutation
-from bodyseg_data.remote import Patience
 from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.shards import ShardReader
 from bodyseg_data.splits import SPLITS, Split
+from bodyseg_data.stores.remote import Patience
 from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation, RangeImage, check_variant
 
 

@@ -16,7 +16,7 @@ from torchdata.stateful_dataloader import Stateful, StatefulDataLoader
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.loading import Loader
-from bodyseg_data.slots import SPARE, Slots
+from bodyseg_data.loading.slots import SPARE, Slots
 
 
 def bits(batch: Any) -> tuple[list[str], bytes, bytes]:

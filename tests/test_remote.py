@@ -23,9 +23,9 @@ from bodyseg_data.cached_store import CachedStore, keep_shards
 from bodyseg_data.cli import main
 from bodyseg_data.errors import BadShard, Unreachable
 from bodyseg_data.manifest import Manifest, read_manifest
-from bodyseg_data.remote import Patience, RemoteFolder
 from bodyseg_data.shards import ShardReader
-from bodyseg_data.store import LocalFolder
+from bodyseg_data.stores import LocalFolder
+from bodyseg_data.stores.remote import Patience, RemoteFolder
 
 QUICK = Patience(tries=12, first_wait_s=0.001, stall_s=0.3)
 
@@ -174,7 +174,7 @@ def test_replies_that_break_do_not_show(
     figures_set: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bodyseg_data.remote._PROGRESS_BYTES", 10_000)  # the shards are small
+    monkeypatch.setattr("bodyseg_data.stores.remote._PROGRESS_BYTES", 10_000)  # the shards are small
     web.faults.act = act
     url = web.url("faulty")
     reader = ShardReader(RemoteFolder(url, {}, QUICK) if direct else cached(url, manifest, tmp_path), manifest)

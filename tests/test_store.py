@@ -22,10 +22,10 @@ from bodyseg_data.addresses import open_store
 from bodyseg_data.cached_store import CachedStore, keep_shards
 from bodyseg_data.errors import BadConfig, BadShard, MissingLibrary
 from bodyseg_data.manifest import Manifest, ShardRecord, read_manifest
-from bodyseg_data.remote import Patience, RemoteFolder
 from bodyseg_data.shard_cache import ShardCache, default_folder
 from bodyseg_data.shards import ShardReader
-from bodyseg_data.store import LocalFolder, open_file
+from bodyseg_data.stores import LocalFolder, open_file
+from bodyseg_data.stores.remote import Patience, RemoteFolder
 
 fsspec = pytest.importorskip("fsspec")
 

@@ -11,7 +11,7 @@ from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.manifest import read_manifest
 from bodyseg_data.options import option
 from bodyseg_data.shards import find_faults
-from bodyseg_data.store import LocalFolder, Store
+from bodyseg_data.stores import LocalFolder, Store
 
 EXAMPLE = "bodyseg verify shards"
 

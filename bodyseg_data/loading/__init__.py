@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from bodyseg_data.batch_order import BatchOrder, Pass, whole_number
-from bodyseg_data.batch_workers import Here, StartMethod, Workers
 from bodyseg_data.errors import BadConfig, BodysegError
-from bodyseg_data.skipping import OnError, SkipLedger, Skipped, checked_budget
-from bodyseg_data.slots import Slots
+from bodyseg_data.loading.skipping import OnError, SkipLedger, Skipped, checked_budget
+from bodyseg_data.loading.slots import Slots
+from bodyseg_data.loading.workers import Here, StartMethod, Workers
 from bodyseg_data.streaming import Batch, RangeImages, metres
 
 Fault = tuple[int, BodysegError]

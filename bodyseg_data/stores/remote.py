@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.errors import BadConfig, MissingLibrary, Unreachable
-from bodyseg_data.transport import Failed, NotThere, Refused, open_transport
+from bodyseg_data.stores.transport import Failed, NotThere, Refused, open_transport
 
 _PROGRESS_BYTES: Final = 1 << 16
 """An attempt that brought as much was not in vain; to count less would let a row of failures go on for ever."""
