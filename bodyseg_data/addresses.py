@@ -39,7 +39,7 @@ def open_store(
         place = Path(unquote(address[2]))
     else:
         raise BadConfig(f"a file:// address has a path from the root on, like file:///data/shards, found {path!r}")
-    picked = _pattern(place.name, "*?[")
+    picked = None if place.is_dir() else _pattern(place.name, "*?[")  # a folder may be called anything
     return LocalFolder(place if picked is None else place.parent), picked or "*"
 
 

@@ -47,6 +47,13 @@ def whole_number(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def flag(name: str, value: Any) -> bool:
+    """`value` as a bool. Raises BadConfig, calling it `name`, unless it is True or False: text would count as True."""
+    if not isinstance(value, bool | np.bool_):
+        raise BadConfig(f"{name} must be True or False, found {value!r}")
+    return bool(value)
+
+
 def find_ranks(rank: int | None = None, ranks: int | None = None) -> tuple[int, int]:
     """(rank, ranks): as given, else torch.distributed's, else RANK and WORLD_SIZE as torchrun sets them, else (0, 1).
 
@@ -140,13 +147,18 @@ class BatchOrder(Sampler[list[Request]]):
         rank: int | None = None,
         ranks: int | None = None,
     ) -> None:
-        self.images, self.drop_last = images, drop_last
+        self.images, self.drop_last = images, flag("drop_last", drop_last)
         self.batch_size = whole_number("batch_size", batch_size, 1)
-        self.shuffle = images.split == "train" if shuffle is None else shuffle
+        self.shuffle = images.split == "train" if shuffle is None else flag("shuffle", shuffle)
         self.rank, self.ranks = find_ranks(rank, ranks)
         if len(images) < self.ranks:
             raise BadConfig(f"{len(images)} samples are fewer than {self.ranks} ranks: use fewer ranks")
-        self._cuts(0)
+        if not len(self):
+            each = f" on each of {self.ranks} ranks" if self.ranks > 1 else ""
+            raise BadConfig(
+                f"drop_last=True leaves nothing of {len(images)} samples: they do not fill one batch of "
+                f"{self.batch_size}{each}; use a smaller batch_size"
+            )
         self._next = (images.epoch, 0)
         self._reached: tuple[int, int] | None = None
         self._epochs_set = images.epochs_set
@@ -158,6 +170,11 @@ class BatchOrder(Sampler[list[Request]]):
     def __len__(self) -> int:
         """Batches of a whole pass, the same for every rank."""
         return len(self._cuts(0)) - 1
+
+    @property
+    def largest(self) -> int:
+        """The most samples that a batch of one rank can have."""
+        return min(self.batch_size, -(-len(self.images) // self.ranks))
 
     @property
     def epoch(self) -> int:

@@ -12,7 +12,7 @@ from typing import Final
 
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.manifest import ShardRecord
-from bodyseg_data.shard_cache import DEFAULT_CACHE_BYTES, ShardCache, default_folder
+from bodyseg_data.shard_cache import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_at
 from bodyseg_data.shards import check_bytes
 from bodyseg_data.stores import Store
 from bodyseg_data.stores.remote import RemoteFolder
@@ -66,8 +66,8 @@ class CachedStore:
         try:
             with path.open("rb") as file:
                 spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
-            if spoiled:
-                path.unlink(missing_ok=True)
+                if spoiled and is_at(file.fileno(), path):  # or another process has fetched it anew meanwhile
+                    path.unlink(missing_ok=True)
         except OSError:
             return True
         return spoiled

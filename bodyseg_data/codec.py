@@ -16,12 +16,12 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.codecs.bsi import decode_images, encode_images
+from bodyseg_data.codecs.bsi import Decoded, decode_images, encode_images
 from bodyseg_data.codecs.labels import join_labels, split_labels
 from bodyseg_data.codecs.png import decode_png, encode_png
 from bodyseg_data.errors import BadConfig, BadSample
 from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.sample import Sample, info_from_json
+from bodyseg_data.sample import Known, Sample, info_from_json
 
 CodecName = Literal["bsi", "png"]
 CODECS: Final[tuple[CodecName, ...]] = get_args(CodecName)
@@ -29,7 +29,7 @@ CODECS: Final[tuple[CodecName, ...]] = get_args(CodecName)
 _PNGS: Final = {"range.png": np.uint16, "projector.png": np.uint16, "labels.png": np.uint8}
 _MEMBERS: Final[dict[CodecName, set[str]]] = {"bsi": {"bsi", "json"}, "png": {*_PNGS, "json"}}
 
-Images = tuple[NDArray[np.uint16], NDArray[np.uint8], NDArray[np.bool_], NDArray[np.uint16] | None]
+Into = tuple[NDArray[np.uint16], NDArray[np.uint8]]
 
 
 def check_codec(name: str) -> CodecName:
@@ -57,8 +57,11 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     return members | {member: encode_png(image) for member, image in zip(_PNGS, images, strict=True)}
 
 
-def decode_sample(key: str, members: Mapping[str, bytes], projector: bool = True) -> Sample:
+def decode_sample(key: str, members: Mapping[str, bytes], projector: bool = True, into: Into | None = None) -> Sample:
     """The inverse of `encode_sample`, whichever codec the members are in; projector: whether its range is wanted.
+
+    into: arrays that the sample's range and labels may be put into, uint16 and uint8 [H, W], contiguous; the sample
+    then lasts until this thread decodes another one.
 
     Raises BadSample, naming key and member, for anything missing, unknown or damaged.
     """
@@ -66,23 +69,25 @@ def decode_sample(key: str, members: Mapping[str, bytes], projector: bool = True
     if found not in _MEMBERS.values():
         known = " or ".join(", ".join(sorted(names)) for names in _MEMBERS.values())
         raise BadSample(f"{key}: a sample has the members {known}, found {', '.join(sorted(found)) or 'none'}")
-    images = _decode_bsi(key, members["bsi"], projector) if "bsi" in found else _decode_pngs(key, members, projector)
+    images = (
+        _decode_bsi(key, members["bsi"], projector, into) if "bsi" in found else _decode_pngs(key, members, projector)
+    )
     try:
         info = info_from_json(json.loads(members["json"]), key)
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
-    ranges, labels, facing, shading = images
-    return Sample(key, ranges, shading, labels, facing, info)
+    places = None if into is None else Known(images.edges, images.texels)
+    return Sample(key, images.range, images.shading, images.labels, images.facing, info, places)
 
 
-def _decode_bsi(key: str, data: bytes, projector: bool) -> Images:
+def _decode_bsi(key: str, data: bytes, projector: bool, into: Into | None) -> Decoded:
     try:
-        return decode_images(data, projector)
+        return decode_images(data, projector, into)
     except ValueError as error:
         raise BadSample(f"{key}: bsi: {error}") from error
 
 
-def _decode_pngs(key: str, members: Mapping[str, bytes], projector: bool) -> Images:
+def _decode_pngs(key: str, members: Mapping[str, bytes], projector: bool) -> Decoded:
     images: dict[str, NDArray[Any]] = {}
     for member, kind in _PNGS.items():
         if member == "projector.png" and not projector:
@@ -93,4 +98,5 @@ def _decode_pngs(key: str, members: Mapping[str, bytes], projector: bool) -> Ima
             raise BadSample(f"{key}: {member}: {error}") from error
         if images[member].dtype != kind:
             raise BadSample(f"{key}: {member}: must be {kind.__name__}, found {images[member].dtype}")
-    return images["range.png"], *split_labels(images["labels.png"]), images.get("projector.png")
+    labels, facing = split_labels(images["labels.png"])
+    return Decoded(images["range.png"], labels, facing, images.get("projector.png"), None, None)

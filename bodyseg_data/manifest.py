@@ -208,8 +208,8 @@ def _manifest(tree: dict[str, Any], path: str) -> Manifest:
             raise BadShard(f"{path}: {field!r} must be text, found {value!r}")
     if texts["codec"] not in CODECS:
         raise BadShard(f"{path}: 'codec' must be one of {', '.join(CODECS)}, found {texts['codec']!r}")
-    if not isinstance(tree.get("shards"), list):
-        raise BadShard(f"{path}: 'shards' must be a list")
+    if not isinstance(tree.get("shards"), list) or not tree["shards"]:
+        raise BadShard(f"{path}: 'shards' must be a list of at least one")
     try:
         rig = rig_from_json(tree.get("rig"))
     except BadConfig as error:

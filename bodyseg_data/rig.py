@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.tables import Table, numbers
+from bodyseg_data.tables import Table
 from bodyseg_data.views import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
@@ -230,21 +230,19 @@ def rig_from_json(tree: Any) -> Rig:
     """The inverse of `Rig.to_json`. Raises BadConfig."""
     if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
         raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
-    try:
-        devices = [
-            Camera(
-                rows=int(tree[device]["rows"]),
-                columns=int(tree[device]["columns"]),
-                focal_px=float(tree[device]["focal_px"]),
-                centre_px=numbers(tree[device]["centre_px"], 2),
-                position_m=numbers(tree[device]["position_m"], 3),
-                aims_at_m=numbers(tree[device]["aims_at_m"], 3),
-            )
-            for device in ("camera", "projector")
-        ]
-        return Rig(str(tree["name"]), float(tree["stand_off_m"]), devices[0], devices[1])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadConfig(f"a stored rig is incomplete: {error!r}") from error
+    table = Table({key: value for key, value in tree.items() if key != "format"}, "a stored rig")
+    name, stand_off = table.text("name"), table.number("stand_off_m")
+    camera, projector = (_stored_camera(table.table(device)) for device in ("camera", "projector"))
+    table.finish()
+    return Rig(name, stand_off, camera, projector)
+
+
+def _stored_camera(table: Table) -> Camera:
+    sides = table.whole("rows"), table.whole("columns")
+    lens = table.number("focal_px"), table.numbers("centre_px", 2)
+    pose = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
+    table.finish()
+    return Camera(*sides, *lens, *pose)
 
 
 def _camera(table: Table) -> Camera:

@@ -34,6 +34,18 @@ class SampleInfo:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What decoding found out about a sample's images and need not be found again; None: not known.
+
+    edges: int32 [2 N], where foreground begins, ends, begins ...; texels: int32 [N], where the projector's range is not
+    0. Places in the flat images, in reading order. They are relied on: whoever changes an image must drop them.
+    """
+
+    edges: NDArray[np.int32] | None
+    texels: NDArray[np.int32] | None
+
+
+@dataclass(frozen=True)
 class Sample:
     """A clean rendering of one body from one view.
 
@@ -42,6 +54,7 @@ class Sample:
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
+    known: only of samples read into given arrays.
     """
 
     key: str
@@ -50,6 +63,7 @@ class Sample:
     labels: NDArray[np.uint8]
     faces_projector: NDArray[np.bool_]
     info: SampleInfo
+    known: Known | None = None
 
     def shading_range(self) -> NDArray[np.uint16]:
         """The projector's range. Raises BadSample if it was not read."""

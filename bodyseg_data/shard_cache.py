@@ -97,8 +97,11 @@ class ShardCache:
             handle = self._open_part(record)
             if handle is None:
                 return None
-            if _lock(handle) and _is_at(handle, self.part(record)):
+            mine = _lock(handle) and is_at(handle, self.part(record))
+            if mine and not self.path(record).exists():
                 return handle
+            if mine:  # finished between the look and the opening, which made a new part
+                self.part(record).unlink()
             os.close(handle)
             time.sleep(_POLL_S)
         return None
@@ -155,7 +158,7 @@ def _evict(path: Path) -> bool:
     try:
         if not _lock(handle):
             return False
-        if _is_at(handle, path):
+        if is_at(handle, path):
             path.unlink(missing_ok=True)
         return True
     finally:
@@ -171,7 +174,7 @@ def _lock(handle: int) -> bool:
     return True
 
 
-def _is_at(handle: int, path: Path) -> bool:
+def is_at(handle: int, path: Path) -> bool:
     """Whether the opened file is still the one of this name: it may have been finished or evicted meanwhile."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())

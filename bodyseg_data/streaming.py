@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from functools import cached_property
@@ -22,6 +23,7 @@ from torch.utils.data import Dataset
 from bodyseg_data.addresses import open_store
 from bodyseg_data.batch_order import BatchOrder, Request
 from bodyseg_data.cached_store import keep_shards
+from bodyseg_data.codec import Into
 from bodyseg_data.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.manifest import read_manifest
 from bodyseg_data.randomness import check_epoch, check_seed, permutation
@@ -77,7 +79,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             raise BadConfig(f"artifacts must be an Artifacts, found {type(artifacts).__name__}")
         if split is not None and split not in SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
-        store, pattern = open_store(str(path), storage_options, patience)
+        store, pattern = open_store(_checked_path(path), storage_options, patience)
         self.path = store.name
         self.manifest = read_manifest(store)
         self.split, self.seed = split, seed
@@ -120,22 +122,22 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def clean(self, index: int) -> Sample:
         """The stored sample, without artifacts."""
-        shard, place = self._places[index].tolist()
-        return self._reader.read(shard, place)
+        shard, within = self._where(index)
+        return self._reader.read(shard, within)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
         return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
 
-    def _sample(self, index: int) -> Sample:
-        """What the variant needs of a stored sample."""
-        shard, within = self._places[index].tolist()
-        return self._reader.read(shard, within, VARIANTS[self.augmentation.variant].occlusion)
+    def _sample(self, index: int, into: Into | None = None) -> Sample:
+        """What the variant needs of a stored sample; into: see `decode_sample`."""
+        shard, within = self._where(index)
+        return self._reader.read(shard, within, VARIANTS[self.augmentation.variant].occlusion, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
         try:
-            self.augmentation.into(self._sample(index), epoch, image, labels)
+            self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
         except BadSample as error:
             shard, _, offset = self.place(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
@@ -147,13 +149,22 @@ class RangeImages(Dataset[dict[str, Any]]):
         of which workers that are running already do not hear.
         """
         epoch, index = index if isinstance(index, tuple) else (None, index)
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} of {len(self)} samples")
         return _single(self.image(index, epoch))
+
+    def _where(self, index: int) -> tuple[int, int]:
+        """(number of the shard, place in it) of a sample. Raises BadConfig for what is no index, or IndexError."""
+        try:
+            place = operator.index(index)
+        except TypeError:
+            raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
+        if not -len(self) <= place < len(self):
+            raise IndexError(f"index {place} of {len(self)} samples")
+        shard, within = self._places[place].tolist()
+        return shard, within
 
     def place(self, index: int) -> tuple[str, str, int]:
         """(shard's name, key, offset in the shard) of a sample."""
-        number, within = self._places[index].tolist()
+        number, within = self._where(index)
         shard = self.manifest.shards[number]
         return shard.name, shard.keys[within], shard.offsets[within]
 
@@ -189,7 +200,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
         """The order in which a pass visits the samples, int64 [len(self)]; a function of seed and epoch alone."""
-        return permutation(len(self), self.seed, epoch) if shuffle else np.arange(len(self))
+        return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def webdataset(self, epoch: int | None = None) -> Any:
         """A pipeline of `webdataset` over the chosen shards that gives this variant's images, in stored order.
@@ -226,6 +237,12 @@ def metres(steps: NDArray[np.uint16], out: NDArray[np.float32] | None = None) ->
     """Range in steps as metres, rounded once."""
     found: NDArray[np.float32] = np.multiply(steps, np.float32(RANGE_STEP_M), out=out)
     return found
+
+
+def _checked_path(path: str | Path) -> str:
+    if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
+        raise BadConfig(f"path must be that of a set, as text or a Path, found {path!r}")
+    return str(path)
 
 
 def _single(image: RangeImage) -> dict[str, Any]:

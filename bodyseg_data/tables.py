@@ -1,18 +1,10 @@
-"""Reading tables that people write: key by key, with one clear line for whatever is missing, wrong or unknown."""
+"""Reading tables from files: key by key, with one clear line for whatever is missing, wrong or unknown."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from bodyseg_data.errors import BadConfig
-
-
-def numbers(values: Any, count: int) -> Any:
-    """`count` floats as a tuple. Raises TypeError or ValueError."""
-    found = tuple(float(value) for value in values)
-    if len(found) != count:
-        raise ValueError(f"{count} numbers needed, found {len(found)}")
-    return found
 
 
 def _is_number(value: Any) -> bool:
@@ -29,7 +21,7 @@ def _shown(value: Any) -> str:
 
 
 class Table:
-    """A TOML table that is read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
+    """A table of TOML or JSON, read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
 
     def __init__(self, tree: dict[str, Any], where: str) -> None:
         self._tree, self.where = dict(tree), where
@@ -66,9 +58,9 @@ class Table:
 
     def numbers(self, key: str, count: int) -> Any:
         values = self._take(key, "list")
-        if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        if not isinstance(values, list | tuple) or len(values) != count or not all(map(_is_number, values)):
             raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
-        return numbers(values, count)
+        return tuple(float(value) for value in values)
 
     def table(self, key: str) -> Table:
         value = self._take(key, "table")

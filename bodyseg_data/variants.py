@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import Noise, add_noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.errors import BadConfig, BadSample
 from bodyseg_data.kernels import use_compiled
 from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.randomness import Stream, chance, check_seed, pixel_draws, stream
+from bodyseg_data.randomness import Stream, chance, check_epoch, check_seed, pixel_draws, stream
 from bodyseg_data.rig import Rig
 from bodyseg_data.sample import Sample
 
@@ -89,6 +90,10 @@ class Augmentation:
     def __post_init__(self) -> None:
         check_variant(self.variant)
         check_seed(self.seed)
+        for name, kind in (("rig", Rig), ("artifacts", Artifacts)):
+            if not isinstance(getattr(self, name), kind):
+                found = type(getattr(self, name)).__name__
+                raise BadConfig(f"{name} must be of class {kind.__name__}, found {found}")
 
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:
         """The sample as the variant shows it, in arrays of its own. Raises as `into`."""
@@ -97,9 +102,14 @@ class Augmentation:
     def into(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
         """As calling, but into arrays that are there: uint16 and uint8 [H, W], contiguous, whatever they hold.
 
+        They may be the sample's own, which is then gone.
+
         Applies the variant's artifacts in the paper's order: occlusion, then noise, then missing data. Raises BadSample
-        for arrays that do not fit the sample, or a sample that does not fit the rig or lacks the projector's range.
+        for arrays that do not fit the sample, or a sample whose images fit neither each other nor the rig, or that
+        lacks the projector's range.
         """
+        epoch = check_epoch(epoch)
+        _check_sample(sample)
         _check_fit(sample, "the image", image, np.uint16)
         _check_fit(sample, "the image of labels", labels, np.uint8)
         variant = VARIANTS[self.variant]
@@ -111,8 +121,8 @@ class Augmentation:
         made = RangeImage(sample.key, image, labels, sigma_mm, missing_rate)
         test = _shadow_test(self.rig) if variant.occlusion else None
         if self.variant == "none":
-            np.copyto(image, sample.range)
-            np.copyto(labels, sample.labels)
+            copy_unless_same(sample.range, image)
+            copy_unless_same(sample.labels, labels)
         elif use_compiled():
             _loops().apply_artifacts(sample, test, self._streams(sample, epoch), made)
         else:
@@ -137,16 +147,27 @@ class Augmentation:
         if made.missing_rate is not None:
             kept &= kept_pixels(made.missing_rate, pixel_draws(missing_data, len(where), np.uint16))
         survivors = where[kept]
+        survivors_labels = sample.labels.ravel()[survivors]
         made.range.fill(0)
         made.labels.fill(BACKGROUND)
         made.range.ravel()[survivors] = ranges[kept]
         # A pixel that the variant removed shows nothing, so there is nothing to classify.
-        made.labels.ravel()[survivors] = sample.labels.ravel()[survivors]
+        made.labels.ravel()[survivors] = survivors_labels
 
     def _streams(self, sample: Sample, epoch: int) -> tuple[Stream, Stream]:
         """The random words of noise and of missing data."""
         noise, missing_data = (stream(self.seed, epoch, sample.key, purpose) for purpose in ("noise", "missing data"))
         return noise, missing_data
+
+
+def _check_sample(sample: Sample) -> None:
+    """Raise BadSample unless there is a label for every range: compiled loops look at no length."""
+    ranges, labels = sample.range, sample.labels
+    if ranges.dtype != np.uint16 or labels.dtype != np.uint8 or ranges.shape != labels.shape:
+        raise BadSample(
+            f"{sample.key}: range and labels must be uint16 and uint8 of one shape, "
+            f"found {ranges.dtype} {ranges.shape} and {labels.dtype} {labels.shape}"
+        )
 
 
 def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.generic]) -> None:

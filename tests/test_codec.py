@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,7 @@ def test_the_stored_bytes_are_pinned(choice: str) -> None:
     stored = (GOLDEN / "figure.bsi").read_bytes()
     with computed_by(choice):
         decoded = decode_images(stored, projector=True)
-    for image, expected in zip(decoded, (ranges, *split_labels(labels), shading), strict=True):
+    for image, expected in zip(decoded[:4], (ranges, *split_labels(labels), shading), strict=True):
         assert image is not None and image.dtype == expected.dtype and np.array_equal(image, expected)
     assert stored[:4] == b"BSI2" and struct.unpack_from("<I", stored, 4) == (zlib.crc32(stored[8:]),)
     encoded = encode_images(ranges, labels, shading)
@@ -214,7 +215,7 @@ def _images(
 
 
 def test_the_hand_made_file_is_sound() -> None:
-    ranges, labels, facing, shading = decode_images(_images(), projector=True)
+    ranges, labels, facing, shading, *_ = decode_images(_images(), projector=True)
     assert ranges.tolist()[0] == [4, 5, 6, 0]
     assert labels.tolist()[0] == [5, 5, 5, 255] and not facing.any()
     assert shading is not None and shading.shape == (3, 2) and not shading.any()
@@ -261,7 +262,7 @@ def test_bytes_that_are_no_images_are_refused(data: bytes, message: str, choice:
 
 
 def test_the_projectors_frame_is_left_alone_if_it_is_not_wanted() -> None:
-    ranges, *_, shading = decode_images(_images(shading=b"junk"), projector=False)
+    ranges, _, _, shading, *_ = decode_images(_images(shading=b"junk"), projector=False)
     assert ranges.any() and shading is None
 
 
@@ -305,7 +306,7 @@ def _reframed(data: bytes, numbers: bytes, frame: int) -> bytes:
 def _answer(data: bytes, choice: str) -> list[bytes] | str:
     with computed_by(choice):
         try:
-            return [image.tobytes() for image in decode_images(data, projector=True) if image is not None]
+            return [image.tobytes() for image in decode_images(data, projector=True)[:4] if image is not None]
         except ValueError as error:
             return str(error)
 
@@ -400,3 +401,41 @@ def test_a_png_of_colours_is_refused() -> None:
 def test_unknown_codecs_are_refused() -> None:
     with pytest.raises(BadConfig, match="must be one of bsi, png, found 'jpg'"):
         check_codec("jpg")
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+@given(first=samples(), second=samples())
+def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_anything(
+    choice: str, first: Sample, second: Sample
+) -> None:
+    with computed_by(choice):
+        for sample in (first, second, first):  # whatever the one before has left behind
+            stored = encode_sample(sample)
+            into = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
+            decoded = decode_sample(sample.key, stored, into=into)
+            assert decoded.range is into[0]
+            assert decoded.labels is into[1]
+            assert same(replace(decoded, known=None), decode_sample(sample.key, stored))
+            assert decoded.known is not None
+            assert decoded.known.texels is not None
+            assert np.array_equal(decoded.known.texels, np.flatnonzero(sample.projector_range))
+            if choice == "compiled":
+                assert decoded.known.edges is not None
+                begin, end = decoded.known.edges.reshape(-1, 2).T
+                assert (begin < end).all()
+                assert (begin[1:] >= end[:-1]).all()
+                held = [np.arange(*edges) for edges in zip(begin, end, strict=True)]
+                assert np.array_equal(np.concatenate([*held, np.zeros(0, int)]), np.flatnonzero(sample.range))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
+    sample = ramp_sample()
+    stored = encode_sample(sample, codec)
+    shape = sample.range.shape
+    wrong = np.zeros((2, 2), np.uint16), np.zeros(shape, np.uint8)
+    striped = np.zeros((shape[0], 2 * shape[1]), np.uint16)[:, ::2], np.zeros(shape, np.uint8)
+    for into in (wrong, striped):
+        assert same(replace(decode_sample(sample.key, stored, into=into), known=None), sample)
+        assert not into[0].any()
+        assert not into[1].any()

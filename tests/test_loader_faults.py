@@ -124,6 +124,39 @@ def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monke
     assert len(keys(batches)) == 24
 
 
+def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
+    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches = loader(RangeImages(figures_set), 3, 2)
+    delivered = iter(batches)
+    next(delivered)
+    assert batches._crew is not None
+    makers: Any = batches._crew.makers
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(makers, "answer", interrupted)
+        patch.setattr(makers._processes[0], "join", interrupted)
+        list(delivered)
+    assert len(keys(batches)) == 24, "the next pass has workers of its own"
+    makers.close()
+
+
+def test_a_pass_left_early_makes_no_batch_in_vain(figures_set: Path) -> None:
+    made = []
+
+    class Counting(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            made.append(index)
+
+    batches = loader(Counting(figures_set), 8)
+    for _ in range(3):
+        next(iter(batches))
+    assert len(made) == 24
+
+
 @pytest.mark.parametrize("held", ["nothing", "a batch", "an unfinished pass"])
 def test_a_loader_that_is_dropped_ends_its_workers_at_once(figures_set: Path, held: str) -> None:
     gc.disable()  # none of this waits for the garbage collector

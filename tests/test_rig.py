@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import json
 import math
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,10 +80,30 @@ def test_a_finer_projector_image_covers_the_same_view() -> None:
 def test_a_rig_survives_json() -> None:
     rig = load_rig()
     assert rig_from_json(rig.to_json()) == rig
-    with pytest.raises(BadConfig, match="incomplete"):
-        rig_from_json({**rig.to_json(), "camera": {}})
+    assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
     with pytest.raises(BadConfig, match="format"):
         rig_from_json([])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rows": "640"}, "'rows' must be a finite number, found '640'"),
+        ({"rows": 640.7}, "'rows' must be a whole number, found 640.7"),
+        ({"columns": True}, "'columns' must be a finite number, found 'True'"),
+        ({"focal_px": "500"}, "'focal_px' must be a finite number, found '500'"),
+        ({"centre_px": "12"}, "'centre_px' must be 2 finite numbers, found 12"),
+        ({"skew": 0}, "unknown 'skew'"),
+    ],
+)
+def test_a_stored_rig_is_read_as_strictly_as_a_file(change: dict[str, Any], message: str) -> None:
+    tree = load_rig().to_json()
+    with pytest.raises(BadConfig, match=rf"^a stored rig, \[camera\]: {message}"):
+        rig_from_json({**tree, "camera": {**tree["camera"], **change}})
+    with pytest.raises(BadConfig, match="number 'rows' is missing"):
+        rig_from_json({**tree, "camera": {}})
+    with pytest.raises(BadConfig, match="^a stored rig: unknown 'lens'"):
+        rig_from_json({**tree, "lens": 1})
 
 
 def test_another_rig_is_another_file(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import io
 import json
+import os
 import pickle
 import shutil
 import tarfile
@@ -18,9 +19,10 @@ from test_sample import GOOD
 
 from bodyseg_data.cli import main
 from bodyseg_data.codec import encode_sample
+from bodyseg_data.codecs.png import encode_png
 from bodyseg_data.errors import BadSample, BadShard
 from bodyseg_data.manifest import MANIFEST_NAME, _digest, read_manifest, record_from_json, record_to_json
-from bodyseg_data.shards import ShardReader, ShardWriter, find_faults, parse_members
+from bodyseg_data.shards import ShardReader, ShardWriter, _read_header, find_faults, parse_members
 
 
 @pytest.fixture
@@ -195,8 +197,12 @@ def _with(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]]
         (_with(lambda tree: tree.update(codec="jpg")), "'codec' must be one of bsi, png, found 'jpg'"),
         (_with(lambda tree: tree.update(parts=["nose"])), "'parts' are not those of format"),
         (_with(lambda tree: tree.update(source=3)), "'source' must be text, found 3"),
-        (_with(lambda tree: tree.update(shards={})), "'shards' must be a list"),
-        (_with(lambda tree: tree["rig"]["camera"].update(rows=float("inf"))), "a stored rig is incomplete"),
+        (_with(lambda tree: tree.update(shards={})), "'shards' must be a list of at least one"),
+        (_with(lambda tree: tree.update(shards=[])), "'shards' must be a list of at least one"),
+        (
+            _with(lambda tree: tree["rig"]["camera"].update(rows=float("inf"))),
+            "'rows' must be a finite number, found 'inf'",
+        ),
         (_with(lambda tree: tree["shards"][0].update(size=1 << 70)), "'size' must be a number of bytes"),
         (_with(lambda tree: tree["shards"][0].update(size=512)), "samples end at byte"),
         (_with(lambda tree: tree["shards"][0].update(name="../x.tar")), "a shard's name must be like train-00000.tar"),
@@ -293,6 +299,28 @@ def test_tricks_in_tars_are_refused(data: bytes, message: str) -> None:
         parse_members("k", data)
 
 
+@pytest.mark.parametrize("change", [{}, {"mode": 0o600}, {"mtime": 1}, {"uname": "me"}, {"name": "k.a\u00e9"}])
+def test_headers_say_what_tarfile_says_whoever_wrote_them(change: dict[str, Any]) -> None:
+    for name, size in (("k.bsi", 0), ("k" * 80 + ".projector.png", 8), ("k.json", 8**11 - 1)):
+        header = tarfile.TarInfo(name)
+        header.mode = 0o644
+        header.size = size
+        for field, value in change.items():
+            setattr(header, field, value)
+        block = header.tobuf(tarfile.USTAR_FORMAT, "utf-8")
+        assert _read_header(block) == (header.name, tarfile.REGTYPE, size)
+        for place in range(512):
+            altered = bytearray(block)
+            altered[place] ^= 1
+            try:
+                expected = tarfile.TarInfo.frombuf(bytes(altered), "utf-8", "strict")
+            except tarfile.HeaderError:
+                with pytest.raises(tarfile.HeaderError):
+                    _read_header(bytes(altered))
+            else:
+                assert _read_header(bytes(altered)) == (expected.name, expected.type, expected.size)
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
@@ -309,6 +337,33 @@ def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_righ
     manifest = replace(read_manifest(figures_set), shards=(writer.record,))
     (fault,) = find_faults(tmp_path, manifest, writer.record)
     assert (fault.key, fault.offset, fault.problem) == (GOOD.key, 0, problem)
+
+
+def test_a_sample_of_another_rig_is_not_given_though_its_checksums_are_right(figures_set: Path, tmp_path: Path) -> None:
+    good = read_manifest(figures_set)
+    sample = ShardReader(figures_set, good).read(0, 0)
+    members = encode_sample(sample, "png")
+    few = encode_png(np.zeros((1, 1), np.uint8))
+    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+        writer.write(GOOD.key, encode_sample(GOOD))
+        writer.write(sample.key, members | {"labels.png": few})
+    assert writer.record is not None
+    reader = ShardReader(tmp_path, replace(good, shards=(writer.record,)))
+    with pytest.raises(
+        BadShard, match=rf"^train-00000.tar: {GOOD.key}: offset 0: .*range must be 640 x 329 as in the rig"
+    ):
+        reader.read(0, 0, projector=False)
+    with pytest.raises(BadShard, match=r"labels must be 640 x 329 as in the rig, found \(1, 1\)"):
+        reader.read(0, 1)
+
+
+def test_a_pipe_in_place_of_a_shard_keeps_nobody_waiting(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "train-00000.tar").unlink()
+    os.mkfifo(copy / "train-00000.tar")
+    with pytest.raises(BadShard, match="offset 0: cannot be read: Illegal seek"):
+        ShardReader(copy, read_manifest(copy)).read(0, 0)
+    assert main(["verify", str(copy)]) == 1
+    assert "train-00000.tar: -: offset 0: cannot be read: Illegal seek" in capsys.readouterr().out
 
 
 def test_a_sample_stored_in_the_wrong_split_is_a_fault(copy: Path) -> None:

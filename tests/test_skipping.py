@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.errors import BadConfig, BadShard
+from bodyseg_data.errors import BadConfig, BadShard, Unreachable
 
 
 @pytest.fixture
@@ -83,6 +83,28 @@ def test_a_spent_budget_stops_the_run(spoil: Callable[..., RangeImages], workers
     resumed.load_state_dict(batches.state_dict())
     with pytest.raises(BadShard, match=message):  # what was lost before counts
         list(resumed)
+
+
+def test_an_epoch_gone_through_again_may_lose_the_same_again(spoil: Callable[..., RangeImages]) -> None:
+    images = spoil(("train-00000.tar", 0), ("train-00000.tar", 2), split="train")
+    batches = loader(images, 3, shuffle=False, on_error="skip", skip_budget=2)
+    for times in range(1, 4):
+        images.set_epoch(0)
+        assert sum(len(batch["key"]) for batch in batches) == 14
+        assert len(batches.skipped) == 2 * times
+
+
+def test_what_cannot_be_skipped_ends_the_run_at_once(figures_set: Path) -> None:
+    asked = []
+
+    class Cut(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            asked.append(index)  # over a network, each may take minutes
+            raise Unreachable("no answer")
+
+    with pytest.raises(Unreachable, match="no answer"):
+        list(loader(Cut(figures_set), 8, on_error="skip", skip_budget=20))
+    assert len(asked) == 1
 
 
 def test_a_log_that_cannot_be_written_stops_the_run(spoil: Callable[..., RangeImages], tmp_path: Path) -> None:

@@ -240,6 +240,37 @@ def test_threads_that_want_one_shard_fetch_it_once(tmp_path: Path) -> None:
     assert cache.read(record(7), 1020, 100) == b"\7" * 4
 
 
+def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(tmp_path: Path) -> None:
+    class Late(ShardCache):
+        def _open_part(self, wanted: ShardRecord) -> int | None:
+            assert fill(ShardCache(tmp_path, 4096), wanted)  # another process, just now
+            return super()._open_part(wanted)
+
+    with Late(tmp_path, 4096).claim(record(3)) as handle:
+        assert handle is None
+    assert [path.name for path in tmp_path.glob("*.*")] == [f"{record(3).sha256}.tar"], "no empty part takes room"
+
+
+def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
+    memory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = ShardCache(tmp_path, 1 << 20)
+    assert fill(cache, record(3))
+    cache.path(record(3)).write_bytes(b"spoiled")
+    store = CachedStore(RemoteFolder(memory, {}, Patience()), [record(3)], cache)
+    digest = hashlib.file_digest
+
+    def slowly(file: Any, name: str) -> Any:
+        found = digest(file, name)
+        cache.path(record(3)).unlink()
+        assert fill(cache, record(3))  # another process, meanwhile
+        return found
+
+    monkeypatch.setattr(hashlib, "file_digest", slowly)
+    assert store.doubt(record(3).name), "what was read was wrong"
+    assert cache.read(record(3), 1020, 100) == b"\3" * 4
+
+
 def test_a_fork_while_a_shard_is_fetched_keeps_nobody_waiting(tmp_path: Path) -> None:
     cache = ShardCache(tmp_path, 1 << 20)
     with cache.claim(record(1)) as handle:

@@ -182,6 +182,22 @@ def test_arrays_that_nothing_may_write_to_or_that_are_parts_of_others_are_read()
 
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("name", VARIANTS)
+def test_a_sample_may_be_altered_in_place(
+    name: VariantName, compiled: bool, clean: list[Sample], figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+    images = RangeImages(figures_set, name)
+    image, labels = np.empty_like(clean[0].range), np.empty_like(clean[0].labels)
+    for index, sample in enumerate(clean):
+        expected = images.augmentation(sample, 3)
+        copy = replace(sample, range=sample.range.copy(), labels=sample.labels.copy())
+        assert same_bits(images.augmentation.into(copy, 3, copy.range, copy.labels), expected)
+        images.write(index, 3, image, labels)  # which decodes in place and knows where the images hold anything
+        assert same_bits(replace(expected, range=image, labels=labels), expected)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("name", VARIANTS)
 def test_arrays_that_do_not_fit_the_sample_are_refused(
     name: VariantName, compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -202,9 +218,24 @@ def test_arrays_that_do_not_fit_the_sample_are_refused(
         with pytest.raises(BadSample, match="the projector range must be uint16"):
             augmentation.into(replace(sample, projector_range=image[1:]), 0, image, labels)
         with pytest.raises(BadSample, match="the camera range must be uint16"):
-            augmentation.into(replace(sample, range=image[1:]), 0, image[1:], labels[1:])
+            augmentation.into(replace(sample, range=image[1:], labels=labels[1:]), 0, image[1:], labels[1:])
     else:
         assert same_bits(augmentation(replace(sample, projector_range=None)), augmentation(sample))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_sample_without_a_label_for_every_range_is_refused(
+    name: VariantName, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+    rig, sample = _synthetic()
+    augmentation = Augmentation(rig, name)
+    for wrong in (sample.labels[:1, :1], sample.labels[1:], sample.labels.astype(np.uint16)):
+        with pytest.raises(BadSample, match=r"^pinned: range and labels must be uint16 and uint8 of one shape, found"):
+            augmentation(replace(sample, labels=wrong))
+    with pytest.raises(BadSample, match="of one shape, found int64"):
+        augmentation(replace(sample, range=sample.range.astype(np.int64)))
 
 
 @pytest.mark.parametrize("name", VARIANTS)

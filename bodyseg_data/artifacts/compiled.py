@@ -12,9 +12,8 @@ from bodyseg_data.artifacts.noise import FIRST_SEGMENT, PLACE_MASK, SEGMENT_SHIF
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.occlusion_compiled import Shadow, find_runs, mark_lit, shadow_of
 from bodyseg_data.artifacts.philox_compiled import raw_words
-from bodyseg_data.artifacts.scratch import constant, scratch_for
+from bodyseg_data.artifacts.scratch import constant, copy_unless_same, scratch_for
 from bodyseg_data.kernels import compiled
-from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.randomness import Stream
 from bodyseg_data.sample import Sample
 
@@ -50,35 +49,25 @@ def draw_normals(halves: Any, count: Any, segments: Any, place: Any, normals: An
 
 
 @_kernel
-def write_image(
-    camera_range: Any, labels: Any, runs: Any, scratch: Any, noisy: Any, steps: Any, image: Any, image_labels: Any
-) -> None:
-    """The kept foreground, with noise if asked, and background everywhere else, into flat `image` and labels."""
+def alter(image: Any, labels: Any, runs: Any, scratch: Any, noisy: Any, steps: Any) -> None:
+    """Leave the kept foreground, with noise if asked, in a flat image and its labels."""
     edges, marks, normals = scratch.edges, scratch.marks, scratch.floats[0]
-    point = done = np.uint64(0)
-    for run in range(np.uint64(runs) + np.uint64(1)):
-        last = run == np.uint64(runs)
-        first = np.uint64(image.size) if last else np.uint64(edges[np.uint64(2) * run])
-        for pixel in range(done, first):
-            image[pixel] = 0
-        for pixel in range(done, first):
-            image_labels[pixel] = BACKGROUND
-        if last:
-            break
+    point = np.uint64(0)
+    for run in range(np.uint64(runs)):
+        first = np.uint64(edges[np.uint64(2) * run])
         length = np.uint64(edges[np.uint64(2) * run + np.uint64(1)]) - first
         if noisy:
             for i in range(length):
-                value = np.rint(np.float32(camera_range[first + i]) + normals[point + i] * steps)
+                value = np.rint(np.float32(image[first + i]) + normals[point + i] * steps)
                 value = min(max(value, _NEAREST), _FARTHEST)
                 image[first + i] = np.uint16(np.int32(value)) * np.uint16(marks[point + i])
         else:
             for i in range(length):
-                image[first + i] = camera_range[first + i] * np.uint16(marks[point + i])
+                image[first + i] *= np.uint16(marks[point + i])
         for i in range(length):
             # A mark less one is 0 for kept pixels and all bits, which is background, for the others.
-            image_labels[first + i] = labels[first + i] | np.uint8(marks[point + i] - np.uint8(1))
+            labels[first + i] |= np.uint8(marks[point + i] - np.uint8(1))
         point += length
-        done = first + length
 
 
 @_kernel
@@ -88,13 +77,17 @@ def apply(
     draws: Any,
     noisy: Any,
     segments: Any,
-    labels: Any,
+    runs: Any,
     scratch: Any,
     image: Any,
-    image_labels: Any,
+    labels: Any,
 ) -> None:
-    """A sample's range and labels with occlusion and noise, if asked, and missing data, into flat arrays."""
-    runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
+    """Give a sample's flat range and labels occlusion and noise, if asked, and missing data.
+
+    runs: how many of foreground `edges` holds, -1 if they are still to be found.
+    """
+    if runs < 0:
+        runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
     count = np.int64(0)
     for run in range(np.uint64(runs)):
         count += scratch.edges[np.uint64(2) * run + np.uint64(1)] - scratch.edges[np.uint64(2) * run]
@@ -109,10 +102,11 @@ def apply(
     if noisy:
         raw_words(draws.noise_0, draws.noise_1, (count + 1) // 2, scratch.words)
         draw_normals(scratch.halves, count, segments, scratch.start, scratch.floats[0])
-    write_image(shadow.camera_range, labels, runs, scratch, noisy, draws.steps, image, image_labels)
+    alter(image, labels, runs, scratch, noisy, draws.steps)
 
 
 _NO_FACING, _NO_TEXELS = constant(np.zeros(0, np.uint8)), constant(np.zeros(0, np.uint16))
+_NO_PLACES: Final = constant(np.zeros(0, np.int32))
 _NO_SLOPES: Final = constant(np.zeros(0, np.float32))
 _NO_OFFSETS: Final = (np.float32(0),) * 3
 
@@ -122,21 +116,30 @@ def apply_artifacts(sample: Sample, test: ShadowTest | None, streams: tuple[Stre
 
     streams: of noise and missing data. Raises BadSample for a sample that does not fit the test's rig.
     """
+    known = sample.known
     if test is not None:
-        shadow = shadow_of(test, sample.range, sample.shading_range(), sample.faces_projector)
+        images = sample.range, sample.shading_range(), sample.faces_projector
+        shadow = shadow_of(test, *images, None if known is None else known.texels)
     else:
-        shadow = Shadow(constant(sample.range), _NO_FACING, _NO_TEXELS, 0, 0, *(_NO_SLOPES,) * 3, *_NO_OFFSETS)
+        shadow = Shadow(
+            constant(sample.range), _NO_FACING, _NO_TEXELS, _NO_PLACES, 0, 0, *(_NO_SLOPES,) * 3, *_NO_OFFSETS
+        )
     sigma_mm, rate = made.sigma_mm or 0.0, made.missing_rate or 0.0
     (noise_0, noise_1), (missing_0, missing_1) = streams
     draws = Draws(noise_0, noise_1, steps_of(sigma_mm), missing_0, missing_1, np.uint32(threshold(rate)))
     scratch = scratch_for(sample.range.size, shadow.projector_range.size)
+    runs = -1
+    if known is not None and known.edges is not None:
+        scratch, runs = scratch._replace(edges=known.edges), len(known.edges) // 2
+    copy_unless_same(sample.range, made.range)
+    copy_unless_same(sample.labels, made.labels)
     apply(
         shadow,
         test is not None,
         draws,
         made.sigma_mm is not None,
         SEGMENTS,
-        constant(sample.labels),
+        runs,
         scratch,
         made.range.reshape(-1),
         made.labels.reshape(-1),
@@ -146,8 +149,8 @@ def apply_artifacts(sample: Sample, test: ShadowTest | None, streams: tuple[Stre
 def compile_all() -> None:
     """Make or load the machine code, by applying it to one pixel."""
     texel, facing, slope = (constant(np.zeros(1, kind)) for kind in (np.uint16, np.uint8, np.float32))
-    shadow = Shadow(texel, facing, texel, 1, 1, slope, slope, slope, *_NO_OFFSETS)
+    shadow = Shadow(texel, facing, texel, _NO_PLACES, 1, 1, slope, slope, slope, *_NO_OFFSETS)
     word = np.uint64(0)
     draws = Draws(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
-    apply(shadow, True, draws, True, SEGMENTS, facing, scratch_for(1, 1), image, labels)
+    apply(shadow, True, draws, True, SEGMENTS, -1, scratch_for(1, 1), image, labels)

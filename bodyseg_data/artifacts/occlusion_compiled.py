@@ -28,6 +28,7 @@ class Shadow(NamedTuple):
     camera_range: NDArray[np.uint16]
     facing: NDArray[np.uint8]
     projector_range: NDArray[np.uint16]
+    texels: NDArray[np.int32]
     rows: int
     columns: int
     across: NDArray[np.float32]
@@ -72,18 +73,19 @@ def find_texels(x: Any, y: Any, away: Any, count: Any, rows: Any, columns: Any, 
 
 
 @_kernel
-def find_shading(projector_range: Any, rows: Any, columns: Any, near: Any) -> None:
-    """Set `near` where one of the four texels that begin here holds anything: elsewhere all points are lit."""
-    width = np.uint64(columns)
-    for row in range(np.uint64(rows)):
-        here = row * width
-        below = min(row + np.uint64(1), np.uint64(rows - 1)) * width
-        for column in range(width - np.uint64(1)):
-            upper = projector_range[here + column] | projector_range[here + column + np.uint64(1)]
-            lower = projector_range[below + column] | projector_range[below + column + np.uint64(1)]
-            near[here + column] = (upper | lower) != 0
-        last = width - np.uint64(1)
-        near[here + last] = (projector_range[here + last] | projector_range[below + last]) != 0
+def mark_near(texels: Any, columns: Any, mark: Any, near: Any) -> None:
+    """Set `near` to `mark` where one of the four texels that begin here holds anything: elsewhere all points are lit.
+
+    texels: the places of those that do. To the left of the first column is the last one of the row above, where points
+    are then looked at in vain.
+    """
+    width: Any = np.int64(columns)
+    for i in range(np.uint64(texels.size)):
+        texel: Any = np.int64(texels[i])
+        near[np.uint64(texel)] = mark
+        near[np.uint64(max(texel - 1, 0))] = mark
+        near[np.uint64(max(texel - width, 0))] = mark
+        near[np.uint64(max(texel - width - 1, 0))] = mark
 
 
 @_kernel
@@ -150,11 +152,12 @@ def mark_lit(shadow: Any, runs: Any, scratch: Any) -> Any:
             marks[count + i] = shadow.facing[first + i]
         count += length
     find_texels(x, y, away, count, rows, columns, marks, start)
-    find_shading(projector_range, rows, columns, near)
+    mark_near(shadow.texels, columns, np.uint8(1), near)
     hits = np.uint64(0)
     for point in range(count):
         asked[hits] = point
         hits += np.uint64(near[np.uint64(start[point])] & marks[point])
+    mark_near(shadow.texels, columns, np.uint8(0), near)
     read_texels(projector_range, rows, columns, start, asked, hits, floats)
     decide(floats, hits)
     for hit in range(hits):
@@ -180,13 +183,19 @@ def shadow_of(
     camera_range: NDArray[np.uint16],
     projector_range: NDArray[np.uint16],
     faces_projector: NDArray[np.bool_],
+    texels: NDArray[np.int32] | None = None,
 ) -> Shadow:
-    """What the compiled test reads, checked: it looks at no length itself. Raises BadSample as `ShadowTest.lit`."""
+    """What the compiled test reads, checked: it looks at no length itself. Raises BadSample as `ShadowTest.lit`.
+
+    texels: the places of those that hold anything, if they are known.
+    """
     test.check(camera_range, projector_range, faces_projector)
     frame = test.rig.projector.rows, test.rig.projector.columns
+    if texels is None:
+        texels = np.flatnonzero(projector_range).astype(np.int32)
     images = constant(camera_range), constant(faces_projector.view(np.uint8)), constant(projector_range)
     across, down, forward = (constant(slope) for slope in test.slopes)
-    return Shadow(*images, *frame, across, down, forward, *test.offsets)
+    return Shadow(*images, constant(texels), *frame, across, down, forward, *test.offsets)
 
 
 def lit(

@@ -13,7 +13,8 @@ class Scratch(NamedTuple):
     """Room for the lists of one image's foreground pixels; pages that are never touched take no memory.
 
     edges: where runs of foreground begin and end; changes: whether a pixel begins or ends one, zeros behind the image;
-    marks: which pixels are kept; start, asked, floats: texels, points and their coordinates; near: where texels are;
+    marks: which pixels are kept; start, asked, floats: texels, points and their coordinates; near: where texels are,
+    zeros between samples;
     words: random bits, and halves and quarters: the same memory in smaller pieces.
     """
 
@@ -43,7 +44,7 @@ def scratch_for(pixels: int, texels: int) -> Scratch:
             start=np.empty(pixels, np.int32),
             asked=np.empty(pixels + 1, np.int32),
             floats=np.empty((7, pixels), np.float32),
-            near=np.empty(texels, np.uint8),
+            near=np.zeros(texels, np.uint8),
             words=words,
             halves=words.view(np.uint32),
             quarters=words.view(np.uint16),
@@ -55,6 +56,12 @@ def scratch_for(pixels: int, texels: int) -> Scratch:
 
 def constant(array: NDArray[Any]) -> NDArray[Any]:
     """`array`, flat and read-only: whatever comes, loops see one kind of array and are compiled once."""
-    flat = np.require(array, requirements=("C", "A")).reshape(-1)
+    flat = (array if array.flags.carray else np.require(array, requirements=("C", "A"))).reshape(-1)
     flat.flags.writeable = False
     return flat
+
+
+def copy_unless_same(array: NDArray[Any], to: NDArray[Any]) -> None:
+    """Copy an array, unless it is where it should go."""
+    if array is not to:
+        np.copyto(to, array)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,11 @@ def provenance(command: str) -> dict[str, str]:
 
 def check_target(path: Path, option: str) -> None:
     """Raise BadConfig unless figures can go into the file that `option` gives: to be asked before the measurement."""
-    if path.is_dir() or not path.absolute().parent.is_dir():
+    folder = path.absolute().parent
+    if path.is_dir() or not folder.is_dir():
         raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadConfig(f"{option} needs a folder that can be written, found {path}")
 
 
 def write_figures(path: Path, figures: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import zstandard
@@ -29,7 +29,7 @@ from bodyseg_data.codecs.runs import (
     planes,
     used_box,
 )
-from bodyseg_data.codecs.slopes import Slopes, restore, stretches, to_slopes
+from bodyseg_data.codecs.slopes import Places, Slopes, restore, stretches, to_slopes
 from bodyseg_data.parts import BACKGROUND
 
 MAX_SIDE: Final = 8192
@@ -42,6 +42,21 @@ _PROJECTOR: Final = struct.Struct("<6H2I")
 _HEADER: Final = _START.size + _CAMERA.size + _PROJECTOR.size
 
 Range = NDArray[np.uint16]
+
+
+class Decoded(NamedTuple):
+    """What was encoded, images [H, W]; shading: the projector's range [Hp, Wp], None if it was not asked for.
+
+    edges: where the body begins, ends, begins ...; texels: where `shading` is not 0; places in the flat images, in
+    reading order, None where they are not known.
+    """
+
+    range: Range
+    labels: Bytes
+    facing: NDArray[np.bool_]
+    shading: Range | None
+    edges: Places | None
+    texels: Places | None
 
 
 def encode_images(camera: Range, labels: Bytes, projector: Range) -> bytes:
@@ -73,8 +88,11 @@ def _frame(rows: Sequence[Bytes]) -> bytes:
     return b"".join([*parts, coder.flush()])
 
 
-def decode_images(data: bytes, projector: bool) -> tuple[Range, Bytes, NDArray[np.bool_], Range | None]:
-    """Range, labels, whether the surface faces the projector, and the projector's range if it is asked for.
+def decode_images(data: bytes, projector: bool, into: tuple[Range, Bytes] | None = None) -> Decoded:
+    """All images; the projector's range only if it is asked for.
+
+    into: arrays for range and labels. They are what is returned if they fit; the other images are then this thread's,
+    and last until its next decoding.
 
     Raises ValueError, saying what is wrong, for bytes that `encode_images` did not make.
     """
@@ -91,18 +109,45 @@ def decode_images(data: bytes, projector: bool) -> tuple[Range, Bytes, NDArray[n
     _check_counts(box, runs, long, starts, pixels, escapes)
     rows = [runs, runs, 4 * long, 2 * starts, pixels - starts, 2 * escapes]
     values, lengths, longs, firsts, steps, large = _rows(data[_HEADER : _HEADER + frame], rows)
-    images = restore(Runs(values, checked_lengths(lengths, longs, box)), Slopes(firsts, steps, large), box, size)
-    return *images, _decode_projector(data, _HEADER + frame) if projector else None
+    images = _empty_images(size, into)
+    runs_of_labels = Runs(values, checked_lengths(lengths, longs, box))
+    edges = restore(runs_of_labels, Slopes(firsts, steps, large), box, *images)
+    shading, texels = _decode_projector(data, _HEADER + frame, into is not None) if projector else (None, None)
+    return Decoded(*images, shading, edges, texels)
 
 
-def _decode_projector(data: bytes, start: int) -> Range:
+def _empty_images(size: tuple[int, int], into: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, NDArray[np.bool_]]:
+    """Range, labels and facing that show nothing."""
+    if into is None or not (_fits(into[0], size, np.uint16) and _fits(into[1], size, np.uint8)):
+        return np.zeros(size, np.uint16), np.full(size, BACKGROUND, np.uint8), np.zeros(size, np.bool_)
+    image, labels = into
+    image.fill(0)
+    labels.fill(BACKGROUND)
+    return image, labels, _kept("facing", size, np.bool_)
+
+
+def _fits(array: NDArray[Any], size: tuple[int, int], kind: type[np.generic]) -> bool:
+    return array.dtype == kind and array.shape == size and array.flags.carray
+
+
+def _kept(name: str, size: tuple[int, int], kind: type[np.generic]) -> NDArray[Any]:
+    """The thread's own image of that name, all zeros: a fresh one costs as much as decoding into it."""
+    image: NDArray[Any] | None = getattr(_of_thread, name, None)
+    if image is None or image.shape != size:
+        image = np.zeros(size, kind)
+        setattr(_of_thread, name, image)
+    else:
+        image.fill(0)
+    return image
+
+
+def _decode_projector(data: bytes, start: int, keep: bool) -> tuple[Range, Places]:
     *places, runs, long = _PROJECTOR.unpack_from(data, _START.size + _CAMERA.size)
     size, box = _checked_places(places)
     _check_counts(box, runs, long, 0, 0, 0)
     values, lengths, longs = _rows(data[start:], [2 * runs, runs, 4 * long])
-    image = np.zeros(size, np.uint16)
-    Runs(from_planes(values, np.uint16), checked_lengths(lengths, longs, box)).expanded(image, box)
-    return image
+    image = _kept("projector", size, np.uint16) if keep else np.zeros(size, np.uint16)
+    return image, Runs(from_planes(values, np.uint16), checked_lengths(lengths, longs, box)).placed(image, box)
 
 
 def _checked_places(places: Sequence[int]) -> tuple[tuple[int, int], Box]:

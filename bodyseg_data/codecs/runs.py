@@ -46,9 +46,18 @@ class Runs:
     def expanded(self, image: Image, box: Box) -> None:
         """Write the pixels into the box of `image`. Their number must be the box's."""
         if use_compiled():
-            _loop()(self.values, self.lengths, image, box.top, box.left, box.width)
+            _loops()[0](self.values, self.lengths, image, box.top, box.left, box.width)
         else:
             box.of(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
+
+    def placed(self, image: Image, box: Box) -> NDArray[np.int32]:
+        """As `expanded`, into an `image` of zeros; the places, in the flat image, of all that is not zero."""
+        if not use_compiled():
+            self.expanded(image, box)
+            return np.flatnonzero(image).astype(np.int32)
+        places = np.empty(self.lengths[self.values != 0].sum(), np.int32)
+        _loops()[1](self.values, self.lengths, image, box.top, box.left, box.width, places)
+        return places
 
 
 def used_box(used: NDArray[np.bool_]) -> Box:
@@ -75,13 +84,20 @@ def escaped(numbers: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> tuple
 
 def unescaped(low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
     """The inverse of `escaped`: numbers of `kind` [N]. Raises ValueError if the escapes are not as many as said."""
-    where = np.flatnonzero(low == ESCAPE)
+    where, large = escapes_of(low, escapes, kind)
     numbers = low.astype(kind)
-    large = from_planes(escapes, kind)
-    if len(where) != len(large):
-        raise ValueError(f"{len(where)} numbers are escaped, found {len(large)}")
     numbers[where] = large
     return numbers
+
+
+def escapes_of(
+    low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]
+) -> tuple[NDArray[np.intp], NDArray[Any]]:
+    """Which numbers are escaped, and what they are. Raises ValueError if the escapes are not as many as said."""
+    where, large = np.flatnonzero(low == ESCAPE), from_planes(escapes, kind)
+    if len(where) != len(large):
+        raise ValueError(f"{len(where)} numbers are escaped, found {len(large)}")
+    return where, large
 
 
 def planes(numbers: NDArray[Any]) -> Bytes:
@@ -123,6 +139,24 @@ def _fill(values: NDArray[Any], lengths: NDArray[np.int64], image: Image, top: i
                 row, column = row + 1, 0
 
 
+def _fill_used(values: Any, lengths: Any, image: Any, top: int, left: int, width: int, places: Any) -> None:
+    """As `_fill`, but leaves out zeros, and notes the places of all others in the flat image."""
+    row, column, count = top, 0, 0
+    for run in range(len(values)):
+        value, remaining = values[run], lengths[run]
+        if value == 0:
+            column += remaining
+            row, column = row + column // width, column % width
+            continue
+        for _ in range(remaining):
+            image[row, left + column] = value
+            places[count] = row * image.shape[1] + left + column
+            count += 1
+            column += 1
+            if column == width:
+                row, column = row + 1, 0
+
+
 @lru_cache(maxsize=1)
-def _loop() -> Any:
-    return compiled(_fill, "expanding runs")
+def _loops() -> tuple[Any, Any]:
+    return compiled(_fill, "expanding runs"), compiled(_fill_used, "expanding runs")

@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.codecs.labels import split_labels
-from bodyseg_data.codecs.runs import Box, Bytes, Runs, escaped, from_planes, planes, unescaped
+from bodyseg_data.codecs.runs import Box, Bytes, Runs, escaped, escapes_of, from_planes, planes, unescaped
 from bodyseg_data.kernels import compiled, use_compiled
 from bodyseg_data.parts import BACKGROUND
 
 Range = NDArray[np.uint16]
+Places = NDArray[np.int32]
 _BACKGROUND: Final = int(BACKGROUND)
 
 
@@ -78,8 +79,13 @@ def to_slopes(crop: Range, runs: Runs) -> Slopes:
     return Slopes(firsts, *escaped(coded[inner], np.uint16))
 
 
-def restore(runs: Runs, slopes: Slopes, box: Box, size: tuple[int, int]) -> tuple[Range, Bytes, NDArray[np.bool_]]:
-    """Range, labels and whether the surface faces the projector, [H, W] each; runs: of label bytes, filling the box.
+def restore(
+    runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]
+) -> Places | None:
+    """Range, labels and whether the surface faces the projector, into images [H, W] that show nothing yet.
+
+    runs: of label bytes, filling the box. Where the body begins, ends, begins ... in reading order (places in the flat
+    image), if the compiled form made it.
 
     Raises ValueError if there are not as many numbers as the labels call for.
     """
@@ -90,20 +96,21 @@ def restore(runs: Runs, slopes: Slopes, box: Box, size: tuple[int, int]) -> tupl
             f"ranges and {len(slopes.steps)} others"
         )
     firsts = np.cumsum(unzigzag(from_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
-    steps = unzigzag(unescaped(slopes.steps, slopes.escapes, np.uint16))
-    image: Range = np.zeros(size, np.uint16)
-    labels, facing = np.full(size, BACKGROUND, np.uint8), np.zeros(size, np.bool_)
     if use_compiled():
-        fill_ranges, fill_labels = _loops()
+        unzigzag_bytes, fill_ranges, fill_labels = _loops()
+        steps = np.empty(len(slopes.steps), np.uint16)
+        unzigzag_bytes(slopes.steps, *escapes_of(slopes.steps, slopes.escapes, np.uint16), steps)
         last = np.zeros(box.width, np.uint16)
-        fill_ranges(starts, lengths, firsts, steps, last, image, box.top, box.left)
+        edges = np.empty(2 * (len(starts) + box.height), np.int32)  # a row's end divides at most one stretch
+        count = fill_ranges(starts, lengths, firsts, steps, last, image, box.top, box.left, edges)
         fill_labels(runs.values, runs.lengths, labels, facing, box.top, box.left, box.width)
-        return image, labels, facing
+        return edges[:count]
+    steps = unzigzag(unescaped(slopes.steps, slopes.escapes, np.uint16))
     stored = np.repeat(runs.values, runs.lengths).reshape(box.height, box.width)
     box.of(labels)[:], box.of(facing)[:] = split_labels(stored)
     body = stored != BACKGROUND
     np.multiply(_ranges(firsts, steps, starts, body), body, out=box.of(image))
-    return image, labels, facing
+    return None
 
 
 def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArray[np.bool_]) -> Range:
@@ -125,20 +132,41 @@ def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArra
     return crop
 
 
+def _unzigzag_bytes(low: Any, where: Any, large: Any, steps: Any) -> None:
+    """As `unzigzag` of `unescaped`; where, large: the place and value of each that is escaped."""
+    for i in range(len(low)):
+        coded = np.uint16(low[i])
+        steps[i] = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
+    for i in range(len(where)):
+        coded = large[i]
+        steps[where[i]] = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
+
+
 def _fill_ranges(
-    starts: Any, lengths: Any, firsts: Any, steps: Any, last: Any, image: Any, top: int, left: int
-) -> None:
-    """As `_ranges`, straight into the image; last: uint16 [width], zeros: the last step seen in each column."""
-    width, place = len(last), 0
+    starts: Any, lengths: Any, firsts: Any, steps: Any, last: Any, image: Any, top: int, left: int, edges: Any
+) -> int:
+    """As `_ranges`, straight into the image; last: uint16 [width], zeros: the last step seen in each column.
+
+    edges: room for where the body begins, ends, begins ...; their number is returned.
+    """
+    width, place, count_of_edges = len(last), 0, 0
     for stretch in range(len(starts)):
         row, column = top + starts[stretch] // width, starts[stretch] % width
         value = firsts[stretch]
         image[row, left + column] = value
+        begin = row * image.shape[1] + left + column
+        edges[count_of_edges] = begin
+        end = begin + 1
         remaining, column = lengths[stretch] - 1, column + 1
         while remaining > 0:
             if column == width:
                 row, column = row + 1, 0
+                edges[count_of_edges + 1] = end
+                count_of_edges += 2
+                end = row * image.shape[1] + left
+                edges[count_of_edges] = end
             count = min(remaining, width - column)
+            end += count
             above, change = last[column : column + count], steps[place : place + count]
             ranges = image[row, left + column : left + column + count]
             for i in range(count):  # apart from the sum, so that several are done at once
@@ -147,6 +175,9 @@ def _fill_ranges(
                 value += above[i]
                 ranges[i] = value
             place, column, remaining = place + count, column + count, remaining - count
+        edges[count_of_edges + 1] = end
+        count_of_edges += 2
+    return count_of_edges
 
 
 def _fill_labels(values: Any, lengths: Any, labels: Any, facing: Any, top: int, left: int, width: int) -> None:
@@ -170,5 +201,6 @@ def _fill_labels(values: Any, lengths: Any, labels: Any, facing: Any, top: int, 
 
 
 @lru_cache(maxsize=1)
-def _loops() -> tuple[Any, Any]:
-    return compiled(_fill_ranges, "restoring ranges"), compiled(_fill_labels, "restoring labels")
+def _loops() -> tuple[Any, Any, Any]:
+    feature = "restoring ranges"
+    return compiled(_unzigzag_bytes, feature), compiled(_fill_ranges, feature), compiled(_fill_labels, feature)

@@ -109,6 +109,7 @@ def _check(options: Options) -> None:
         if not bench.figure:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
         check_picture(options.figure, "--figure")
+        check_target(options.figure, "--figure")
     if options.json is not None:
         check_target(options.json, "--json")
     if options.views is not None and bench.views is None:

@@ -28,8 +28,6 @@ def run(options: Options) -> int:
     store, pattern = open_store(options.folder)
     if pattern != "*":
         raise BadConfig(f"a whole set is verified, found {pattern!r} at the end of its path")
-    if isinstance(store, LocalFolder) and not store.path.is_dir():
-        raise BadConfig(f"no such folder: {store.path}")
     try:
         manifest = read_manifest(store)
     except BadShard as error:

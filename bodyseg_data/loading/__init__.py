@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.batch_order import BatchOrder, Pass, whole_number
+from bodyseg_data.batch_order import BatchOrder, Pass, flag, whole_number
 from bodyseg_data.errors import BadConfig, BodysegError
-from bodyseg_data.loading.skipping import OnError, SkipLedger, Skipped, checked_budget
+from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import Here, StartMethod, Workers
 from bodyseg_data.streaming import Batch, RangeImages, metres
@@ -39,6 +39,8 @@ class Making:
     def __post_init__(self) -> None:
         whole_number("workers", self.workers, 0)
         whole_number("prefetch", self.prefetch, 1)
+        flag("metres", self.metres)
+        flag("pin_memory", self.pin_memory)
         if self.start_method not in _START_METHODS:
             raise BadConfig(f"start_method must be fork, spawn, forkserver or None, found {self.start_method!r}")
 
@@ -74,8 +76,8 @@ class _BatchMaker:
                 self.images.write(index, epoch, steps if self.metres else ranges[at, 0], labels[at])
             except BodysegError as error:
                 faults.append((place, type(error)(str(error))))
-                if self.strict:
-                    break
+                if self.strict or not isinstance(error, SKIPPABLE):
+                    break  # it ends the run, and every further sample might take as long to fail
             else:
                 if self.metres:
                     metres(steps, ranges[at, 0])
@@ -87,7 +89,8 @@ class Loader:
 
     The first pass is the images' `epoch`. `images.set_epoch(n)` makes the next pass epoch n. Make one loader and use it
     for all epochs: a new one starts where `images.epoch` says, and starts its workers anew. One pass runs at a time.
-    A batch belongs to whoever holds it: it does not change. Workers end with the loader, or after an error.
+    A batch belongs to whoever holds it and does not change, except in forks of his process. Workers end with the
+    loader, or after an error.
 
     order: which samples make up which batch; see `BatchOrder`.
     """
@@ -95,7 +98,8 @@ class Loader:
     def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, making: Making) -> None:
         self.images, self.order = images, order
         self._ledger, self._making = ledger, making
-        self._ahead = max(1, making.workers * making.prefetch)
+        self._workers = min(making.workers, len(order))
+        self._ahead = max(1, min(self._workers * making.prefetch, len(order)))
         self._passes = 0
         self._crew: _Crew | None = None
 
@@ -147,8 +151,8 @@ class Loader:
             raise  # what the workers are at is thrown away when the next pass begins
         except BaseException:
             if self._passes == this and self._crew is not None:
-                self._crew.end()
-                self._crew = None
+                ending, self._crew = self._crew, None  # first, for ending it may be interrupted, too
+                ending.end()
             raise
 
     def _ready(self) -> _Crew:
@@ -157,16 +161,16 @@ class Loader:
             self._crew = self._new_crew()
         flying = self._crew.flying
         while flying:  # asked for by a pass that was left early
-            self._crew.makers.answer()
+            self._crew.makers.drop()
             self._crew.slots.give_back(flying.popleft())
         return self._crew
 
     def _new_crew(self) -> _Crew:
         camera, making = self.images.manifest.rig.camera, self._making
-        slots = Slots(self._ahead, self.order.batch_size, camera.rows, camera.columns, making.metres)
+        slots = Slots(self._ahead, self.order.largest, camera.rows, camera.columns, making.metres)
         maker = _BatchMaker(self.images, slots, making.metres, self._ledger.strict)
         self.images.augmentation.prepare()
-        makers = Workers(maker, making.workers, making.start_method) if making.workers else Here(maker)
+        makers = Workers(maker, self._workers, making.start_method) if self._workers else Here(maker)
         return _Crew(makers, slots, weakref.finalize(self, makers.close), os.getpid())
 
     def _deliver(self, crew: _Crew, plan: Pass, number: int) -> Batch:
@@ -223,7 +227,9 @@ def loader(
 
     Raises BadConfig.
     """
+    if not isinstance(images, RangeImages):
+        raise BadConfig(f"images must be RangeImages, found {type(images).__name__}")
     order = images.batches(batch_size, shuffle, drop_last, rank, ranks)
     budget = checked_budget(on_error, skip_budget, len(images))
-    ledger = SkipLedger(budget, None if skip_log is None else Path(skip_log))
+    ledger = SkipLedger(budget, checked_log(on_error, skip_log))
     return Loader(images, order, ledger, Making(workers, prefetch, metres, pin_memory, start_method))

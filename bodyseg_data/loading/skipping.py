@@ -27,7 +27,7 @@ class Skipped:
 
 
 class SkipLedger:
-    """Counts and records what is skipped. budget: None skips nothing; else the most samples that one pass may lose.
+    """Counts and records what is skipped. budget: None skips nothing; else the most samples that one epoch may lose.
 
     path: a file to which each record is appended as a line of JSON.
     """
@@ -46,9 +46,11 @@ class SkipLedger:
         if self._budget is None or not isinstance(error, SKIPPABLE):
             # Another object than `error`, which would tie itself and a traceback's frames into a cycle.
             raise type(error)(str(error))
-        if sum(earlier.epoch == record.epoch for earlier in self.skipped) >= self._budget:
+        # By key: an epoch that is gone through again loses the same samples again.
+        lost = {earlier.key for earlier in self.skipped if earlier.epoch == record.epoch}
+        if len(lost | {record.key}) > self._budget:
             raise BadShard(
-                f"{record.why} (epoch {record.epoch} has lost {self._budget} samples before, all that its skip_budget "
+                f"{record.why} (epoch {record.epoch} has lost {len(lost)} samples before, all that its skip_budget "
                 "allows)"
             )
         self.skipped.append(record)
@@ -74,6 +76,24 @@ class SkipLedger:
             if any(type(getattr(record, field)) is not kind for field, kind in kinds.items()):
                 raise BadConfig(f"a state's record of a skipped sample must be like a loader's, found {record}")
         self.skipped = records
+
+
+def checked_log(on_error: str, path: str | Path | None) -> Path | None:
+    """`path` as one that can be appended to, which is tried: or a run would find out at its first bad sample.
+
+    Raises BadConfig.
+    """
+    if path is None:
+        return None
+    if on_error != "skip":
+        raise BadConfig(f"skip_log is for on_error='skip', found it with {on_error!r}")
+    if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
+        raise BadConfig(f"skip_log must be a file's path, found {path!r}")
+    try:
+        with Path(path).open("a"):
+            return Path(path).absolute()
+    except OSError as error:
+        raise BadConfig(f"skip_log {path} cannot be written: {error.strerror or error}") from error
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:

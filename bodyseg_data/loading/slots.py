@@ -1,6 +1,6 @@
 """Places in shared memory where workers put whole batches, used again as soon as nobody holds the batch any more.
 
-Nothing is copied, allocated or sent but a slot's number, and no page is touched for the first time after the first few
+No pixel is copied or sent, nothing is allocated, and no page is touched for the first time after the first few
 batches. The memory has no name, so that nothing can be left behind; a small /dev/shm sets it no limit.
 """
 
@@ -16,6 +16,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadConfig
 
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the one at hand, the one before it, and one more."""
@@ -38,7 +40,14 @@ class Slots:
         self._count = flying + SPARE
         self._free = list(range(self._count))
         self._lent: dict[int, tuple[weakref.ref[Any], ...]] = {}
-        self._map(_nameless_file(self._count * self._stride))
+        try:
+            self._map(_nameless_file(self._count * self._stride))
+        except OSError as error:
+            gigabytes = self._count * self._stride / 1e9
+            raise BadConfig(
+                f"{self._count} batches of {batch_size} samples take {gigabytes:.1f} GB, which cannot be had: "
+                f"{error.strerror or error}; use a smaller batch_size, or fewer workers"
+            ) from error
 
     def _map(self, file: int) -> None:
         self._file = file

@@ -45,6 +45,10 @@ class Here:
         """The answer to the oldest request."""
         return self._work(self._requests.popleft())
 
+    def drop(self) -> None:
+        """Forget the oldest request."""
+        self._requests.popleft()
+
     def close(self) -> None:
         """Forget what was asked."""
         self._requests.clear()
@@ -76,6 +80,7 @@ class Workers:
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._asked = self._answered = 0
+        self._forked = forked
         # Processes start with the signals blocked that are blocked now, and these never unblock SIGINT.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -87,6 +92,10 @@ class Workers:
                     process = context.Process(target=_serve, args=(work, theirs, inherited), daemon=True)
                     process.start()
                 self._processes.append(process)
+        except OSError as error:
+            started, why = len(self._processes), error.strerror or str(error)
+            self.close()
+            raise WorkerLost(f"worker {started} of {count} could not be started: {why}; use fewer workers") from error
         except BaseException:
             self.close()
             raise
@@ -120,6 +129,10 @@ class Workers:
             raise error
         return found
 
+    def drop(self) -> None:
+        """Throw away the answer to the oldest request, once it is there. Raises as `answer`."""
+        self.answer()
+
     def _name(self, worker: int) -> str:
         return f"worker {worker} of {len(self._pipes)} (process {self._processes[worker].pid})"
 
@@ -132,7 +145,13 @@ class Workers:
             how = f"was ended by signal {-status} ({signal.strsignal(-status)})"
         if status == -signal.SIGKILL:
             how += ", as a system does that is short of memory,"
-        return WorkerLost(f"{self._name(worker)} {how} before its batch was made")
+        hint = ""
+        if status == 1 and not self._forked and not self._answered:
+            hint = (
+                '; a script that starts workers needs `if __name__ == "__main__":` with this start method '
+                "(what went wrong stands above)"
+            )
+        return WorkerLost(f"{self._name(worker)} {how} before its batch was made{hint}")
 
     def close(self) -> None:
         """End the processes: at once if they are idle, else when they are done with what they are at, or are killed."""

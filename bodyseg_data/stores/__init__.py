@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import contents
 
 _BUFFER_BYTES: Final = 4 << 20
@@ -45,22 +46,29 @@ class LocalFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._place = path.absolute()  # for programs that change their working directory, and workers that have another
 
     @property
     def name(self) -> str:
-        """The path."""
+        """The path, as it was given."""
         return str(self.path)
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         """See `Store.read`."""
-        with (self.path / name).open("rb", buffering=0) as file:
-            return os.pread(file.fileno(), length, offset)
+        # Opening a pipe must not wait for a writer; to files the flag means nothing.
+        file = os.open(self._place / name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            return os.pread(file, length, offset)
+        finally:
+            os.close(file)
 
     def whole(self, name: str, limit: int) -> bytes | None:
-        """See `Store.whole`."""
+        """See `Store.whole`. Raises BadConfig if the folder itself is not there."""
         try:
-            data = contents(self.path / name, packed=False, limit=limit)
-        except FileNotFoundError:
+            data = contents(self._place / name, packed=False, limit=limit)
+        except (FileNotFoundError, NotADirectoryError):
+            if not self._place.is_dir():
+                raise BadConfig(f"no such folder: {self.path}") from None
             return None
         if data is None:
             raise OSError(f"at most {limit} bytes are read, found more")
@@ -68,7 +76,7 @@ class LocalFolder:
 
     def size(self, name: str) -> int:
         """See `Store.size`."""
-        return (self.path / name).stat().st_size
+        return (self._place / name).stat().st_size
 
     def doubt(self, name: str) -> bool:
         """A disk gives the same bytes again."""
