@@ -1,7 +1,7 @@
 """Loops over pixels, compiled where numba is installed; every one has a NumPy form that gives the same bits.
 
-BODYSEG_KERNELS chooses: `auto` (the default: compiled if numba is there), `numpy`, or `compiled`. The choice changes
-how long a sample takes and nothing else.
+BODYSEG_KERNELS chooses: `auto` (the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice
+changes how long a sample takes and nothing else.
 
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """
@@ -18,7 +18,6 @@ import threading
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,9 +34,15 @@ def use_compiled() -> bool:
     choice = os.environ.get(VARIABLE, "auto")
     if choice not in _CHOICES:
         raise BadConfig(f"{VARIABLE} must be one of {', '.join(_CHOICES)}, found {choice!r}")
-    if choice == "compiled":
+    if choice == "numpy":
+        return False
+    try:
         _numba(f"{VARIABLE}=compiled")
-    return choice == "compiled" or (choice == "auto" and find_spec("numba") is not None)
+    except MissingLibrary:  # absent, or there and unfit for the NumPy that is installed
+        if choice == "compiled":
+            raise
+        return False
+    return True
 
 
 def compiled(loops: Callable[..., Any], feature: str) -> Any:
