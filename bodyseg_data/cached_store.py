@@ -8,17 +8,13 @@ import os
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
 
 from bodyseg_data.errors import BadConfig, BadShard
 from bodyseg_data.manifest import ShardRecord
 from bodyseg_data.shard_cache import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_at
 from bodyseg_data.shards import check_bytes
-from bodyseg_data.stores import Store
+from bodyseg_data.stores import TIMES, Store
 from bodyseg_data.stores.remote import RemoteFolder
-
-_TIMES: Final = 3
-"""So often altered bytes are fetched before they count as what the server has."""
 
 
 class CachedStore:
@@ -98,7 +94,7 @@ class CachedStore:
             else:
                 # Its other samples may be sound: each is judged when it is read.
                 self._kept.discard(record.name)
-                _warn(f"{self.name}: {problem} (fetched {_TIMES} times): this shard is not kept, but read by range")
+                _warn(f"{self.name}: {problem} (fetched {TIMES} times): this shard is not kept, but read by range")
         except OSError:
             with contextlib.suppress(OSError):
                 os.ftruncate(handle, 0)  # a full disk is left as it was
@@ -108,7 +104,7 @@ class CachedStore:
         """Fetch into the part file, from where it ends, until it is the whole shard; or say what is wrong with it."""
         problem = None
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
-        for _ in range(_TIMES):
+        for _ in range(TIMES):
             have = os.lseek(handle, 0, os.SEEK_END)
             with os.fdopen(handle, "wb", closefd=False) as file:
                 self._remote.fetch(record.name, have, record.size, file.write)

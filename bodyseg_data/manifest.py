@@ -16,7 +16,7 @@ from bodyseg_data.parts import LANDMARKS
 from bodyseg_data.rig import Rig, rig_from_json
 from bodyseg_data.sample import RANGE_STEP_M, check_key
 from bodyseg_data.splits import SPLITS, Split
-from bodyseg_data.stores import Store, store_at
+from bodyseg_data.stores import TIMES, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
 MANIFEST_FORMAT: Final = "bodyseg shards 3"
@@ -28,8 +28,6 @@ _BLOCK: Final = 512
 _LARGEST_SAMPLE: Final = 1 << 30
 _LARGEST_SHARD: Final = 1 << 40
 _LARGEST_MANIFEST: Final = 1 << 28
-_TIMES: Final = 3
-"""So often a manifest is fetched that arrives altered."""
 
 
 @dataclass(frozen=True)
@@ -157,12 +155,12 @@ def read_manifest(where: Path | Store) -> Manifest:
     """Read and check the manifest of a set. Raises BadShard with the file and the rule broken, or Unreachable."""
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
-    for attempt in range(1, _TIMES + 1):
+    for attempt in range(1, TIMES + 1):
         data = _contents(store, path)
         try:
             return _manifest(_tree(data, path), path)
         except BadShard:
-            if attempt == _TIMES or not store.doubt(MANIFEST_NAME):
+            if attempt == TIMES or not store.doubt(MANIFEST_NAME):
                 raise
     raise AssertionError("the last attempt returns or raises")
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from PIL import Image, ImageDraw, ImageFont
 
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.errors import BadConfig, MissingLibrary
 from bodyseg_data.files import write_atomically
 from bodyseg_data.parts import COLOURS, PART_COUNT, PARTS
 
@@ -52,6 +52,18 @@ def save_picture(picture: Image.Image, path: Path) -> None:
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     _write(buffer.getvalue(), path)
+
+
+def new_chart(width: float, height: float) -> Any:
+    """An empty figure of matplotlib, inches, that needs no display. Raises MissingLibrary without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def save_chart(figure: Any, path: Path, dpi: int) -> None:

@@ -19,11 +19,9 @@ from bodyseg_data.files import sync_folder
 from bodyseg_data.manifest import Manifest, ShardRecord
 from bodyseg_data.sample import Sample, check_key
 from bodyseg_data.splits import Split
-from bodyseg_data.stores import Store, open_file, store_at
+from bodyseg_data.stores import TIMES, Store, open_file, store_at
 
 _BLOCK: Final = 512
-_TIMES: Final = 3
-"""So often altered bytes are read, if they come over a network, before they count as what is there."""
 
 
 class ShardWriter:
@@ -157,7 +155,7 @@ class ShardReader:
         """
         record = self._manifest.shards[shard]
         where = place(record, index)
-        for attempt in range(1, _TIMES + 1):
+        for attempt in range(1, TIMES + 1):
             try:
                 data = self._store.read(record.name, record.offsets[index], record.lengths[index])
             except OSError as error:
@@ -166,7 +164,7 @@ class ShardReader:
                 check_bytes(data, record, index)
                 break
             except BadShard:
-                if attempt == _TIMES or not self._store.doubt(record.name):
+                if attempt == TIMES or not self._store.doubt(record.name):
                     raise
         key = record.keys[index]
         try:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
 _OTHERS: Final = "#77777f"
@@ -26,13 +25,7 @@ def draw_codec(figures: dict[str, Any], path: Path) -> None:
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-    figure = Figure(figsize=(10.5, 7), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(10.5, 7)
     axis: Any = figure.subplots()
     rows = figures["codecs"]
     ends = [(rows[name]["decode_ms"], rows[name]["bytes"] / 1000) for name in figures["front"]]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
 _RIVALS: Final = "#6e6e76"
@@ -31,13 +30,7 @@ def draw_loader(figures: dict[str, Any], path: Path) -> None:
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-    figure = Figure(figsize=(12, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(12, 6.2)
     speed, size = figure.subplots(1, 2, width_ratios=(3, 1.35), sharey=True)
     _speeds(speed, figures)
     _sizes(size, figures)

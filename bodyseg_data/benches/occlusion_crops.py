@@ -12,9 +12,8 @@ from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.benches.occlusion_tallies import WORST_CROP, Seen
 from bodyseg_data.benches.occlusion_views import GROUPS, SCALES, ExactView, bodies_of, exact_view, with_baseline
 from bodyseg_data.bodies import open_source
-from bodyseg_data.errors import MissingLibrary
 from bodyseg_data.partition import partition
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rig import load_rig
 from bodyseg_data.views import View
@@ -35,16 +34,11 @@ def draw_crops(figures: dict[str, Any], path: Path) -> None:
     figures: what the bench measured; the views are rendered anew. Raises MissingLibrary without matplotlib, BadConfig
     if the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
     crops = figures["worst_crops"]
     rows = -(-len(crops) // _COLUMNS)
-    figure = Figure(figsize=(13.5, 2.35 * rows + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(13.5, 2.35 * rows + 0.4)
+    from matplotlib.patches import Patch
+
     cells: Any = figure.subfigures(rows, _COLUMNS, squeeze=False, wspace=0.03)
     for cell, crop in zip(cells.ravel(), crops, strict=False):
         seen, lit = _render(crop)

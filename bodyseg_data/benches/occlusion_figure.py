@@ -7,8 +7,7 @@ from typing import Any, Final
 
 from bodyseg_data.benches.occlusion_crops import draw_crops
 from bodyseg_data.benches.occlusion_rivals import DEFAULT
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 Row = dict[str, Any]
 Setting = tuple[Any, ...]
@@ -71,17 +70,11 @@ def draw_occlusion(figures: Row, path: Path) -> None:
 
     Raises MissingLibrary without matplotlib, BadConfig if a file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
     rows = [row for row in figures["methods"] if row["wrong_pixels"] <= _TOP]
     maps = [row for row in rows if row["family"] in _FAMILIES and row["form"] == "numpy"]
     compiled = [row for row in rows if row["form"] == "compiled"]
     mask = next(row for row in rows if row["family"] not in _FAMILIES)
-    figure = Figure(figsize=(14, 12), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(14, 12)
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
     upper, lower = parts
     axes: Any = upper.subplots(1, 2, sharey=True)

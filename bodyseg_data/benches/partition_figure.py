@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
 _MARKERS: Final = {"exact": "*", "unfolded": "o", "edges": "s", "marching": "^", "heat": "D"}
@@ -32,19 +31,12 @@ def draw_partition(figures: dict[str, Any], path: Path) -> None:
     """Write a PNG of what `bench_partition` measured. Raises MissingLibrary without matplotlib, BadConfig if the file
     cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-
     scan = next(name for name in figures["bodies"] if name.startswith("scan"))
     panels = [(f"open bodies ({len(figures['open'])})", figures["methods"])]
     if isinstance(figures["mit"], dict):
         panels.append((f"MIT frames ({len(figures['mit']['frames'])})", figures["mit"]["methods"]))
     panels.append((scan, figures["bodies"][scan]["methods"]))
-    figure = Figure(figsize=(13, 9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(13, 9)
     halves: Any = figure.subfigures(2, 1, height_ratios=(1, 0.95))
     upper, lower = halves
     axes: Any = upper.subplots(1, len(panels), sharey=True, squeeze=False)

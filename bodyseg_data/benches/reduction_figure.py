@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 _NOTHING: Final = 0.01  # mm; where "none" is drawn, since a log axis has no zero
 _TITLES: Final = {
@@ -23,14 +22,7 @@ def draw_reduction(figures: dict[str, Any], path: Path) -> None:
     """Write a PNG of what `bench_reduction` measured. Raises MissingLibrary without matplotlib, BadConfig if the file
     cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-
-    figure = Figure(figsize=(13, 6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(13, 6)
     axes: Any = figure.subplots(1, 2)
     least = figures["default"]["from_triangles"]
     for name, kind in figures["kinds"].items():

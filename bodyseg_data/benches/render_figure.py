@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.pictures import save_chart
+from bodyseg_data.pictures import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
 _PLAIN: Final = "#9a9aa2"
@@ -26,13 +25,7 @@ def draw_render(figures: dict[str, Any], path: Path) -> None:
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-    figure = Figure(figsize=(11, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_chart(11, 7.2)
     rows: Any = figure.subplots(3, 1, height_ratios=(2.3, 2.2, len(figures["steps"]) + 0.6))
     _speed(rows[0], figures)
     _stages(rows[1], figures)

@@ -10,6 +10,9 @@ from typing import Any, Final, Protocol
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.files import contents
 
+TIMES: Final = 3
+"""So often altered bytes are fetched before they count as what is there."""
+
 _BUFFER_BYTES: Final = 4 << 20
 
 
