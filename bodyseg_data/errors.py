@@ -60,5 +60,9 @@ class WorkerLost(BodysegError):
     """A worker process of a loader has ended, or failed, before its work was done."""
 
 
+class Diverged(BodysegError):
+    """A training's loss is no longer a number."""
+
+
 class MissingLibrary(BodysegError):
     """An optional package or a system library that the chosen feature needs is not installed."""

@@ -17,6 +17,7 @@ from torch import nn
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.parts import PART_COUNT
+from bodyseg_model.range_input import check_range_images
 
 STRIDE: Final = 32
 _PADDING: Final = 100
@@ -34,24 +35,28 @@ class FcnAlexnet(nn.Module):
     """Range image -> scores of the 33 parts, at the image's own size, whatever it is.
 
     normalise: AlexNet's local response normalisation after conv1 and conv2. It has no parameters; Fig. 4 does not list
-    it, but weights imported from AlexNet were learned with it.
+    it, but weights imported from AlexNet were learned with it. width: a share of all channel counts up to conv7, for
+    measuring what width is worth; the paper's network is 1.
 
     New layers are drawn from a Gaussian of standard deviation 0.01, those of AlexNet as in `nn.Conv2d` until
     `pretrained.import_alexnet` fills them. Upfeat is bilinear and frozen; its filters are stored between all 16 x 16
     channels, as Caffe stores them, which makes 57.9 million parameters in all.
     """
 
-    def __init__(self, normalise: bool = False) -> None:
+    def __init__(self, normalise: bool = False, width: float = 1.0) -> None:
         super().__init__()
-        self.normalise = normalise
-        self.conv1 = nn.Conv2d(1, 96, 11, stride=4, padding=_PADDING)
-        self.conv2 = nn.Conv2d(96, 256, 5, padding=2, groups=2)
-        self.conv3 = nn.Conv2d(256, 384, 3, padding=1)
-        self.conv4 = nn.Conv2d(384, 384, 3, padding=1, groups=2)
-        self.conv5 = nn.Conv2d(384, 256, 3, padding=1, groups=2)
-        self.conv6 = nn.Conv2d(256, 4096, 6)
-        self.conv7 = nn.Conv2d(4096, 4096, 1)
-        self.conv8 = nn.Conv2d(4096, 16, 1)
+        if not 1 / 16 <= width <= 4:
+            raise BadConfig(f"width must be from 1/16 to 4, found {width!r}")
+        self.normalise, self.width = normalise, width
+        c1, c2, c3, c4, c5, c6 = (2 * round(count * width / 2) for count in (96, 256, 384, 384, 256, 4096))
+        self.conv1 = nn.Conv2d(1, c1, 11, stride=4, padding=_PADDING)
+        self.conv2 = nn.Conv2d(c1, c2, 5, padding=2, groups=2)
+        self.conv3 = nn.Conv2d(c2, c3, 3, padding=1)
+        self.conv4 = nn.Conv2d(c3, c4, 3, padding=1, groups=2)
+        self.conv5 = nn.Conv2d(c4, c5, 3, padding=1, groups=2)
+        self.conv6 = nn.Conv2d(c5, c6, 6)
+        self.conv7 = nn.Conv2d(c6, c6, 1)
+        self.conv8 = nn.Conv2d(c6, 16, 1)
         self.upfeat = nn.ConvTranspose2d(16, 16, _KERNEL, stride=STRIDE, bias=False)
         self.score = nn.Conv2d(16, PART_COUNT, 1)
         for layer in (self.conv8, self.score):
@@ -67,8 +72,7 @@ class FcnAlexnet(nn.Module):
 
         Raises BadConfig for any other shape.
         """
-        if range_m.ndim != 4 or range_m.shape[1] != 1 or not range_m.numel():
-            raise BadConfig(f"range images must be [B, 1, H, W], found {list(range_m.shape)}")
+        check_range_images(range_m)
         rows, columns = range_m.shape[2:]
         x = self._pool(self._norm(self.conv1(range_m * RANGE_SCALE).relu()))
         x = self._pool(self._norm(self.conv2(x).relu()))

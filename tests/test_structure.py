@@ -156,7 +156,7 @@ def test_streaming_and_planning_need_no_renderer(statement: str) -> None:
 def test_streaming_installs_no_renderer() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     core = {name.partition(">")[0].partition("=")[0] for name in project["dependencies"]}
-    assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "tqdm"}
+    assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "safetensors", "tqdm"}
 
 
 def test_every_dependency_is_pinned_and_explained() -> None:

@@ -25,19 +25,22 @@ class Progress:
     def __enter__(self) -> Progress:
         return self
 
-    def update(self, done: int, total: int) -> None:
-        """Show that `done` of `total` are done."""
+    def update(self, done: int, total: int, note: str = "") -> None:
+        """Show that `done` of `total` are done. note: what else there is to say."""
         self.before = done if self.before is None else self.before
         if sys.stderr.isatty():
             if self._bar is None:
                 # What an earlier run finished is no measure of this one's speed.
                 self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
+            self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(done - self._bar.n)
             return
         now = time.monotonic()
         if done == total or now - self._last >= _SECONDS_BETWEEN_LINES:
             self._last = now
-            sys.stderr.write(f"{self.title}: {done} of {total} {self._unit}, {now - self._start:.0f} s\n")
+            sys.stderr.write(
+                f"{self.title}: {done} of {total} {self._unit}, {now - self._start:.0f} s{note and ': '}{note}\n"
+            )
             sys.stderr.flush()
 
     def __exit__(

@@ -1,0 +1,178 @@
+"""`bodyseg train`: train a network on one variant of a set."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from bodyseg_data import RangeImages
+from bodyseg_data.benches.provenance import provenance
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import option
+from bodyseg_data.randomness import generator
+from bodyseg_data.variants import VariantName
+from bodyseg_model.fcn_alexnet import FcnAlexnet
+from bodyseg_model.networks import build
+from bodyseg_model.placements import Placements
+from bodyseg_model.pretrained import import_alexnet
+from bodyseg_model.ranks import joined_ranks
+from bodyseg_model.recipes import recipe_for
+from bodyseg_model.run_folder import RunFolder
+from bodyseg_model.training import Course, Figures, Report, Training
+
+EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    data: str = option("folder or address of a set of shards; its train split is used")
+    out: Path = option("folder of the run: log, checkpoints, network")
+    variant: VariantName = option("which artifacts the images have", "all")
+    network: Literal["fcn_alexnet", "compact"] = option("which network", "compact")
+    steps: int | None = option("how often weights change (default: the network's recipe)", None)
+    batch: int | None = option("images that go through the network together (default: the recipe's)", None)
+    accumulate: int | None = option("such batches a step (default: the recipe's)", None)
+    rate: float | None = option("learning rate of the last layer (default: the recipe's)", None)
+    no_placements: bool = option("leave bodies where they are: turn, zoom and cut none", False)
+    seed: int = option("of weights, order, artifacts and all other draws", 0)
+    resume: bool = option("carry on from the folder's last checkpoint", False)
+    pretrained: Path | None = option("start fcn_alexnet from this AlexNet (.onnx or .caffemodel)", None)
+    settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
+    precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
+    compile: bool = option("compile the network for this machine first", False)
+    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    threads: int | None = option("threads that compute on the processor (default: all)", None)
+    workers: int = option("processes that load images", 2)
+    keep_every: int = option("steps between checkpoints", 500)
+    log_every: int = option("steps between lines of the log", 20)
+
+
+def run(options: Options) -> int:
+    """Train to the end."""
+    if options.threads is not None:
+        if options.threads < 1:
+            raise BadConfig(f"--threads must be at least 1, found {options.threads}")
+        torch.set_num_threads(options.threads)
+    recipe = recipe_for(
+        options.network,
+        steps=options.steps,
+        batch=options.batch,
+        accumulate=options.accumulate,
+        rate=options.rate,
+        placements=Placements() if options.no_placements else None,
+        bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
+    )
+    course = Course(options.log_every, options.keep_every, options.workers, options.compile)
+    images = RangeImages(options.data, options.variant, "train", options.seed)
+    network = _network(options)
+    with joined_ranks(options.device) as ranks, contextlib.ExitStack() as stack:
+        folder = RunFolder(options.out)
+        training = Training(network, options.network, images, recipe, folder, ranks, options.seed, course)
+        facts = {**provenance(_command(options)), "pretrained": None}
+        if options.pretrained is not None:
+            facts["pretrained"] = options.pretrained.name
+        report = stack.enter_context(_reporting(options, recipe.steps)) if ranks.first else _silent
+        training.run(options.resume, report, facts)
+    return 0
+
+
+def _silent(figures: Figures) -> None:
+    pass
+
+
+def _network(options: Options) -> torch.nn.Module:
+    torch.manual_seed(int(generator(options.seed, 0, "", "weights").integers(2**62)))
+    network = build(options.network, _settings(options.settings))
+    if options.pretrained is not None:
+        if not isinstance(network, FcnAlexnet):
+            raise BadConfig(f"--pretrained is for fcn_alexnet, not {options.network}")
+        import_alexnet(network, options.pretrained)
+    return network
+
+
+def _settings(text: str) -> dict[str, Any]:
+    try:
+        settings = json.loads(text)
+    except ValueError as error:
+        raise BadConfig(f"--settings must be JSON like '{{\"patch\": 8}}', found {text!r}: {error}") from error
+    if not isinstance(settings, dict):
+        raise BadConfig(f"--settings must be a JSON object, found {text!r}")
+    return settings
+
+
+def _command(options: Options) -> str:
+    """The command line that would do the same."""
+    words = ["bodyseg train"]
+    for name, value in vars(options).items():
+        default = Options.__dataclass_fields__[name].default
+        if value is True:
+            words.append(f"--{name.replace('_', '-')}")
+        elif value is not None and value != default:
+            words.append(f"--{name.replace('_', '-')} {value}")
+    return " ".join(words)
+
+
+@contextlib.contextmanager
+def _reporting(options: Options, steps: int) -> Iterator[Report]:
+    """Progress on standard error, and TensorBoard's log where that is installed."""
+    board = _board(options.out / "tensorboard")
+    start = time.monotonic()
+    first: list[int] = []
+
+    def report(figures: Figures) -> None:
+        first.append(figures.step - options.log_every)
+        done = figures.step - max(0, first[0])
+        left = (time.monotonic() - start) / max(1, done) * (steps - figures.step)
+        progress.update(
+            figures.step,
+            steps,
+            f"loss {figures.loss:.3f}, right {figures.right:.1%}, per class {figures.accuracy:.1%}, "
+            f"{figures.images_per_second:.0f} images/s, waited {figures.waited:.0%}, {left:.0f} s left",
+        )
+        if board is not None:
+            for name in ("loss", "accuracy", "right", "rate", "images_per_second", "waited"):
+                board.add_scalar(name, getattr(figures, name), figures.step)
+
+    try:
+        with Progress("training", "steps") as progress:
+            yield report
+    finally:
+        if board is not None:
+            board.close()
+
+
+def _board(path: Path) -> Any:
+    """TensorBoard's writer, which makes its files at the first figures; None without the package."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
+        return None
+    return _Board(path, SummaryWriter)
+
+
+class _Board:
+    """Opens the writer late: a refused training leaves nothing behind."""
+
+    def __init__(self, path: Path, writer: Any) -> None:
+        self._path, self._new, self._writer = path, writer, None
+
+    def add_scalar(self, name: str, value: float, step: int) -> None:
+        if self._writer is None:
+            self._writer = self._new(str(self._path))
+        self._writer.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()

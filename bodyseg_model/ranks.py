@@ -1,0 +1,63 @@
+"""One process or several: torchrun's surroundings, and which device each process computes on."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+import torch.distributed
+
+from bodyseg_data.batch_order import find_ranks
+from bodyseg_data.errors import BadConfig
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Process number `rank` of `ranks`, which computes on `device`."""
+
+    rank: int
+    ranks: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the process that writes files and talks."""
+        return self.rank == 0
+
+    def add_up(self, values: torch.Tensor) -> torch.Tensor:
+        """The sum of `values` over all processes, in every one of them."""
+        if self.ranks > 1:
+            torch.distributed.all_reduce(values)
+        return values
+
+
+@contextlib.contextmanager
+def joined_ranks(device: str | None = None) -> Iterator[Ranks]:
+    """Join torchrun's other processes, if there are any, for as long as the context lasts.
+
+    device: "cpu", "cuda", "cuda:1" ...; None takes the GPU of this process's number, else the processor. Raises
+    BadConfig for a device that is not there.
+    """
+    rank, ranks = find_ranks()
+    chosen = _device(device)
+    if ranks > 1:
+        torch.distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    try:
+        yield Ranks(rank, ranks, chosen)
+    finally:
+        if ranks > 1:
+            torch.distributed.destroy_process_group()
+
+
+def _device(name: str | None) -> torch.device:
+    if name is None:
+        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, ValueError) as error:
+        raise BadConfig(f"cannot compute on the device {name!r}: {str(error).splitlines()[0]}") from error
+    return device
