@@ -2,8 +2,8 @@
 
 What it leaves out is what a person in a range image does not need. Its first layer looks at patches of 16 x 16 pixels
 at once, so that nothing is computed at full resolution but nothing is thrown away either: noise and missing pixels are
-averaged by filters that are learned. All other layers work where a cell is 16 to 64 pixels wide, since a part is told by
-where it is in the body. Every cell answers for 4 x 4 places within it, and between those answers are interpolated.
+averaged by filters that are learned. All other layers work where a cell is 16 to 64 pixels wide, since a part is told
+by where it is in the body. Every cell answers for 4 x 4 places within it, and between those answers are interpolated.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class CompactSettings:
 
     patch: pixels of the image along one side of what the first layer sees at once; even. widths: channels at
     1 / patch, 1 / (2 patch) ... of the image's resolution. blocks: residual blocks at each. context: whether every
-    place also learns the mean over the whole image.
+    place also learns the mean over the whole body.
     """
 
     patch: int = 16
@@ -57,6 +57,9 @@ class Compact(nn.Module):
 
     stride: Final = 4
     """Pixels of the image between two answers of `coarse`."""
+
+    margin: Final = 64
+    """Empty pixels around a body after which more of them no longer matter much."""
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
         super().__init__()
@@ -86,15 +89,15 @@ class Compact(nn.Module):
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
         patch = self.settings.patch
-        x = F.pad(_relief(range_m), (0, -columns % patch, 0, -rows % patch))
-        x = F.pixel_unshuffle(x, patch).contiguous(memory_format=torch.channels_last)
+        relief = F.pad(_relief(range_m), (0, -columns % patch, 0, -rows % patch))
+        x = F.pixel_unshuffle(relief, patch).contiguous(memory_format=torch.channels_last)
         x = self.embed(x)
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(x.mean((2, 3), keepdim=True))
+            x = x + self.context(_mean_over_body(x, relief[:, 1:], patch << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = F.pixel_shuffle(self.head(x), self._fine) if self._fine > 1 else self.head(x)
@@ -119,6 +122,14 @@ def _relief(range_m: torch.Tensor) -> torch.Tensor:
     count = measured.sum((1, 2, 3), keepdim=True).clamp(min=1)
     mean = range_m.sum((1, 2, 3), keepdim=True) / count
     return torch.cat([(range_m - mean) * measured * _RELIEF, measured], 1)
+
+
+def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:
+    """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], each weighing as much as was measured in it: how much empty
+    space lies around a body must not matter. measured: [B, 1, H, W]; cell: pixels along one side of a cell.
+    """
+    weight = F.avg_pool2d(measured, cell, ceil_mode=True, count_include_pad=False)
+    return (x * weight).sum((2, 3), keepdim=True) / weight.sum((2, 3), keepdim=True).clamp(min=1e-6)
 
 
 def _layer(inputs: int, outputs: int, size: int, stride: int = 1) -> nn.Sequential:

@@ -81,8 +81,9 @@ def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int
 def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     """Labels and confidences of range images in metres, float32 [B, 1, H, W], 0 = nothing measured.
 
-    `network` must be in evaluation mode. It is shown the smallest rectangle that holds every body of the batch; where
-    its scores are coarser than the image, probabilities are interpolated between them. Raises BadConfig for a wrong
+    `network` must be in evaluation mode. One that bears it (`margin`) is shown the bodies of the batch with as much space
+    around them, not the whole image; where its scores are coarser than the image, probabilities are interpolated between
+    them. Raises BadConfig for a wrong
     shape or a network in training mode.
     """
     check_range_images(range_m)
@@ -94,7 +95,7 @@ def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     box = bounds(measured)
     if box is None:
         return Prediction(labels, confidence)
-    top, bottom, left, right = box
+    top, bottom, left, right = _grown(box, getattr(network, "margin", None), measured.shape[1], measured.shape[2])
     scores, step = coarse(network, range_m[:, :, top:bottom, left:right])
     likely = scores.float().softmax(1)
     if step > 1:
@@ -104,3 +105,11 @@ def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     labels[:, top:bottom, left:right] = torch.where(seen, label.to(torch.uint8), BACKGROUND)
     confidence[:, top:bottom, left:right] = torch.where(seen, best, 0.0)
     return Prediction(labels, confidence)
+
+
+def _grown(box: tuple[int, int, int, int], margin: int | None, rows: int, columns: int) -> tuple[int, int, int, int]:
+    """A rectangle with `margin` pixels more on every side, but within the image; without a margin the whole image."""
+    if margin is None:
+        return 0, rows, 0, columns
+    top, bottom, left, right = box
+    return max(0, top - margin), min(rows, bottom + margin), max(0, left - margin), min(columns, right + margin)
