@@ -59,7 +59,7 @@ class Compact(nn.Module):
     """Pixels of the image between two answers of `coarse`."""
 
     margin: Final = 64
-    """Empty pixels around a body after which more of them no longer matter much."""
+    """Empty pixels around a body after which more of them hardly matter."""
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
         super().__init__()

@@ -26,24 +26,28 @@ MIRRORED_PARTS: Final = _mirrored_parts()
 """uint8 [256]: label -> label of its mirror image; parts of the middle, and what is no part, are their own."""
 
 
-def bounds(measured: torch.Tensor) -> tuple[int, int, int, int] | None:
-    """Top, bottom, left and right of the smallest rectangle that holds all that is True in bool [B, H, W], if any."""
-    edges = []
-    for other in (2, 1):
+def body_window(measured: torch.Tensor, margin: int) -> tuple[slice, slice] | None:
+    """Rows and columns around all that is True in bool [B, H, W], with `margin` more on every side; None if nothing is.
+
+    It begins at multiples of `margin`, so that a network that looks at an image cell by cell sees the same cells.
+    """
+    window = []
+    for other, size in ((2, measured.shape[1]), (1, measured.shape[2])):
         (places,) = torch.nonzero(measured.any(other).any(0), as_tuple=True)
         if not len(places):
             return None
-        edges += [int(places[0]), int(places[-1]) + 1]
-    return edges[0], edges[1], edges[2], edges[3]
+        first = max(0, int(places[0]) - margin) // margin * margin
+        window.append(slice(first, min(size, int(places[-1]) + 1 + margin)))
+    return window[0], window[1]
 
 
-def cut_to_bodies(range_m: torch.Tensor, labels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Views of range [B, 1, H, W] and labels [B, H, W] that hold every body of the batch; all of both if none is."""
-    box = bounds(range_m[:, 0] > 0)
-    if box is None:
+def cut_to_bodies(range_m: torch.Tensor, labels: torch.Tensor, margin: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """The part of range [B, 1, H, W] and labels [B, H, W] in `body_window`; all of both if there is no body."""
+    window = body_window(range_m[:, 0] > 0, margin)
+    if window is None:
         return range_m, labels
-    top, bottom, left, right = box
-    return range_m[:, :, top:bottom, left:right], labels[:, top:bottom, left:right]
+    rows, columns = window
+    return range_m[:, :, rows, columns], labels[:, rows, columns]
 
 
 def mirror(range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

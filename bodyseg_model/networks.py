@@ -13,7 +13,7 @@ from torch import nn
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_model.compact import Compact, CompactSettings
-from bodyseg_model.crops import bounds
+from bodyseg_model.crops import body_window
 from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.range_input import check_range_images
 
@@ -77,14 +77,18 @@ def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int
     return network(range_m), 1
 
 
+def margin(network: nn.Module) -> int:
+    """Empty pixels around a body after which more of them do not matter to a network; 2 ** 16 if they always do."""
+    return network.margin if isinstance(network, Compact) else 1 << 16
+
+
 @torch.inference_mode()
 def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     """Labels and confidences of range images in metres, float32 [B, 1, H, W], 0 = nothing measured.
 
-    `network` must be in evaluation mode. One that bears it (`margin`) is shown the bodies of the batch with as much space
-    around them, not the whole image; where its scores are coarser than the image, probabilities are interpolated between
-    them. Raises BadConfig for a wrong
-    shape or a network in training mode.
+    `network` must be in evaluation mode. It is shown the bodies of the batch with its `margin` around them, not the
+    whole image; where its scores are coarser than the image, they are interpolated, as they were in training. Raises
+    BadConfig for a wrong shape or a network in training mode.
     """
     check_range_images(range_m)
     if network.training:
@@ -92,24 +96,17 @@ def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     confidence = torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device)
-    box = bounds(measured)
-    if box is None:
+    window = body_window(measured, margin(network))
+    if window is None:
         return Prediction(labels, confidence)
-    top, bottom, left, right = _grown(box, getattr(network, "margin", None), measured.shape[1], measured.shape[2])
-    scores, step = coarse(network, range_m[:, :, top:bottom, left:right])
-    likely = scores.float().softmax(1)
+    rows, columns = window
+    seen = measured[:, rows, columns]
+    scores, step = coarse(network, range_m[:, :, rows, columns])
+    scores = scores.float().contiguous(memory_format=torch.channels_last)
     if step > 1:
-        likely = F.interpolate(likely, scale_factor=step, mode="bilinear", align_corners=False)
-    best, label = likely[:, :, : bottom - top, : right - left].max(1)
-    seen = measured[:, top:bottom, left:right]
-    labels[:, top:bottom, left:right] = torch.where(seen, label.to(torch.uint8), BACKGROUND)
-    confidence[:, top:bottom, left:right] = torch.where(seen, best, 0.0)
+        scores = F.interpolate(scores, scale_factor=step, mode="bilinear", align_corners=False)
+    scores = scores.permute(0, 2, 3, 1)[:, : seen.shape[1], : seen.shape[2]][seen]
+    best, label = scores.max(1)
+    labels[:, rows, columns][seen] = label.to(torch.uint8)
+    confidence[:, rows, columns][seen] = 1 / (scores - best[:, None]).exp_().sum(1)
     return Prediction(labels, confidence)
-
-
-def _grown(box: tuple[int, int, int, int], margin: int | None, rows: int, columns: int) -> tuple[int, int, int, int]:
-    """A rectangle with `margin` pixels more on every side, but within the image; without a margin the whole image."""
-    if margin is None:
-        return 0, rows, 0, columns
-    top, bottom, left, right = box
-    return max(0, top - margin), min(rows, bottom + margin), max(0, left - margin), min(columns, right + margin)

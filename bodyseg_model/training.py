@@ -26,7 +26,7 @@ from bodyseg_data.randomness import generator
 from bodyseg_data.streaming import Batch
 from bodyseg_model.checkpoints import save_network
 from bodyseg_model.crops import cut_to_bodies, mirror, mirror_draws
-from bodyseg_model.networks import settings_of
+from bodyseg_model.networks import margin, settings_of
 from bodyseg_model.objective import Objective, part_weights
 from bodyseg_model.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_rate
 from bodyseg_model.ranks import Ranks
@@ -184,7 +184,7 @@ class Training:
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
             if recipe.crop:
-                range_m, labels = cut_to_bodies(range_m, labels)
+                range_m, labels = cut_to_bodies(range_m, labels, margin(self.network))
             if recipe.mirror:
                 range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
             range_m, labels = recipe.placements(range_m, labels, self.seed, epoch, batch["key"])

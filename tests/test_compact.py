@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_model.compact import Compact, CompactSettings
+from bodyseg_model.compact import Compact, CompactSettings, _mean_over_body
 from bodyseg_model.networks import build, coarse, parameters, predict, settings_of
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
@@ -132,13 +132,14 @@ def test_predictions_name_a_part_at_every_pixel_of_the_body_and_nowhere_else() -
     assert confidence.max() <= 1 + 1e-6
 
 
-def test_predictions_are_the_likeliest_part_of_interpolated_probabilities() -> None:
-    made, range_m = network(), figure(40, 32) + 1.0  # fills the frame: nothing is cut away
+def test_predictions_are_the_likeliest_part_of_interpolated_scores() -> None:
+    made, range_m = network(), torch.cat([figure(41, 30), figure(41, 30, seed=1)])
     with torch.no_grad():
-        likely = torch.nn.functional.interpolate(made.coarse(range_m).softmax(1), scale_factor=4, mode="bilinear")
+        likely = made(range_m).softmax(1)
     labels, confidence = predict(made, range_m)
-    assert torch.equal(labels.long(), likely.argmax(1))
-    torch.testing.assert_close(confidence, likely.amax(1))
+    body = range_m[:, 0] > 0
+    assert torch.equal(labels[body].long(), likely.argmax(1)[body])
+    torch.testing.assert_close(confidence[body], likely.amax(1)[body])
 
 
 def test_an_empty_image_has_no_parts() -> None:
@@ -155,3 +156,31 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
 def test_an_unknown_network_is_refused() -> None:
     with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, found 'unet'"):
         build("unet")
+
+
+def test_space_far_from_bodies_does_not_matter() -> None:
+    """Predictions from a window around the body are those from the whole image."""
+    made = network(CompactSettings(patch=8, widths=(6, 8), blocks=(0, 1)))
+    range_m = torch.zeros(1, 1, 400, 420)
+    range_m[:, :, 150:230, 170:220] = figure(80, 50)
+    with torch.no_grad():
+        whole = made(range_m).argmax(1)
+    labels, _ = predict(made, range_m)
+    body = range_m[0, 0] > 0
+    assert torch.equal(labels[0][body].long(), whole[0][body])
+
+
+def test_the_body_is_what_context_is_the_mean_of() -> None:
+    x = torch.randn(2, 3, 4, 5)
+    measured = (torch.rand(2, 1, 15, 20, generator=torch.Generator().manual_seed(0)) < 0.3).float()
+    expected = torch.zeros(2, 3)
+    for image in range(2):
+        total = 0.0
+        for row in range(4):
+            for column in range(5):
+                cell = measured[image, 0, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
+                expected[image] += x[image, :, row, column] * cell.mean()
+                total += float(cell.mean())
+        expected[image] /= total
+    torch.testing.assert_close(_mean_over_body(x, measured, 4)[:, :, 0, 0], expected)
+    assert not _mean_over_body(x, torch.zeros(2, 1, 15, 20), 4).any()
