@@ -23,6 +23,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
+    "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "bench": ("bodyseg_data.commands.bench", "measure speed and accuracy side by side"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),

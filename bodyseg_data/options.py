@@ -15,9 +15,12 @@ from bodyseg_data.errors import BadConfig
 Options = TypeVar("Options")
 
 
-def option(text: str, default: Any = dataclasses.MISSING, positional: bool = False) -> Any:
-    """A field of an options class: its help text, its default (none: required), and whether it has no dashes."""
-    return dataclasses.field(default=default, metadata={"help": text, "positional": positional})
+def option(text: str, default: Any = dataclasses.MISSING, positional: bool = False, address: bool = False) -> Any:
+    """A field of an options class: its help text, its default (none: required), and whether it has no dashes.
+
+    address: whether its text is a path or an address.
+    """
+    return dataclasses.field(default=default, metadata={"help": text, "positional": positional, "address": address})
 
 
 def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: str, example: str) -> Options:
@@ -37,6 +40,32 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]  # the caller gives a dataclass
         _add(parser, field, hints[field.name])
     return kind(**vars(parser.parse_args(list(arguments))))
+
+
+def command_line(program: str, options: Any) -> str:
+    """The command line that gives these options, for what stands beside results.
+
+    Of paths on this machine it has the names only: where they lie is nobody's business and would help nobody.
+    """
+    hints = typing.get_type_hints(type(options))
+    words = [program]
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if value == field.default:
+            continue
+        values = value if isinstance(value, tuple) else (value,)
+        named = field.metadata["address"] or _kind(hints[field.name])[0] is Path
+        texts = [place_name(str(each)) if named else str(each) for each in values]
+        if not field.metadata["positional"]:
+            words.append("--" + field.name.replace("_", "-"))
+        if hints[field.name] is not bool:
+            words += texts
+    return " ".join(words)
+
+
+def place_name(path: str) -> str:
+    """An address, or the last name of a path."""
+    return path if "://" in path else Path(path).name
 
 
 class _Parser(argparse.ArgumentParser):

@@ -36,10 +36,14 @@ class Trained:
     card: dict[str, Any]
 
 
-def save_network(path: Path, network: nn.Module, name: str, facts: Mapping[str, Any]) -> None:
-    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig."""
+def save_network(path: Path, network: nn.Module, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
+    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
+
+    half: filters in 16 bits, for half the bytes; scales, biases and statistics stay in 32.
+    """
     card = {"format": FORMAT, "network": name, "settings": settings_of(network), **facts}
-    write_tensors(path, network.state_dict())
+    weights = network.state_dict()
+    write_tensors(path, {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()})
     write_json(path.with_suffix(".json"), card)
 
 
@@ -74,7 +78,8 @@ def fill(network: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) ->
         raise BadConfig(f"{file} {'lacks' if name in expected else 'has no use for'} the weights {name!r}")
     for name, weight in expected.items():
         found = tensors[name]
-        if found.shape != weight.shape or found.dtype != weight.dtype:
+        halved = found.dtype == torch.float16 and weight.dtype == torch.float32
+        if found.shape != weight.shape or not (halved or found.dtype == weight.dtype):
             raise BadConfig(
                 f"{file}: {name!r} must be {weight.dtype} {list(weight.shape)}, found {found.dtype} {list(found.shape)}"
             )

@@ -38,11 +38,10 @@ class Ranks:
 def joined_ranks(device: str | None = None) -> Iterator[Ranks]:
     """Join torchrun's other processes, if there are any, for as long as the context lasts.
 
-    device: "cpu", "cuda", "cuda:1" ...; None takes the GPU of this process's number, else the processor. Raises
-    BadConfig for a device that is not there.
+    device: see `find_device`. Raises BadConfig.
     """
     rank, ranks = find_ranks()
-    chosen = _device(device)
+    chosen = find_device(device)
     if ranks > 1:
         torch.distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     try:
@@ -52,7 +51,11 @@ def joined_ranks(device: str | None = None) -> Iterator[Ranks]:
             torch.distributed.destroy_process_group()
 
 
-def _device(name: str | None) -> torch.device:
+def find_device(name: str | None = None) -> torch.device:
+    """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's number, else the processor.
+
+    Raises BadConfig for a device that is not there.
+    """
     if name is None:
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
     try:

@@ -19,10 +19,10 @@ class Recipe:
     accumulate: such batches a step. optimiser: "sgd" (with `momentum`) or "adamw". rate: of the last layer. graded:
     the deepest layer's rate as a share of the last's; those between rise geometrically. warmup: share of the steps
     over which the rate rises from 0; cosine: whether it then falls to 0, else it stays. clip: largest norm of a
-    gradient, 0 for no limit. crop: whether batches are cut to the bodies in them, with the network's margin. mirror: whether half of the images
-    are shown as in a mirror, left and right parts exchanged. balance: parts weigh their share of all pixels to the
-    power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16. placements: how bodies are
-    moved in the image plane.
+    gradient, 0 for no limit. crop: whether batches are cut to the bodies in them, with the network's margin. mirror:
+    whether half of the images are shown as in a mirror, left and right parts exchanged. balance: parts weigh their
+    share of all pixels to the power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16.
+    placements: how bodies are moved in the image plane.
     """
 
     steps: int

@@ -40,6 +40,20 @@ def test_a_network_comes_back_as_it_was(tmp_path: Path, name: str, settings: dic
             assert torch.equal(trained.network(range_m), network(range_m))
 
 
+def test_half_the_bytes_cost_little(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = build("compact", {"patch": 16, "widths": [32, 48], "blocks": [1, 1]}).eval()
+    save_network(tmp_path / "whole.safetensors", network, "compact", {})
+    save_network(tmp_path / "half.safetensors", network, "compact", {}, half=True)
+    sizes = [(tmp_path / f"{name}.safetensors").stat().st_size for name in ("whole", "half")]
+    assert sizes[1] < 0.56 * sizes[0]
+    loaded = load_network(tmp_path / "half.safetensors").network
+    assert all(weight.dtype == torch.float32 for weight in loaded.parameters())
+    with torch.no_grad():
+        range_m = torch.rand(1, 1, 64, 64) + 2
+        torch.testing.assert_close(loaded(range_m), network(range_m), atol=5e-3, rtol=5e-3)
+
+
 def rewrite_card(file: Path, **changes: Any) -> None:
     card = file.with_suffix(".json")
     card.write_text(json.dumps({**json.loads(card.read_text()), **changes}))

@@ -255,11 +255,11 @@ def test_a_picture_that_cannot_be_written_is_one_line(
 def test_every_bench_has_its_module_and_its_figure() -> None:
     assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
     for name, takes in bench.BENCHES.items():
-        measure = getattr(importlib.import_module(f"bodyseg_data.benches.{name}"), f"bench_{name}")
+        measure = getattr(importlib.import_module(f"{takes.package}.{name}"), f"bench_{name}")
         parameters = inspect.signature(measure).parameters
-        given = {"progress", *(name for name in ("views", "mit", "workers") if getattr(takes, name))}
-        assert given == set(parameters)
-        assert (util.find_spec(f"bodyseg_data.benches.{name}_figure") is not None) == takes.figure
+        assert {"progress", *takes.takes} == set(parameters)
+        assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.needs)
+        assert (util.find_spec(f"{takes.package}.{name}_figure") is not None) == takes.figure
 
 
 def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

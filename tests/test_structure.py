@@ -74,6 +74,24 @@ ORDER = [
     "cli",
 ]
 
+MODEL_ORDER = [
+    "range_input",
+    "scores",
+    "fcn_alexnet",
+    "pretrained",
+    "compact",
+    "crops",
+    "networks",
+    "checkpoints",
+    "placements",
+    "recipes",
+    "objective",
+    "optimisers",
+    "ranks",
+    "run_folder",
+    "training",
+]
+
 HEAVY = [
     "OpenGL",
     "anny",

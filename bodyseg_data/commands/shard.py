@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import resource
 import sys
@@ -21,7 +20,7 @@ from bodyseg_data.errors import BadConfig
 from bodyseg_data.geodesics import Geodesics
 from bodyseg_data.machine import processors
 from bodyseg_data.manifest import Manifest
-from bodyseg_data.options import option
+from bodyseg_data.options import command_line, option
 from bodyseg_data.packing import Packing, pack, plan
 from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.rendering import RendererName
@@ -93,7 +92,7 @@ def run(options: Options) -> int:
     if options.report is not None:
         check_target(options.report, "--report")
     _warn_of_missing(packing)
-    origin = {} if options.report is None else provenance(_command(options))
+    origin = {} if options.report is None else provenance(command_line("tools/shard", options))
     start = time.perf_counter()
     with Progress("packing", "views") as progress:
         manifest = pack_on(options.engine, options.workers, packing, options.out, progress)
@@ -107,19 +106,6 @@ def run(options: Options) -> int:
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
     return 0
-
-
-def _command(options: Options) -> str:
-    """The command line, without what is as it is by default and without folders of this machine."""
-    words = ["tools/shard"]
-    for field in dataclasses.fields(options):
-        value = getattr(options, field.name)
-        if value == field.default:
-            continue
-        shown = value if isinstance(value, tuple) else (value,)
-        told = [item.name if isinstance(item, Path) and item.is_absolute() else str(item) for item in shown]
-        words += ["--" + field.name.replace("_", "-"), *told]
-    return " ".join(words)
 
 
 def _figures(options: Options, manifest: Manifest, made: int, seconds: float) -> dict[str, Any]:

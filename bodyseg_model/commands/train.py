@@ -17,7 +17,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.options import option
+from bodyseg_data.options import command_line, option
 from bodyseg_data.randomness import generator
 from bodyseg_data.variants import VariantName
 from bodyseg_model.fcn_alexnet import FcnAlexnet
@@ -36,7 +36,7 @@ EXAMPLE = "bodyseg train --data shards --variant all --network compact --out run
 class Options:
     """What the command takes."""
 
-    data: str = option("folder or address of a set of shards; its train split is used")
+    data: str = option("folder or address of a set of shards; its train split is used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
     network: Literal["fcn_alexnet", "compact"] = option("which network", "compact")
@@ -79,7 +79,7 @@ def run(options: Options) -> int:
     with joined_ranks(options.device) as ranks, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(network, options.network, images, recipe, folder, ranks, options.seed, course)
-        facts = {**provenance(_command(options)), "pretrained": None}
+        facts = {**provenance(command_line("bodyseg train", options)), "pretrained": None}
         if options.pretrained is not None:
             facts["pretrained"] = options.pretrained.name
         report = stack.enter_context(_reporting(options, recipe.steps)) if ranks.first else _silent
@@ -109,18 +109,6 @@ def _settings(text: str) -> dict[str, Any]:
     if not isinstance(settings, dict):
         raise BadConfig(f"--settings must be a JSON object, found {text!r}")
     return settings
-
-
-def _command(options: Options) -> str:
-    """The command line that would do the same."""
-    words = ["bodyseg train"]
-    for name, value in vars(options).items():
-        default = Options.__dataclass_fields__[name].default
-        if value is True:
-            words.append(f"--{name.replace('_', '-')}")
-        elif value is not None and value != default:
-            words.append(f"--{name.replace('_', '-')} {value}")
-    return " ".join(words)
 
 
 @contextlib.contextmanager
@@ -166,7 +154,8 @@ class _Board:
     """Opens the writer late: a refused training leaves nothing behind."""
 
     def __init__(self, path: Path, writer: Any) -> None:
-        self._path, self._new, self._writer = path, writer, None
+        self._path, self._new = path, writer
+        self._writer: Any = None
 
     def add_scalar(self, name: str, value: float, step: int) -> None:
         if self._writer is None:

@@ -1,0 +1,189 @@
+"""`bodyseg evaluate`: score a network on the test split of one set or several."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from bodyseg_data.benches.provenance import check_target, provenance, write_figures
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import command_line, option, place_name
+from bodyseg_data.pictures import new_chart, save_picture
+from bodyseg_data.splits import Split
+from bodyseg_data.streaming import RangeImages
+from bodyseg_data.variants import VariantName
+from bodyseg_model.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.evaluation import Evaluation, evaluate, open_images
+from bodyseg_model.evaluation_report import report
+from bodyseg_model.evaluation_samples import SamplePicture
+from bodyseg_model.frame_times import time_frames
+from bodyseg_model.ranks import find_device
+
+EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
+
+_FORMAT: Final = "bodyseg evaluation 1"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
+    json: Path = option("write the scores to this file")
+    run: Path | None = option("folder of a training run, or a .safetensors file (default: the network shipped)", None)
+    variant: VariantName = option("which artifacts the images have", "all")
+    split: Split = option("which split of the sets", "test")
+    images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
+    noise: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
+    missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
+    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
+    frames: int = option("images to time the network on, one at a time (0: none)", 50)
+    batch_size: int = option("images that go through the network together", 16)
+    workers: int = option("processes that load images", 2)
+    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    threads: int | None = option("threads that compute on the processor (default: all)", None)
+
+
+def run(options: Options) -> int:
+    """Evaluate, write the scores, then draw."""
+    _check(options)
+    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained.network.to(find_device(options.device))
+    sets = _open(options)
+    facts = _facts(options, trained)  # before: files may change meanwhile
+    picture = None if options.figures is None else SamplePicture()
+    found = _evaluate(options, trained, sets, picture)
+    times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
+    scores = report(found)
+    seconds = {name: round(value, 2) for name, value in vars(found.seconds).items()}
+    described = [_describe(images, options.images) for images in sets]
+    write_figures(
+        options.json,
+        {**facts, "data": described, **scores, "milliseconds_per_frame": times, "seconds": seconds},
+    )
+    written = [options.json]
+    if options.figures is not None:
+        from bodyseg_model.evaluation_figures import draw_figures
+
+        written += draw_figures(scores, options.figures)
+        drawn = None if picture is None else picture.draw()
+        if drawn is not None:
+            written.append(options.figures / "samples.png")
+            save_picture(drawn, written[-1])
+    sys.stderr.write(f"{_headline(scores)}\nwrote {', '.join(map(str, written))}\n")
+    return 0
+
+
+def _check(options: Options) -> None:
+    for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
+        if value is not None and value < least:
+            raise BadConfig(f"--{name} must be at least {least}, found {value}")
+    if options.threads is not None:
+        if options.threads < 1:
+            raise BadConfig(f"--threads must be at least 1, found {options.threads}")
+        torch.set_num_threads(options.threads)
+    check_target(options.json, "--json")
+    if options.figures is not None:
+        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+        try:
+            options.figures.mkdir(exist_ok=True)
+        except OSError as error:
+            raise BadConfig(f"--figures cannot be the folder {options.figures}: {error.strerror or error}") from error
+        check_target(options.figures / "parts.png", "--figures")
+
+
+def _open(options: Options) -> list[RangeImages]:
+    """The sets. Raises BadConfig if two of them share a sample, which would then count twice."""
+    sets, held = [], dict[str, str]()
+    for path in options.data:
+        images = open_images(path, options.variant, options.split, options.seed, options.noise, options.missing)
+        for key in images.keys:
+            if key in held:
+                raise BadConfig(f"a sample counts once: {key} of {path} is also in {held[key]}")
+        held |= dict.fromkeys(images.keys, path)
+        sets.append(images)
+    return sets
+
+
+def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
+    total = sum(_count(images, options.images) for images in sets)
+    found = Evaluation()
+    with Progress("evaluating", "images") as progress:
+        for images in sets:
+            before = sum(scores.images for scores in found.subsets.values())
+            found.merge(
+                evaluate(
+                    trained.network,
+                    images,
+                    options.images,
+                    batch_size=options.batch_size,
+                    workers=options.workers,
+                    progress=partial(_show, progress, before, total),
+                    watch=None if picture is None else picture.watch,
+                )
+            )
+    return found
+
+
+def _show(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    progress.update(before + done, total)
+
+
+def _times(trained: Trained, images: RangeImages, frames: int) -> dict[str, Any]:
+    """On the first images of the first set that were judged."""
+    chosen = images.order(images.epoch)[:frames].tolist()
+    times = dataclasses.asdict(time_frames(trained.network, [images[index]["range"][None] for index in chosen]))
+    return {name: round(value, 2) if isinstance(value, float) else value for name, value in times.items()}
+
+
+def _facts(options: Options, trained: Trained) -> dict[str, Any]:
+    """What was asked for, of which network, where."""
+    facts: dict[str, Any] = {"format": _FORMAT, **provenance(command_line("bodyseg evaluate", options))}
+    facts["run"] = None if options.run is None else options.run.name
+    facts["card"] = trained.card
+    return facts | {
+        "variant": options.variant,
+        "split": options.split,
+        "seed": options.seed,
+        "noise_mm": options.noise,
+        "missing": options.missing,
+    }
+
+
+def _describe(images: RangeImages, count: int | None) -> dict[str, Any]:
+    manifest, identity = images.manifest, images.identity()
+    return {
+        "name": place_name(images.path),
+        "source": manifest.source,
+        "renderer": manifest.renderer,
+        "rig": manifest.rig.name,
+        "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
+        "samples_of_split": len(images),
+        "evaluated": _count(images, count),
+        "digest": identity["set"],
+        "artifacts": identity["artifacts"],
+    }
+
+
+def _count(images: RangeImages, count: int | None) -> int:
+    return len(images) if count is None else min(count, len(images))
+
+
+def _headline(scores: dict[str, Any]) -> str:
+    def percent(share: float | None) -> str:
+        return "-" if share is None else f"{100 * share:.1f} %"
+
+    kept = scores["confidence"]["above_70_percent"]
+    return (
+        f"{scores['images']} images: average per-class accuracy {percent(scores['average_per_class_accuracy'])}, "
+        f"{percent(kept['average_per_class_accuracy'])} where confidence is above 70 % "
+        f"({percent(kept['share_of_pixels'])} of pixels)"
+    )

@@ -1,0 +1,37 @@
+"""`bodyseg export`: a trained network as two small files that can be given to others."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import option
+from bodyseg_model.checkpoints import load_network, read_json, save_network
+
+EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
+
+_OF_THE_FILE = ("format", "network", "settings")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    run: Path = option("a training's folder, or a .safetensors file")
+    out: Path = option("the .safetensors file to write; its card goes beside it as .json")
+    scores: Path | None = option("figures of `bodyseg evaluate` to put on the card", None)
+
+
+def run(options: Options) -> int:
+    """Write filters in 16 bits, and the card."""
+    if options.out.suffix != ".safetensors":
+        raise BadConfig(f"--out must be a .safetensors file, found {options.out}")
+    trained = load_network(options.run)
+    facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
+    if options.scores is not None:
+        facts["scores"] = read_json(options.scores)
+    save_network(options.out, trained.network, trained.card["network"], facts, half=True)
+    sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
+    return 0
