@@ -21,21 +21,23 @@ class Outcome(NamedTuple):
 
 
 class Objective(nn.Module):
-    """A network and its loss as one module, which is what gets compiled and shared out over processes.
+    """A network and its loss as one module, which is what gets shared out over processes.
 
     Softmax cross-entropy over 33 parts, background ignored (section 3.5). Where scores are coarser than the image, a
     step looks at one pixel in each cell of step x step, all at the same place within their cells, with scores
     interpolated as they will be in use. Over all places within a cell that is the loss of the whole image, at a
     sixteenth of the price.
 
-    weights: float32 [33], what a pixel of each part counts.
+    weights: float32 [33], what a pixel of each part counts. compiled: whether the network is compiled first, for every
+    size of images anew.
     """
 
     weights: torch.Tensor
 
-    def __init__(self, network: nn.Module, weights: torch.Tensor) -> None:
+    def __init__(self, network: nn.Module, weights: torch.Tensor, compiled: bool = False) -> None:
         super().__init__()
         self.network = network
+        self._ask = torch.compile(coarse, dynamic=False) if compiled else coarse
         self.register_buffer("weights", weights)
 
     def forward(self, range_m: torch.Tensor, labels: torch.Tensor, place: torch.Tensor) -> Outcome:
@@ -44,7 +46,7 @@ class Objective(nn.Module):
         The loss is the mean over images of each image's mean over its body, which is 0 for an image without one. So it
         is the same however a batch is cut up, between processes or into turns.
         """
-        scores, step = coarse(self.network, range_m)
+        scores, step = self._ask(self.network, range_m)
         row, column = (int(part * step) for part in place.tolist())
         scores = shifted(shifted(scores.float(), (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
         truth = labels[:, row::step, column::step].long()

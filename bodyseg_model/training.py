@@ -166,13 +166,11 @@ class Training:
         weights = torch.ones(PART_COUNT)
         if self.recipe.balance:
             weights = part_weights(_part_pixels(self.images), self.recipe.balance)
-        objective: nn.Module = Objective(self.network, weights).to(self.ranks.device)
+        objective: nn.Module = Objective(self.network, weights, self.course.compiled).to(self.ranks.device)
         if self.ranks.ranks > 1:
             if self.ranks.device.type == "cuda":
                 objective = nn.SyncBatchNorm.convert_sync_batchnorm(objective)  # type: ignore[no-untyped-call]
             objective = nn.parallel.DistributedDataParallel(objective)
-        if self.course.compiled:
-            objective = torch.compile(objective, dynamic=True)  # type: ignore[assignment]  # it stays a module
         return objective
 
     def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], stretch: _Stretch) -> None:
