@@ -12,6 +12,7 @@ from torch import nn
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.parts import BACKGROUND
+from bodyseg_data.randomness import generator
 from bodyseg_model.compact import Compact, CompactSettings
 from bodyseg_model.crops import body_window
 from bodyseg_model.fcn_alexnet import FcnAlexnet
@@ -40,8 +41,13 @@ NETWORKS: Final[dict[str, Callable[..., nn.Module]]] = {"fcn_alexnet": FcnAlexne
 """Name -> what makes it of its settings."""
 
 
-def build(name: str, settings: Mapping[str, Any] | None = None) -> nn.Module:
-    """A network with new weights, drawn from torch's generator. Raises BadConfig for what it does not know."""
+def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None = None) -> nn.Module:
+    """A network with new weights, those of `seed`; None: of torch's generator as it stands.
+
+    Raises BadConfig for what it does not know.
+    """
+    if seed is not None:
+        torch.manual_seed(int(generator(seed, 0, "", "weights").integers(2**62)))
     if name not in NETWORKS:
         raise BadConfig(f"the network must be one of {', '.join(NETWORKS)}, found {name!r}")
     try:

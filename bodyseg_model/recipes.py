@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
@@ -51,6 +52,11 @@ class Recipe:
         for name, least, most in _BOUNDS:
             if not least <= getattr(self, name) <= most:  # also refuses NaN
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
+
+    @staticmethod
+    def from_json(content: Mapping[str, Any]) -> Recipe:
+        """A recipe as `dataclasses.asdict` gave it to a run's folder. Raises TypeError or KeyError for another."""
+        return Recipe(**{**content, "placements": Placements(**content["placements"])})
 
     def rate_at(self, step: int) -> float:
         """The last layer's rate in step `step`, counted from 0."""

@@ -90,6 +90,13 @@ def test_settings_make_the_same_network_again() -> None:
         assert torch.equal(made(figure(20, 20)), again.eval()(figure(20, 20)))
 
 
+def test_weights_belong_to_a_seed() -> None:
+    settings = {"patch": 16, "widths": [4], "blocks": [0]}
+    one, same, other = (build("compact", settings, seed).get_parameter("head.weight") for seed in (1, 1, 2))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from bodyseg_data.errors import BadConfig
 from bodyseg_model.networks import build
 from bodyseg_model.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_rate
-from bodyseg_model.recipes import PRESETS, recipe_for
+from bodyseg_model.recipes import PRESETS, Recipe, recipe_for
 
 
 def test_the_papers_recipe_is_its_networks_own() -> None:
@@ -104,6 +105,11 @@ def test_bad_recipes_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(BadConfig) as caught:
         dataclasses.replace(PRESETS["compact"], **changes)
     assert message in str(caught.value)
+
+
+def test_a_recipe_comes_back_from_json() -> None:
+    for recipe in PRESETS.values():
+        assert Recipe.from_json(json.loads(json.dumps(dataclasses.asdict(recipe)))) == recipe
 
 
 def test_an_unknown_network_has_no_recipe() -> None:

@@ -20,10 +20,9 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.machine import processors
-from bodyseg_data.randomness import generator
 from bodyseg_model.benches.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, Task, summary, time_cell
-from bodyseg_model.checkpoints import SHIPPED, Trained, load_network, read_json
+from bodyseg_model.checkpoints import SHIPPED, load_network, read_json
 from bodyseg_model.networks import NETWORKS, build, parameters
 
 REFERENCE: Final = "compact"
@@ -119,8 +118,7 @@ def _contestants(runs: Sequence[Path]) -> dict[str, _Contestant]:
 
 
 def _new(kind: str) -> _Contestant:
-    torch.manual_seed(int(generator(0, 0, "", "weights").integers(2**62)))
-    return _Contestant(kind, Trained(build(kind).eval(), {}).network, None)
+    return _Contestant(kind, build(kind, seed=0).eval(), None)
 
 
 def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> dict[str, float]:

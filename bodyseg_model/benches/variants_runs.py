@@ -10,17 +10,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
 from bodyseg_data.batch_order import whole_number
 from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.randomness import generator
 from bodyseg_data.streaming import RangeImages
 from bodyseg_data.variants import VARIANTS, VariantName
 from bodyseg_model.checkpoints import read_json
 from bodyseg_model.networks import build, settings_of
-from bodyseg_model.placements import Placements
 from bodyseg_model.ranks import Ranks
 from bodyseg_model.recipes import Recipe, recipe_for
 from bodyseg_model.run_folder import RunFolder
@@ -92,7 +88,7 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     if there:
         run, first = there[0]
         try:
-            shared = Plan(_recipe(first["recipe"]), dict(first["settings"]), identity)
+            shared = Plan(Recipe.from_json(first["recipe"]), dict(first["settings"]), identity)
         except (KeyError, TypeError, ValueError) as error:
             raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
         if steps is not None and shared.recipe.steps != steps:
@@ -109,18 +105,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     return shared
 
 
-def _recipe(content: dict[str, Any]) -> Recipe:
-    """A recipe as `asdict` gave it to a run's folder."""
-    return Recipe(**{**content, "placements": Placements(**content["placements"])})
-
-
 def train(run: Run, plan: Plan, data: str, ranks: Ranks, report: Report) -> None:
     """Train to the end, from the folder's last checkpoint if there is one, as `bodyseg train` would.
 
     Raises what `Training.run` raises.
     """
-    torch.manual_seed(int(generator(run.seed, 0, "", "weights").integers(2**62)))
-    network = build(NETWORK, plan.settings)
+    network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), ranks, run.seed, _COURSE)
     set_name = data if "://" in data else Path(data).name

@@ -18,7 +18,6 @@ from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import command_line, option
-from bodyseg_data.randomness import generator
 from bodyseg_data.variants import VariantName
 from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks import build
@@ -92,8 +91,7 @@ def _silent(figures: Figures) -> None:
 
 
 def _network(options: Options) -> torch.nn.Module:
-    torch.manual_seed(int(generator(options.seed, 0, "", "weights").integers(2**62)))
-    network = build(options.network, _settings(options.settings))
+    network = build(options.network, _settings(options.settings), options.seed)
     if options.pretrained is not None:
         if not isinstance(network, FcnAlexnet):
             raise BadConfig(f"--pretrained is for fcn_alexnet, not {options.network}")
