@@ -36,8 +36,8 @@ def person(rows: int = 64, columns: int = 48) -> np.ndarray[Any, np.dtype[np.flo
     return frame
 
 
-def new(name: str, settings: Any = None) -> nn.Module:
-    return build(name, settings or TINY[name])
+def new(name: str, settings: Any = None, seed: int | None = None) -> nn.Module:
+    return build(name, settings or TINY[name], seed)
 
 
 @pytest.fixture(autouse=True)
