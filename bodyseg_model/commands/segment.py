@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import torch
 from PIL import Image
 
 from bodyseg_data.commands.progress import Progress
@@ -22,6 +21,7 @@ from bodyseg_model.checkpoints import Trained, load_network, shipped_network, wr
 from bodyseg_model.foreground import Background, BackgroundMode
 from bodyseg_model.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.overlay import Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.ranks import find_device
 from bodyseg_model.segmenter import Segmenter, Stopwatch
 from bodyseg_model.sequence_summary import STAGES, SequenceSummary
 
@@ -63,7 +63,7 @@ def run(options: Options) -> int:
     first = frames[0].read()
     camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
     trained = shipped_network() if options.run is None else load_network(options.run)
-    _move(trained, options.device)
+    trained.network.to(find_device(options.device))
     segmenter = Segmenter(trained.network, camera.camera, background, options.mirrored, options.confidence)
     _make_folders(options.out)
 
@@ -122,15 +122,6 @@ def _background(options: Options) -> Background:
     if given and options.background == "keep":
         raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
     return Background(options.background, **given)
-
-
-def _move(trained: Trained, device: str | None) -> None:
-    """Put the network where it is to compute."""
-    name = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        trained.network.to(name)
-    except (RuntimeError, AssertionError, ValueError) as error:
-        raise BadConfig(f"cannot compute on the device {name!r}: {str(error).splitlines()[0]}") from error
 
 
 def _make_folders(out: Path) -> None:
