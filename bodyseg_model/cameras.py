@@ -8,7 +8,7 @@ from typing import Any, Final
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.rig import Camera, load_rig
 
-_SENSORS: Final = {(480, 640): ("Kinect v1", 525.0), (424, 512): ("Kinect v2", 365.0)}
+SENSORS: Final = {(480, 640): ("Kinect v1", 525.0), (424, 512): ("Kinect v2", 365.0)}
 """Image sizes that one widespread sensor has -> its name and nominal focal length, pixels."""
 
 
@@ -65,9 +65,9 @@ def frame_camera(
     paper = load_rig().camera
     if shape == (paper.rows, paper.columns):
         return FrameCamera(paper, "assumed: the paper's rig, by the frames' size", True)
-    if shape not in _SENSORS:
+    if shape not in SENSORS:
         raise BadConfig(f"frames of {rows} x {columns} pixels tell no sensor: give --focal or --rig ({where})")
-    name, focal = _SENSORS[shape]
+    name, focal = SENSORS[shape]
     return FrameCamera(_camera(shape, focal, ()), f"assumed: {name}, by the frames' size", True)
 
 

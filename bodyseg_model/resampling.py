@@ -57,12 +57,18 @@ class BodyView:
 
 
 def view_body(
-    range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera, rig: Rig, mirrored: bool = False
+    range_m: NDArray[np.float32],
+    pixels: NDArray[np.intp],
+    camera: Camera,
+    rig: Rig,
+    mirrored: bool = False,
+    turn_rad: float | None = None,
 ) -> BodyView:
     """One body of a frame as `rig.camera` would see it at `rig.stand_off_m`.
 
     range_m: [H, W], metres, taken by `camera`, whose poses do not matter. pixels: the body's, int64 [N], at least one,
     row * W + column, ascending; ranges there are not 0. mirrored: whether the frame shows left for right.
+    turn_rad: how far to turn, at most 1.5 either way; None turns to the middle of the body's outline.
 
     A pixel of the view has the range of the frame's pixel in which its centre falls. If that is not the body's but
     centres of the body's pixels fall in the view's, it has the range of the nearest of those: where the view is
@@ -71,7 +77,9 @@ def view_body(
     rows, columns = np.divmod(pixels, range_m.shape[1])
     depths = range_m.ravel()[pixels].astype(np.float64)
     sides = (columns + 0.5 - camera.centre_px[0]) * depths
-    turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
+    turn = turn_rad
+    if turn is None:
+        turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
     ranges = depths * _Turn(camera, rig.camera, 1.0, turn, False).ahead(columns + 0.5)
     middle = float(np.median(ranges))
     turned = _Turn(camera, rig.camera, rig.camera.focal_px / rig.stand_off_m * middle, turn, mirrored)

@@ -55,6 +55,7 @@ BENCHES: Final = {
         figure=True, needs=("data", "runs"), also=("seeds", "steps", "images", "alone"), package=_OF_NETWORKS
     ),
     "network": Bench("typical frames, 12", figure=True, also=("runs", "scores"), package=_OF_NETWORKS),
+    "sensors": Bench("bodies, 12", figure=True, also=("runs",), package=_OF_NETWORKS),
 }
 """Name -> what it takes. `PACKAGE/NAME.py` measures by its `bench_NAME`, `PACKAGE/NAME_figure.py` draws."""
 
@@ -85,6 +86,7 @@ class Options:
         "loader",
         "variants",
         "network",
+        "sensors",
     ] = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
