@@ -9,6 +9,8 @@ import os
 from pathlib import Path
 from typing import Final
 
+from bodyseg_data.errors import BadConfig
+
 _CHUNK_BYTES: Final = 1 << 20
 
 
@@ -26,6 +28,14 @@ def write_atomically(path: Path, data: bytes) -> None:
             aside.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def write_result(path: Path, data: bytes) -> None:
+    """`write_atomically` for a file that a user asked for. Raises BadConfig, naming it, if it cannot be written."""
+    try:
+        write_atomically(path, data)
+    except OSError as error:
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def sync_folder(folder: Path) -> None:

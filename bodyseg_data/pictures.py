@@ -9,7 +9,7 @@ from typing import Any, Final
 from PIL import Image, ImageDraw, ImageFont
 
 from bodyseg_data.errors import BadConfig, MissingLibrary
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import write_result
 from bodyseg_data.parts import COLOURS, PART_COUNT, PARTS
 
 PAPER: Final = (250, 250, 247)
@@ -51,7 +51,7 @@ def save_picture(picture: Image.Image, path: Path) -> None:
     """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
-    _write(buffer.getvalue(), path)
+    write_result(path, buffer.getvalue())
 
 
 def new_chart(width: float, height: float) -> Any:
@@ -70,11 +70,4 @@ def save_chart(figure: Any, path: Path, dpi: int) -> None:
     """Write a figure of matplotlib as PNG at once or not at all. Raises BadConfig if it cannot be written."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
-    _write(buffer.getvalue(), path)
-
-
-def _write(data: bytes, path: Path) -> None:
-    try:
-        write_atomically(path, data)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    write_result(path, buffer.getvalue())

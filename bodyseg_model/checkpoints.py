@@ -16,7 +16,7 @@ from safetensors.torch import save as tensor_bytes
 from torch import nn
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import write_result
 from bodyseg_model.networks import build, settings_of
 
 FORMAT: Final = "bodyseg network 1"
@@ -92,7 +92,7 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     """Write tensors as safetensors, at once or not at all; returns the SHA-256 of the file. Raises BadConfig."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     data = tensor_bytes(plain)
-    _write(path, data)
+    write_result(path, data)
     return hashlib.sha256(data).hexdigest()
 
 
@@ -106,7 +106,7 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON at once or not at all. Raises BadConfig."""
-    _write(path, (json.dumps(content, indent=1) + "\n").encode())
+    write_result(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -118,13 +118,6 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise BadConfig(f"{path} must hold a JSON object, found {type(content).__name__}")
     return content
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_atomically(path, data)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def read_bytes(path: Path) -> bytes:

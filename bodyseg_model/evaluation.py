@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import nn
 
@@ -28,7 +27,7 @@ from bodyseg_data.streaming import Batch, RangeImages
 from bodyseg_data.variants import VARIANTS, Artifacts, check_variant
 from bodyseg_model.border_distance import BorderErrors, distance_bins
 from bodyseg_model.calibration import Confidences
-from bodyseg_model.networks import predict
+from bodyseg_model.networks import device_of, predict
 from bodyseg_model.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
 
 Extra = Literal["confidences", "borders"]
@@ -196,7 +195,7 @@ def evaluate(
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")
     found = Evaluation(frozenset(extras))
     clean = _CleanSamples(images)
-    device = next((weight.device for weight in network.parameters()), torch.device("cpu"))
+    device = device_of(network)
     lap = _Stopwatch().lap
     done = 0
     for batch in _batches(images, wanted, batch_size, workers):

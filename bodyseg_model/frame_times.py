@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_model.networks import predict
+from bodyseg_model.networks import device_of, predict
 
 _WARM_UP: Final = 3
 
@@ -37,7 +37,7 @@ def time_frames(network: nn.Module, frames: Sequence[torch.Tensor]) -> FrameTime
     """
     if not frames:
         raise BadConfig("timing a network needs at least one frame")
-    device = next((weight.device for weight in network.parameters()), torch.device("cpu"))
+    device = device_of(network)
 
     def seconds(frame: torch.Tensor) -> float:
         start = time.perf_counter()

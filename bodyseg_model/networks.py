@@ -73,6 +73,11 @@ def parameters(network: nn.Module) -> int:
     return sum(weight.numel() for weight in network.parameters())
 
 
+def device_of(network: nn.Module) -> torch.device:
+    """Where a network computes; the processor for one without weights."""
+    return next((weight.device for weight in network.parameters()), torch.device("cpu"))
+
+
 def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int]:
     """Scores at the resolution at which a network computes them, float [B, 33, h, w], and the image's pixels a step.
 

@@ -51,6 +51,15 @@ def joined_ranks(device: str | None = None) -> Iterator[Ranks]:
             torch.distributed.destroy_process_group()
 
 
+def use_threads(count: int | None) -> None:
+    """Let torch compute in so many threads of the processor; None: as it is. Raises BadConfig for less than one."""
+    if count is None:
+        return
+    if count < 1:
+        raise BadConfig(f"--threads must be at least 1, found {count}")
+    torch.set_num_threads(count)
+
+
 def find_device(name: str | None = None) -> torch.device:
     """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's number, else the processor.
 

@@ -17,7 +17,7 @@ from bodyseg_data.errors import BadConfig
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rig import Camera, Rig, load_rig
 from bodyseg_model.foreground import Background, find_bodies
-from bodyseg_model.networks import predict
+from bodyseg_model.networks import device_of, predict
 from bodyseg_model.resampling import view_body
 
 STAGES: Final = ("background", "resample", "network", "back")
@@ -81,7 +81,7 @@ class Segmenter:
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.background = background or Background()
         self.rig = rig or load_rig()
-        self.device = next((weight.device for weight in network.parameters()), torch.device("cpu"))
+        self.device = device_of(network)
         self._network = network
 
     def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:

@@ -74,7 +74,7 @@ class Training:
     """One training, from its first step or its last checkpoint to its end.
 
     network: with the weights to start from; name: as in `networks.NETWORKS`. seed: of mirrors, dropout and the pixels
-    looked at; order and artifacts are the images' own. facts: what else the card should say.
+    looked at; order and artifacts are the images' own.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import write_result
 from bodyseg_data.machine import hardware
 
 
@@ -32,10 +32,7 @@ def check_target(path: Path, option: str) -> None:
 
 def write_figures(path: Path, figures: dict[str, Any]) -> None:
     """Write figures as JSON at once or not at all. Raises BadConfig."""
-    try:
-        write_atomically(path, (json.dumps(figures, indent=1) + "\n").encode())
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    write_result(path, (json.dumps(figures, indent=1) + "\n").encode())
 
 
 def _commit() -> str:

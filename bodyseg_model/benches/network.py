@@ -23,7 +23,7 @@ from bodyseg_data.machine import processors
 from bodyseg_model.benches.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, Task, summary, time_cell
 from bodyseg_model.checkpoints import SHIPPED, load_network, read_json
-from bodyseg_model.networks import NETWORKS, build, parameters
+from bodyseg_model.networks import NETWORKS, build, device_of, parameters
 
 REFERENCE: Final = "compact"
 FILLED: Final = "filled"
@@ -185,9 +185,8 @@ def _headline(times: Sequence[dict[str, Any]], device: str, name: str) -> float 
 
 def _operations(network: nn.Module, frame: NDArray[np.float32]) -> float:
     """Multiplications and additions of `forward` on a frame, in thousand millions."""
-    device = next(network.parameters()).device
     with torch.inference_mode(), FlopCounterMode(display=False) as counter:
-        network(as_batch(frame, 1, device))
+        network(as_batch(frame, 1, device_of(network)))
     return float(round(counter.get_total_flops() / 1e9, 6))
 
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 from bodyseg_data.batch_order import whole_number
 from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import place_name
 from bodyseg_data.streaming import RangeImages
 from bodyseg_data.variants import VARIANTS, VariantName
 from bodyseg_model.checkpoints import read_json
@@ -113,6 +114,5 @@ def train(run: Run, plan: Plan, data: str, ranks: Ranks, report: Report) -> None
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), ranks, run.seed, _COURSE)
-    set_name = data if "://" in data else Path(data).name
-    command = f"tools/bench variants --data {set_name} --runs {run.path.parent.name}"
+    command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})

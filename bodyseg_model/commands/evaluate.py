@@ -9,8 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
 from bodyseg_data.benches.provenance import check_target, provenance, write_figures
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
@@ -24,7 +22,7 @@ from bodyseg_model.evaluation import Evaluation, evaluate, open_images
 from bodyseg_model.evaluation_report import report
 from bodyseg_model.evaluation_samples import SamplePicture
 from bodyseg_model.frame_times import time_frames
-from bodyseg_model.ranks import find_device
+from bodyseg_model.ranks import find_device, use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
 
@@ -86,10 +84,7 @@ def _check(options: Options) -> None:
     for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
-    if options.threads is not None:
-        if options.threads < 1:
-            raise BadConfig(f"--threads must be at least 1, found {options.threads}")
-        torch.set_num_threads(options.threads)
+    use_threads(options.threads)
     check_target(options.json, "--json")
     if options.figures is not None:
         new_chart(1, 1)  # what cannot be drawn should not be found out after hours

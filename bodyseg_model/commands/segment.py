@@ -12,7 +12,7 @@ from PIL import Image
 
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import write_result
 from bodyseg_data.machine import hardware
 from bodyseg_data.options import option
 from bodyseg_data.pictures import save_picture
@@ -73,7 +73,7 @@ def run(options: Options) -> int:
             _segment(frame, step_m, segmenter, options.out, summary, preview)
             progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(), options.out / "legend.png")
-    _write(options.out / _PREVIEW, preview.to_gif())
+    write_result(options.out / _PREVIEW, preview.to_gif())
     facts = {
         "format": _FORMAT,
         "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
@@ -111,7 +111,7 @@ def _segment(
         for folder, image in (("labels", result.labels), ("overlay", overlay)):
             buffer = io.BytesIO()
             Image.fromarray(image).save(buffer, "PNG", compress_level=3)  # a third of the time, a tenth more bytes
-            _write(out / folder / f"{frame.name}.png", buffer.getvalue())
+            write_result(out / folder / f"{frame.name}.png", buffer.getvalue())
     preview.add(overlay)
     summary.add(frame.name, frame.where, range_m, result, {**watch.milliseconds, **result.milliseconds})
 
@@ -132,13 +132,6 @@ def _make_folders(out: Path) -> None:
         (out / _SUMMARY).unlink(missing_ok=True)
     except OSError as error:
         raise BadConfig(f"cannot write {out}: {error.strerror or error}") from error
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_atomically(path, data)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _facts(trained: Trained) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks import build
 from bodyseg_model.placements import Placements
 from bodyseg_model.pretrained import import_alexnet
-from bodyseg_model.ranks import joined_ranks
+from bodyseg_model.ranks import joined_ranks, use_threads
 from bodyseg_model.recipes import recipe_for
 from bodyseg_model.run_folder import RunFolder
 from bodyseg_model.training import Course, Figures, Report, Training
@@ -59,10 +59,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Train to the end."""
-    if options.threads is not None:
-        if options.threads < 1:
-            raise BadConfig(f"--threads must be at least 1, found {options.threads}")
-        torch.set_num_threads(options.threads)
+    use_threads(options.threads)
     recipe = recipe_for(
         options.network,
         steps=options.steps,
