@@ -6,10 +6,12 @@ draw belongs to a sample's key. So batches are the same bits for any number of w
 
 from __future__ import annotations
 
+import fnmatch
 import hashlib
 import json
 import operator
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +33,7 @@ from bodyseg_data.sample import RANGE_STEP_M, Sample
 from bodyseg_data.shards import ShardReader
 from bodyseg_data.splits import SPLITS, Split
 from bodyseg_data.stores.remote import Patience
-from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation, RangeImage, check_variant
+from bodyseg_data.variants import Artifacts, Augmentation, RangeImage, artifacts_of, check_variant
 
 
 class Batch(TypedDict):
@@ -51,7 +53,8 @@ class RangeImages(Dataset[dict[str, Any]]):
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
     "train", "test", or None for both. seed: of all draws and of the order. epoch: the first one. artifacts: how strong
-    they are; the paper's by default.
+    they are; the paper's by default. only: patterns as in file names ("open-A-*", "*-d255-*"), of which a sample's key
+    must match one.
 
     Of remote sets (docs/remote.md): cache: the folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -73,6 +76,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         cache_bytes: int | None = None,
         storage_options: Mapping[str, Any] | None = None,
         patience: Patience | None = None,
+        only: Sequence[str] = (),
     ) -> None:
         seed = check_seed(seed)
         if artifacts is not None and not isinstance(artifacts, Artifacts):
@@ -92,9 +96,15 @@ class RangeImages(Dataset[dict[str, Any]]):
             if split in (None, shard.split) and Path(shard.name).match(pattern)
             for index in range(len(shard))
         ]
+        self.only = tuple(only)
+        if self.only:
+            fits = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
+            keys = (self.manifest.shards[number].keys[index] for number, index in chosen)
+            chosen = [place for place, key in zip(chosen, keys, strict=True) if any(fit(key) for fit in fits)]
         if not chosen:
             held = ", ".join(f"{self.manifest.samples(name)} {name}" for name in SPLITS)
-            raise BadConfig(f"{path} has no sample of split {split!r} that matches {pattern!r}; the set holds {held}")
+            wanted = " ".join((pattern, *self.only))
+            raise BadConfig(f"{path} has no sample of split {split!r} that matches {wanted!r}; the set holds {held}")
         self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
         records = [self.manifest.shards[number] for number in np.unique(self._places[:, 0])]
         self._reader = ShardReader(keep_shards(store, records, cache, cache_bytes), self.manifest)
@@ -132,7 +142,7 @@ class RangeImages(Dataset[dict[str, Any]]):
     def _sample(self, index: int, into: Into | None = None) -> Sample:
         """What the variant needs of a stored sample; into: see `decode_sample`."""
         shard, within = self._where(index)
-        return self._reader.read(shard, within, VARIANTS[self.augmentation.variant].occlusion, into)
+        return self._reader.read(shard, within, artifacts_of(self.augmentation.variant).occlusion, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
@@ -181,13 +191,14 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def identity(self) -> dict[str, Any]:
         """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
+        strengths = json.loads(json.dumps(asdict(self.augmentation.artifacts)))
         return {
             "set": self._digest,
             "split": self.split,
             "variant": self.variant,
             "seed": self.seed,
-            "artifacts": json.loads(json.dumps(asdict(self.augmentation.artifacts))),
-        }
+            "artifacts": {name: strength for name, strength in strengths.items() if strength is not None},
+        } | ({"only": list(self.only)} if self.only else {})
 
     @cached_property
     def _digest(self) -> str:

@@ -26,12 +26,12 @@ from bodyseg_data.randomness import Stream, chance, check_epoch, check_seed, pix
 from bodyseg_data.rig import Rig
 from bodyseg_data.sample import Sample
 
-VariantName = Literal["none", "occ", "noise", "md", "all"]
+VariantName = Literal["none", "occ", "noise", "md", "all", "occ+noise", "occ+md", "noise+md"]
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One row of Table 1: which artifacts a data set models."""
+    """Which artifacts a data set models: a row of Table 1, or two of them."""
 
     occlusion: bool
     noise: bool
@@ -45,14 +45,29 @@ VARIANTS: Final[dict[VariantName, Variant]] = {
     "md": Variant(occlusion=False, noise=False, missing_data=True),
     "all": Variant(occlusion=True, noise=True, missing_data=True),
 }
+"""Table 1."""
+
+PAIRS: Final[dict[VariantName, Variant]] = {
+    "occ+noise": Variant(occlusion=True, noise=True, missing_data=False),
+    "occ+md": Variant(occlusion=True, noise=False, missing_data=True),
+    "noise+md": Variant(occlusion=False, noise=True, missing_data=True),
+}
+"""`all` without one artifact, to see what that one is worth. The paper has none of them."""
+
+_KNOWN: Final = VARIANTS | PAIRS
 
 
 def check_variant(name: str) -> VariantName:
-    """`name` if Table 1 has it. Raises BadConfig."""
-    for known in VARIANTS:
+    """`name` if it is known. Raises BadConfig."""
+    for known in _KNOWN:
         if name == known:
             return known
-    raise BadConfig(f"the variant must be one of {', '.join(VARIANTS)}, found {name!r}")
+    raise BadConfig(f"the variant must be one of {', '.join(_KNOWN)}, found {name!r}")
+
+
+def artifacts_of(name: str) -> Variant:
+    """Which artifacts a variant has. Raises BadConfig for an unknown name."""
+    return _KNOWN[check_variant(name)]
 
 
 @dataclass(frozen=True)
@@ -112,7 +127,7 @@ class Augmentation:
         _check_sample(sample)
         _check_fit(sample, "the image", image, np.uint16)
         _check_fit(sample, "the image of labels", labels, np.uint8)
-        variant = VARIANTS[self.variant]
+        variant = artifacts_of(self.variant)
         sigma_mm = missing_rate = None
         if variant.noise:
             sigma_mm = self.artifacts.noise.sigma_mm(chance(self.seed, epoch, sample.key, "sigma"))

@@ -27,19 +27,23 @@ _RELIEF: Final = 2.0  # centred ranges are a few decimetres, and layers learn be
 class CompactSettings:
     """Shape of the network.
 
-    patch: pixels of the image along one side of what the first layer sees at once; even. widths: channels at
-    1 / patch, 1 / (2 patch) ... of the image's resolution. blocks: residual blocks at each. context: whether every
-    place also learns the mean over the whole body.
+    patch: pixels along one side of what the first layer sees at once; even. widths: channels at 1 / patch,
+    1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every
+    place also learns the mean over the whole body. shrink: pixels along one side of a square that is averaged to one
+    before anything else, 1 for the image as it is.
     """
 
     patch: int = 16
     widths: tuple[int, ...] = (96, 128, 144)
     blocks: tuple[int, ...] = (2, 2, 1)
     context: bool = True
+    shrink: int = 1
 
     def __post_init__(self) -> None:
         if self.patch not in (2, 4, 8, 16):
             raise BadConfig(f"patch must be 2, 4, 8 or 16, found {self.patch!r}")
+        if self.shrink not in (1, 2, 4):
+            raise BadConfig(f"shrink must be 1, 2 or 4, found {self.shrink!r}")
         if not 1 <= len(self.widths) <= 6 or any(not 1 <= width <= 2048 for width in self.widths):
             raise BadConfig(f"widths must be 1 to 6 numbers from 1 to 2048, found {self.widths!r}")
         if len(self.blocks) != len(self.widths) or any(not 0 <= count <= 32 for count in self.blocks):
@@ -77,7 +81,8 @@ class Compact(nn.Module):
         pairs = list(itertools.pairwise(widths))
         self.narrow = nn.ModuleList(_layer(deep, shallow, 1) for shallow, deep in pairs)
         self.fuse = nn.ModuleList(_layer(shallow, shallow, 3) for shallow, _ in pairs)
-        self._fine = max(1, patch // self.stride)
+        self._cell = patch * self.settings.shrink
+        self._fine = max(1, self._cell // self.stride)
         self.head = nn.Conv2d(widths[0], PART_COUNT * self._fine**2, 1)
 
     def coarse(self, range_m: torch.Tensor) -> torch.Tensor:
@@ -88,21 +93,22 @@ class Compact(nn.Module):
         """
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        patch = self.settings.patch
-        relief = F.pad(_relief(range_m), (0, -columns % patch, 0, -rows % patch))
-        x = F.pixel_unshuffle(relief, patch).contiguous(memory_format=torch.channels_last)
+        relief = F.pad(relief_of(range_m), (0, -columns % self._cell, 0, -rows % self._cell))
+        if self.settings.shrink > 1:
+            relief = shrunk(relief, self.settings.shrink)
+        x = F.pixel_unshuffle(relief, self.settings.patch).contiguous(memory_format=torch.channels_last)
         x = self.embed(x)
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(_mean_over_body(x, relief[:, 1:], patch << (len(seen) - 1)))
+            x = x + self.context(_mean_over_body(x, relief[:, 1:], self.settings.patch << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = F.pixel_shuffle(self.head(x), self._fine) if self._fine > 1 else self.head(x)
-        if patch < self.stride:
-            x = F.avg_pool2d(x, self.stride // patch, ceil_mode=True)
+        if self._cell < self.stride:
+            x = F.avg_pool2d(x, self.stride // self._cell, ceil_mode=True)
         return x[:, :, : -(-rows // self.stride), : -(-columns // self.stride)]
 
     def forward(self, range_m: torch.Tensor) -> torch.Tensor:
@@ -116,12 +122,18 @@ class Compact(nn.Module):
         return full[:, :, :rows, :columns]
 
 
-def _relief(range_m: torch.Tensor) -> torch.Tensor:
+def relief_of(range_m: torch.Tensor) -> torch.Tensor:
     """[B, 2, H, W]: range less its mean over what was measured, scaled; and whether it was measured."""
     measured = (range_m > 0).to(range_m.dtype)
     count = measured.sum((1, 2, 3), keepdim=True).clamp(min=1)
     mean = range_m.sum((1, 2, 3), keepdim=True) / count
     return torch.cat([(range_m - mean) * measured * _RELIEF, measured], 1)
+
+
+def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:
+    """Means over squares: of what was measured in them, and of how much was."""
+    mean = F.avg_pool2d(relief, side)
+    return torch.cat([mean[:, :1] / mean[:, 1:].clamp(min=1 / side**2), mean[:, 1:]], 1)
 
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:

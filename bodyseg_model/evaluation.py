@@ -24,7 +24,7 @@ from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.sample import Sample
 from bodyseg_data.splits import Split
 from bodyseg_data.streaming import Batch, RangeImages
-from bodyseg_data.variants import VARIANTS, Artifacts, check_variant
+from bodyseg_data.variants import Artifacts, artifacts_of
 from bodyseg_model.border_distance import BorderErrors, distance_bins
 from bodyseg_model.calibration import Confidences
 from bodyseg_model.networks import device_of, predict
@@ -155,7 +155,7 @@ def open_images(
 
     Raises BadConfig for a strength that cannot be or that the variant has no use for; otherwise as `RangeImages`.
     """
-    has = VARIANTS[check_variant(variant)]
+    has = artifacts_of(variant)
     for name, value, used in (("noise", noise_mm, has.noise), ("missing data", missing, has.missing_data)):
         if value is not None and not used:
             raise BadConfig(f"a fixed strength of {name} is for a variant that has any, found variant {variant!r}")
@@ -234,7 +234,7 @@ class _CleanSamples:
         self._images = images
         self._places = {key: place for place, key in enumerate(images.keys)}
         self._subsets: dict[str, str] = {}
-        has = VARIANTS[images.augmentation.variant]
+        has = artifacts_of(images.augmentation.variant)
         self._same = not (has.occlusion or has.missing_data)
         self._last: Sample | None = None
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
 from bodyseg_data.errors import BadConfig
@@ -80,9 +81,19 @@ class FcnAlexnet(nn.Module):
         x = self._pool(self.conv5(x).relu())
         x = self._drop(self.conv6(x).relu())
         x = self._drop(self.conv7(x).relu())
-        x = self.upfeat(self.conv8(x).relu())
-        scores: torch.Tensor = self.score(x[:, :, _CROP : _CROP + rows, _CROP : _CROP + columns])
+        scores: torch.Tensor = self.score(self._upsampled(self.conv8(x).relu(), rows, columns))
         return scores
+
+    def _upsampled(self, x: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
+        """What upfeat makes of x, cropped. It is frozen, the same for all channels, and a product of a filter down and
+        one across: two small matrices do what took a third of a frame's time on a processor.
+        """
+        filter_down = self.upfeat.weight[0, 0, :, STRIDE - 1]
+        down, across = (
+            F.conv_transpose1d(torch.eye(count).to(filter_down)[:, None], filter_down[None, None], stride=STRIDE)[:, 0]
+            for count in x.shape[2:]
+        )
+        return down[:, _CROP : _CROP + rows].mT @ x @ across[:, _CROP : _CROP + columns]
 
 
 def bilinear_filters(channels: int, stride: int) -> torch.Tensor:

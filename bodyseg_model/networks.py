@@ -17,6 +17,7 @@ from bodyseg_model.compact import Compact, CompactSettings
 from bodyseg_model.crops import body_window
 from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.range_input import check_range_images
+from bodyseg_model.rivals import Rival, deeplab, segformer
 
 
 class Prediction(NamedTuple):
@@ -37,7 +38,12 @@ def _compact(**settings: Any) -> Compact:
     return Compact(CompactSettings(**settings))
 
 
-NETWORKS: Final[dict[str, Callable[..., nn.Module]]] = {"fcn_alexnet": FcnAlexnet, "compact": _compact}
+NETWORKS: Final[dict[str, Callable[..., nn.Module]]] = {
+    "fcn_alexnet": FcnAlexnet,
+    "compact": _compact,
+    "segformer": segformer,
+    "deeplab": deeplab,
+}
 """Name -> what makes it of its settings."""
 
 
@@ -65,6 +71,8 @@ def settings_of(network: nn.Module) -> dict[str, Any]:
         }
     if isinstance(network, FcnAlexnet):
         return {"normalise": network.normalise, "width": network.width}
+    if isinstance(network, Rival):
+        return dict(network.settings)
     return {}
 
 
@@ -83,7 +91,7 @@ def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int
 
     Answer (i, j) is that of the point ((i + 1/2) step, (j + 1/2) step) of the image, in pixels from its corner.
     """
-    if isinstance(network, Compact):
+    if isinstance(network, Compact | Rival):
         return network.coarse(range_m), network.stride
     return network(range_m), 1
 

@@ -34,9 +34,9 @@ class Objective(nn.Module):
 
     weights: torch.Tensor
 
-    def __init__(self, network: nn.Module, weights: torch.Tensor, compiled: bool = False) -> None:
+    def __init__(self, network: nn.Module, weights: torch.Tensor, every: int = 1, compiled: bool = False) -> None:
         super().__init__()
-        self.network = network
+        self.network, self.every = network, every
         self._ask = torch.compile(coarse, dynamic=False) if compiled else coarse
         self.register_buffer("weights", weights)
 
@@ -47,9 +47,13 @@ class Objective(nn.Module):
         is the same however a batch is cut up, between processes or into turns.
         """
         scores, step = self._ask(self.network, range_m)
-        row, column = (int(part * step) for part in place.tolist())
-        scores = shifted(shifted(scores.float(), (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
-        truth = labels[:, row::step, column::step].long()
+        apart = max(step, self.every)
+        row, column = (int(part * apart) for part in place.tolist())
+        truth = labels[:, row::apart, column::apart].long()
+        if step == 1:
+            scores = scores[:, :, row::apart, column::apart].float()
+        else:
+            scores = shifted(shifted(scores.float(), (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
         scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
         body = truth != BACKGROUND
         each = F.cross_entropy(scores, truth, self.weights, ignore_index=BACKGROUND, reduction="none")

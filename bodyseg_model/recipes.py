@@ -23,6 +23,7 @@ class Recipe:
     gradient, 0 for no limit. crop: whether batches are cut to the bodies in them, with the network's margin. mirror:
     whether half of the images are shown as in a mirror, left and right parts exchanged. balance: parts weigh their
     share of all pixels to the power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16.
+    every: of each square of so many pixels a side, the loss looks at one; more where a network's scores are coarser.
     placements: how bodies are moved in the image plane.
     """
 
@@ -41,10 +42,11 @@ class Recipe:
     mirror: bool
     balance: float
     bf16: bool
+    every: int
     placements: Placements = field(default_factory=Placements)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "accumulate"):
+        for name in ("steps", "batch", "accumulate", "every"):
             if not 1 <= getattr(self, name) <= 10**9:
                 raise BadConfig(f"{name} must be at least 1, found {getattr(self, name)!r}")
         if self.optimiser not in ("sgd", "adamw"):
@@ -100,6 +102,7 @@ PRESETS: Final[dict[str, Recipe]] = {
         mirror=False,
         balance=0.0,
         bf16=False,
+        every=1,
     ),
     "compact": Recipe(
         steps=10_000,
@@ -117,16 +120,15 @@ PRESETS: Final[dict[str, Recipe]] = {
         mirror=True,
         balance=0.5,
         bf16=True,
+        every=4,
         placements=Placements(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
     ),
 }
-"""Network -> its recipe unless told otherwise."""
+"""Recipe's name -> recipe. A network has the one of its own name, or else that of `compact`."""
 
 
-def recipe_for(network: str, **changes: Any) -> Recipe:
-    """The preset of a network with some fields changed; None leaves a field as it is. Raises BadConfig."""
-    if network not in PRESETS:
-        raise BadConfig(f"no recipe for the network {network!r}; there are {', '.join(PRESETS)}")
-    return dataclasses.replace(
-        PRESETS[network], **{name: value for name, value in changes.items() if value is not None}
-    )
+def recipe_for(name: str, **changes: Any) -> Recipe:
+    """A preset with some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
+    if name not in PRESETS:
+        raise BadConfig(f"the recipe must be one of {', '.join(PRESETS)}, found {name!r}")
+    return dataclasses.replace(PRESETS[name], **{field: value for field, value in changes.items() if value is not None})

@@ -166,7 +166,9 @@ class Training:
         weights = torch.ones(PART_COUNT)
         if self.recipe.balance:
             weights = part_weights(_part_pixels(self.images), self.recipe.balance)
-        objective: nn.Module = Objective(self.network, weights, self.course.compiled).to(self.ranks.device)
+        objective: nn.Module = Objective(self.network, weights, self.recipe.every, self.course.compiled).to(
+            self.ranks.device
+        )
         if self.ranks.ranks > 1:
             if self.ranks.device.type == "cuda":
                 objective = nn.SyncBatchNorm.convert_sync_batchnorm(objective)  # type: ignore[no-untyped-call]

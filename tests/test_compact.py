@@ -161,7 +161,7 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
 
 
 def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, found 'unet'"):
+    with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'"):
         build("unet")
 
 

@@ -50,6 +50,7 @@ SGD = Recipe(
     mirror=True,
     balance=0.5,
     bf16=False,
+    every=1,
     placements=Placements(roll_deg=20, zoom=0.2, stretch=0.1, cut=0.5),
 )
 

@@ -44,7 +44,7 @@ def test_table_1() -> None:
         "md": (False, False, True),
         "all": (True, True, True),
     }
-    with pytest.raises(BadConfig, match="the variant must be one of none, occ, noise, md, all, found 'full'"):
+    with pytest.raises(BadConfig, match="the variant must be one of none, occ, noise, md, all, occ+noise, occ+md, noise+md, found 'full'"):
         check_variant("full")
 
 

@@ -14,17 +14,19 @@ from typing import Any, Literal
 import torch
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.benches.provenance import provenance
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.options import command_line, option
-from bodyseg_data.variants import VariantName
+from bodyseg_data.variants import Artifacts, VariantName, artifacts_of
 from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks import build
 from bodyseg_model.placements import Placements
 from bodyseg_model.pretrained import import_alexnet
 from bodyseg_model.ranks import joined_ranks, use_threads
-from bodyseg_model.recipes import recipe_for
+from bodyseg_model.recipes import PRESETS, recipe_for
 from bodyseg_model.run_folder import RunFolder
 from bodyseg_model.training import Course, Figures, Report, Training
 
@@ -38,7 +40,11 @@ class Options:
     data: str = option("folder or address of a set of shards; its train split is used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
-    network: Literal["fcn_alexnet", "compact"] = option("which network", "compact")
+    network: Literal["fcn_alexnet", "compact", "segformer", "deeplab"] = option("which network", "compact")
+    only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
+    noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
+    missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
+    recipe: Literal["fcn_alexnet", "compact"] | None = option("whose recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
     batch: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
@@ -61,7 +67,7 @@ def run(options: Options) -> int:
     """Train to the end."""
     use_threads(options.threads)
     recipe = recipe_for(
-        options.network,
+        options.recipe or (options.network if options.network in PRESETS else "compact"),
         steps=options.steps,
         batch=options.batch,
         accumulate=options.accumulate,
@@ -70,7 +76,9 @@ def run(options: Options) -> int:
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
     course = Course(options.log_every, options.keep_every, options.workers, options.compile)
-    images = RangeImages(options.data, options.variant, "train", options.seed)
+    images = RangeImages(
+        options.data, options.variant, "train", options.seed, artifacts=_artifacts(options), only=options.only
+    )
     network = _network(options)
     with joined_ranks(options.device) as ranks, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
@@ -85,6 +93,21 @@ def run(options: Options) -> int:
 
 def _silent(figures: Figures) -> None:
     pass
+
+
+def _artifacts(options: Options) -> Artifacts:
+    usual = Artifacts()
+    has = artifacts_of(options.variant)
+    for name, value, used in (
+        ("noise-mm", options.noise_mm, has.noise),
+        ("missing", options.missing, has.missing_data),
+    ):
+        if value is not None and not used:
+            raise BadConfig(f"--{name} is for a variant that has such an artifact, found variant {options.variant!r}")
+    return Artifacts(
+        usual.noise if options.noise_mm is None else Noise(0.0, options.noise_mm),
+        usual.missing_data if options.missing is None else MissingData(options.missing),
+    )
 
 
 def _network(options: Options) -> torch.nn.Module:
