@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import Noise, add_noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
@@ -22,7 +23,7 @@ from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.errors import BadConfig, BadSample
 from bodyseg_data.kernels import use_compiled
 from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.randomness import Stream, chance, check_epoch, check_seed, pixel_draws, stream
+from bodyseg_data.randomness import Stream, chance, check_epoch, check_seed, generator, pixel_draws, stream
 from bodyseg_data.rig import Rig
 from bodyseg_data.sample import Sample
 
@@ -72,10 +73,14 @@ def artifacts_of(name: str) -> Variant:
 
 @dataclass(frozen=True)
 class Artifacts:
-    """How strong the artifacts are. The defaults are the paper's."""
+    """How strong the artifacts are. The defaults are the paper's.
+
+    losses: pixels lost together where a variant has missing data; the paper has none.
+    """
 
     noise: Noise = field(default_factory=Noise)
     missing_data: MissingData = field(default_factory=MissingData)
+    losses: Losses | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,10 @@ class Augmentation:
         if variant.missing_data:
             missing_rate = self.artifacts.missing_data.rate(chance(self.seed, epoch, sample.key, "missing rate"))
         made = RangeImage(sample.key, image, labels, sigma_mm, missing_rate)
+        lost = None
+        if variant.missing_data and self.artifacts.losses is not None:
+            draws = generator(self.seed, epoch, sample.key, "losses")
+            lost = self.artifacts.losses.lost(sample.range, self.rig.camera, draws)
         test = _shadow_test(self.rig) if variant.occlusion else None
         if self.variant == "none":
             copy_unless_same(sample.range, image)
@@ -142,6 +151,9 @@ class Augmentation:
             _loops().apply_artifacts(sample, test, self._streams(sample, epoch), made)
         else:
             self._apply_plainly(sample, test, epoch, made)
+        if lost is not None:
+            made.range[lost] = 0
+            made.labels[lost] = BACKGROUND
         return made
 
     def prepare(self) -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_model.compact import Compact, CompactSettings, _mean_over_body
+from bodyseg_model.compact import Compact, CompactSettings, _mean_over_body, shrunk
 from bodyseg_model.networks import build, coarse, parameters, predict, settings_of
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
@@ -161,7 +161,9 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
 
 
 def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'"):
+    with pytest.raises(
+        BadConfig, match="the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'"
+    ):
         build("unet")
 
 
@@ -191,3 +193,20 @@ def test_the_body_is_what_context_is_the_mean_of() -> None:
         expected[image] /= total
     torch.testing.assert_close(_mean_over_body(x, measured, 4)[:, :, 0, 0], expected)
     assert not _mean_over_body(x, torch.zeros(2, 1, 15, 20), 4).any()
+
+
+@pytest.mark.parametrize("shrink", [2, 4])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 50), (37, 61), (640, 329)])
+def test_a_shrunk_image_gets_scores_of_its_own_size(shrink: int, rows: int, columns: int) -> None:
+    made = network(CompactSettings(4, (4, 6), (0, 1), shrink=shrink))
+    with torch.no_grad():
+        assert made(figure(rows, columns)).shape == (1, 33, rows, columns)
+        assert made.coarse(figure(rows, columns)).shape == (1, 33, -(-rows // 4), -(-columns // 4))
+
+
+def test_shrinking_averages_what_was_measured() -> None:
+    relief = torch.tensor(
+        [[[[4.0, 0.0, 7.0, 1.0], [2.0, 0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0]]]]
+    )
+    assert shrunk(relief, 2).tolist() == [[[[3.0, 4.0]], [[0.5, 0.5]]]]
+    assert shrunk(torch.zeros(1, 2, 4, 4), 4).tolist() == [[[[0.0]], [[0.0]]]]

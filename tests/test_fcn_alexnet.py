@@ -201,3 +201,10 @@ def test_what_is_not_alexnet_is_refused(network: FcnAlexnet, tmp_path: Path, nam
 def test_a_file_that_is_not_there_is_named(network: FcnAlexnet, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match=r"cannot read .*a\.onnx: No such file"):
         import_alexnet(network, tmp_path / "a.onnx")
+
+
+def test_two_small_matrices_are_upfeat(network: FcnAlexnet) -> None:
+    x = torch.randn(2, 16, 9, 7, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        expected = network.upfeat(x)[:, :, 18 : 18 + 200, 18 : 18 + 150]
+        torch.testing.assert_close(network._upsampled(x, 200, 150), expected, atol=2e-6, rtol=1e-6)

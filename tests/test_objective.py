@@ -99,3 +99,14 @@ def test_rare_parts_weigh_more_and_a_mean_pixel_weighs_one() -> None:
     seen = np.maximum(counts, 100)
     assert (weights * seen).sum() / seen.sum() == pytest.approx(1, rel=1e-5)
     assert part_weights(counts, 0.0).tolist() == pytest.approx([1.0] * 33)
+
+
+def test_of_scores_for_every_pixel_it_may_look_at_one_in_sixteen() -> None:
+    """All the places together are the whole image, each pixel once."""
+    range_m, labels = batch(8, 12)
+    network = PixelScores(8, 12)
+    counts = sum(
+        Objective(network, torch.ones(33), every=4)(range_m, labels, torch.tensor([row, column]) / 4).counts
+        for row, column in itertools.product(range(4), range(4))
+    )
+    assert torch.equal(counts, Objective(network, torch.ones(33))(range_m, labels, torch.zeros(2)).counts)

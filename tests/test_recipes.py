@@ -112,6 +112,6 @@ def test_a_recipe_comes_back_from_json() -> None:
         assert Recipe.from_json(json.loads(json.dumps(dataclasses.asdict(recipe)))) == recipe
 
 
-def test_an_unknown_network_has_no_recipe() -> None:
-    with pytest.raises(BadConfig, match="no recipe for the network 'unet'; there are fcn_alexnet, compact"):
+def test_an_unknown_recipe_is_refused() -> None:
+    with pytest.raises(BadConfig, match="the recipe must be one of fcn_alexnet, compact, found 'unet'"):
         recipe_for("unet")

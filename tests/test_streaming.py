@@ -273,3 +273,16 @@ def test_an_empty_selection_is_refused(tmp_path: Path, figures_set: Path) -> Non
         RangeImages(figures_set / "val-*.tar")
     with pytest.raises(BadShard, match="holds no manifest.json"):
         RangeImages(tmp_path)
+
+
+def test_patterns_pick_samples_by_their_keys(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    wanted = [key for key in images.keys if "-d215-" in key or key.endswith("-a090")]
+    chosen = RangeImages(figures_set, only=("*-d215-*", "*-a090"))
+    assert 0 < len(wanted) < len(images)
+    assert chosen.keys == wanted
+    assert chosen[0]["key"] == wanted[0]
+    assert chosen.identity()["only"] == ["*-d215-*", "*-a090"]
+    assert "only" not in images.identity()
+    with pytest.raises(BadConfig, match=r"no sample of split None that matches '\*.tar nobody-\*'"):
+        RangeImages(figures_set / "*.tar", only=("nobody-*",))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from strategies import keys
 
 from bodyseg_data import variants
+from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
@@ -21,7 +22,7 @@ from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rig import Camera, Rig
 from bodyseg_data.sample import Sample, SampleInfo
 from bodyseg_data.streaming import RangeImages
-from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation, RangeImage, VariantName, check_variant
+from bodyseg_data.variants import PAIRS, VARIANTS, Artifacts, Augmentation, RangeImage, VariantName, check_variant
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,8 @@ def test_table_1() -> None:
         "md": (False, False, True),
         "all": (True, True, True),
     }
-    with pytest.raises(BadConfig, match="the variant must be one of none, occ, noise, md, all, occ+noise, occ+md, noise+md, found 'full'"):
+    known = r"none, occ, noise, md, all, occ\+noise, occ\+md, noise\+md"
+    with pytest.raises(BadConfig, match=f"the variant must be one of {known}, found 'full'"):
         check_variant("full")
 
 
@@ -291,3 +293,38 @@ def test_settings_reach_the_images(figures_set: Path, clean: list[Sample]) -> No
     assert images["noise"].sigma_mm == 10
     assert not images["md"].range.any()
     assert (images["md"].labels == BACKGROUND).all()
+
+
+def test_a_pair_is_all_but_one(figures_set: Path, clean: list[Sample]) -> None:
+    rig = RangeImages(figures_set).manifest.rig
+    sample = clean[0]
+    images = {name: Augmentation(rig, name)(sample) for name in ("all", "occ", "noise", "md", *PAIRS)}
+    kept = {name: image.range > 0 for name, image in images.items()}
+    assert np.array_equal(kept["occ+noise"], kept["occ"])
+    assert np.array_equal(kept["noise+md"], kept["md"])
+    assert np.array_equal(images["occ+md"].range, np.where(kept["all"], sample.range, 0))
+    for name in ("occ+noise", "noise+md"):
+        assert np.array_equal(images[name].range[kept[name]], images["noise"].range[kept[name]])
+
+
+def test_losses_take_more_where_there_is_missing_data(figures_set: Path, clean: list[Sample]) -> None:
+    rig = RangeImages(figures_set).manifest.rig
+    strong = Artifacts(losses=Losses(0.5))
+    lost = 0
+    for sample in clean:
+        usual, more = Augmentation(rig, "all")(sample), Augmentation(rig, "all", artifacts=strong)(sample)
+        gone = (usual.range > 0) & (more.range == 0)
+        assert np.array_equal(more.range, np.where(gone, 0, usual.range))
+        assert np.array_equal(more.labels, np.where(gone, BACKGROUND, usual.labels))
+        lost += int(gone.sum())
+        plain = Augmentation(rig, "noise", artifacts=strong)(sample)
+        assert np.array_equal(plain.range, Augmentation(rig, "noise")(sample).range)
+    assert lost > 0
+
+
+def test_losses_are_those_of_the_clean_image_even_in_its_own_arrays(figures_set: Path, clean: list[Sample]) -> None:
+    augmentation = Augmentation(RangeImages(figures_set).manifest.rig, "all", artifacts=Artifacts(losses=Losses(0.5)))
+    for sample in clean[:4]:
+        expected = augmentation(sample)
+        own = replace(sample, range=sample.range.copy(), labels=sample.labels.copy())
+        assert same_bits(augmentation.into(own, 0, own.range, own.labels), expected)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import torch
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.benches.provenance import provenance
@@ -44,6 +45,7 @@ class Options:
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
+    losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
     recipe: Literal["fcn_alexnet", "compact"] | None = option("whose recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
     batch: int | None = option("images that go through the network together (default: the recipe's)", None)
@@ -101,12 +103,14 @@ def _artifacts(options: Options) -> Artifacts:
     for name, value, used in (
         ("noise-mm", options.noise_mm, has.noise),
         ("missing", options.missing, has.missing_data),
+        ("losses", options.losses, has.missing_data),
     ):
         if value is not None and not used:
             raise BadConfig(f"--{name} is for a variant that has such an artifact, found variant {options.variant!r}")
     return Artifacts(
         usual.noise if options.noise_mm is None else Noise(0.0, options.noise_mm),
         usual.missing_data if options.missing is None else MissingData(options.missing),
+        None if options.losses is None else Losses(options.losses),
     )
 
 

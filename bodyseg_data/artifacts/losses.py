@@ -1,0 +1,204 @@
+"""Pixels lost together, as sensors lose them: whole patches, stripes, and surfaces seen at grazing angles.
+
+Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. What these functions lose hangs together: dark
+cloth that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along
+the camera's ray. Each function loses exactly the share asked for, to the nearest pixel, and a larger share of the same
+image and draws loses the same pixels and more.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.rig import Camera
+
+KINDS: Final = ("none", "patches", "stripes", "grazing")
+
+MOST_PATCHES: Final = 4
+LONGEST: Final = 2.0
+"""How many times as long as wide a patch may be, or as wide as long."""
+FEWEST_STRIPES: Final = 2
+MOST_STRIPES: Final = 12
+
+_FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
+
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class Losses:
+    """For training: every image loses patches, stripes, grazing surfaces or nothing, each kind as likely.
+
+    most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
+    """
+
+    most: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_share(self.most, "the largest share of lost pixels")
+
+    def lost(
+        self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
+    ) -> NDArray[np.bool_]:
+        """What one image loses, bool [H, W]: pixels of the foreground of a clean range image, uint16 [H, W].
+
+        camera: the one that sees the image. Raises BadConfig for an image that is not the camera's.
+        """
+        chances = _chances(generator, 2)
+        kind, share = KINDS[int(chances[0] * len(KINDS))], self.most * float(chances[1])
+        if kind == "patches":
+            return lost_patches(range_image, share, generator)
+        if kind == "stripes":
+            return lost_stripes(range_image, share, generator)
+        if kind == "grazing":
+            return lost_grazing(range_image, share, camera)
+        return np.zeros(range_image.shape, np.bool_)
+
+
+def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """One to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
+
+    range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow together until
+    they hold it. Raises BadConfig for another share.
+    """
+    _check_share(share)
+    box = _box_of(range_image)
+    if box is None:
+        return np.zeros(range_image.shape, np.bool_)
+    inside = range_image[box]
+    places = np.flatnonzero(inside)
+    count, *chances = _chances(generator, 1 + 3 * MOST_PATCHES)
+    nearest = np.full(inside.shape, np.inf, np.float32)
+    for place, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
+        row, column = divmod(int(places[int(place * len(places))]), inside.shape[1])
+        half = np.exp2(size) * LONGEST ** (length - 0.5)  # of its height; its width is the other way round
+        other = np.exp2(size) / LONGEST ** (length - 0.5)
+        down = ((np.arange(inside.shape[0]) - row) / half) ** 2
+        along = ((np.arange(inside.shape[1]) - column) / other) ** 2
+        np.minimum(nearest, down.astype(np.float32)[:, None] + along.astype(np.float32), out=nearest)
+    return _lose_first(range_image, box, nearest, share)
+
+
+def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """Two to twelve horizontal bands of one width, evenly over the foreground's height, lost whole, bool [H, W].
+
+    As `lost_patches`; what is left over of a row of pixels is lost from the left.
+    """
+    _check_share(share)
+    lost = np.zeros(range_image.shape, np.bool_)
+    box = _box_of(range_image)
+    if box is None:
+        return lost
+    inside = range_image[box] != 0
+    chances = _chances(generator, 2)
+    stripes = FEWEST_STRIPES + int(chances[0] * (MOST_STRIPES - FEWEST_STRIPES + 1))
+    rows = np.arange(inside.shape[0])
+    from_middle = np.abs((rows * stripes / inside.shape[0] + chances[1]) % 1 - 0.5)
+    order = np.argsort(from_middle, kind="stable")
+    pixels = inside.sum(axis=1)[order]
+    left = _wanted(share, int(pixels.sum()))
+    before = np.cumsum(pixels) - pixels
+    whole = before + pixels <= left
+    gone = lost[box]
+    gone[order[whole]] = inside[order[whole]]
+    if not whole.all():
+        last = int(np.argmin(whole))
+        gone[order[last], np.flatnonzero(inside[order[last]])[: left - int(before[last])]] = True
+    return lost
+
+
+def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) -> NDArray[np.bool_]:
+    """The pixels whose surface lies most nearly along the camera's ray, bool [H, W]; see `slants`.
+
+    As `lost_patches`. Raises BadConfig as well for an image that is not the camera's.
+    """
+    _check_share(share)
+    if range_image.shape != (camera.rows, camera.columns):
+        raise BadConfig(
+            f"a range image must be as large as its camera's, {camera.rows} x {camera.columns}, "
+            f"found {' x '.join(map(str, range_image.shape))}"
+        )
+    box = _box_of(range_image)
+    if box is None:
+        return np.zeros(range_image.shape, np.bool_)
+    return _lose_first(range_image, box, -slants(range_image, camera, box), share)
+
+
+def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray[np.float32]:
+    """How slantwise the camera sees each surface: 1 / cos**2 of the angle between normal and ray, float32 [h, w].
+
+    A surface z(u, v) seen by a pinhole camera with rays (x, y, 1) has the normal (-f z_u, -f z_v, z + f x z_u +
+    f y z_v), whose product with the ray is z. Slopes are differences to the neighbour whose range differs less, so that
+    an edge in front of something else counts as what it is and not as a wall between the two. box: of the image, the
+    part to look at, beyond which all is background; values on background mean nothing.
+    """
+    rows, columns = box
+    focal = np.float32(camera.focal_px)
+    x = ((np.arange(camera.columns, dtype=np.float32)[columns] + 0.5) - np.float32(camera.centre_px[0])) / focal
+    y = (((np.arange(camera.rows, dtype=np.float32)[rows] + 0.5) - np.float32(camera.centre_px[1])) / focal)[:, None]
+    z = range_image[box].astype(np.float32)
+    z[z == 0] = _FAR
+    across, down = _slope(z, 1), _slope(z, 0)
+    across *= focal
+    down *= focal
+    slant = (z + x * across + y * down) ** 2
+    slant += across**2
+    slant += down**2
+    slant *= (x**2 + 1) + y**2
+    slant /= z**2
+    return slant
+
+
+def _slope(z: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """The smaller one of the differences to a pixel's two neighbours along an axis."""
+    step = np.diff(z, axis=axis, prepend=_FAR, append=_FAR)
+    backward, forward = (step[:-1], step[1:]) if axis == 0 else (step[:, :-1], step[:, 1:])
+    return np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+
+
+def _lose_first(
+    range_image: NDArray[np.uint16], box: Box, order: NDArray[np.float32], share: float
+) -> NDArray[np.bool_]:
+    """The share of the foreground with the lowest `order` [h, w]; of equal pixels the first ones."""
+    lost = np.zeros(range_image.shape, np.bool_)
+    places = np.flatnonzero(range_image[box])
+    values = order.ravel()[places]
+    wanted = _wanted(share, len(places))
+    if wanted:
+        limit = np.partition(values, wanted - 1)[wanted - 1]
+        gone = values < limit
+        gone[np.flatnonzero(values == limit)[: wanted - np.count_nonzero(gone)]] = True
+        rows, columns = np.divmod(places[gone], order.shape[1])
+        lost[box][rows, columns] = True
+    return lost
+
+
+def _wanted(share: float, pixels: int) -> int:
+    return math.floor(share * pixels + 0.5)
+
+
+def _box_of(range_image: NDArray[np.uint16]) -> Box | None:
+    """The rows and columns that the foreground reaches over; None if there is none."""
+    rows = np.flatnonzero(range_image.any(axis=1))
+    if not len(rows):
+        return None
+    down = slice(int(rows[0]), int(rows[-1]) + 1)
+    columns = np.flatnonzero(range_image[down].any(axis=0))
+    return down, slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _chances(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Uniform numbers from 0 to below 1, [count], of raw words: NumPy does not guarantee its distributions' bits."""
+    words = np.asarray(generator.bit_generator.random_raw(count), np.uint64)
+    return (words >> np.uint64(11)) * 2.0**-53
+
+
+def _check_share(share: float, what: str = "the share of lost pixels") -> None:
+    if not 0 <= share <= 1:
+        raise BadConfig(f"{what} must be from 0 to 1, found {share}")
