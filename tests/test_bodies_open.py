@@ -308,3 +308,13 @@ def test_the_fingerprint_sees_persons_poses_outfits_and_heights(source: OpenBodi
     ref = BodyRef("x", "x", "x", "x", "test")
     made = [MadeBodies("x", {ref: partial(replace, figure, **change)}) for change in ({}, *changes)]
     assert len({each.fingerprint([ref]) for each in made}) == 1 + len(changes)
+
+
+def test_the_bare_source_takes_off_what_b_and_c_wear(source: OpenBodies) -> None:
+    bare = open_source("bare")
+    assert bare.name == "bare"
+    assert isinstance(bare, OpenBodies)
+    assert list(bare.bodies()) == list(source.bodies())
+    for ref in (source.bodies()[0], *(next(b for b in source.bodies() if b.subject == who) for who in "BC")):
+        assert bare.figure(ref) == replace(source.figure(ref), outfit=None)
+    assert bare.fingerprint(source.bodies()[:80]) != source.fingerprint(source.bodies()[:80])

@@ -19,7 +19,7 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.splits import Split
 
-SourceName = Literal["open", "hard", "scape", "mit", "caesar", "folder", "paper"]
+SourceName = Literal["open", "bare", "hard", "scape", "mit", "caesar", "folder", "paper"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def open_source(
     mesh files are in and which of their axes points up, found from body and landmarks if "auto" (`placing`).
     Raises BadConfig.
     """
-    if name in ("open", "hard"):
+    if name in ("open", "bare", "hard"):
         given = {"--path": path, "--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto"}
         unused = [option for option, value in given.items() if value]
         if unused:
@@ -108,7 +108,7 @@ def _made_bodies(name: str) -> BodySource:
         return HardBodies()
     from bodyseg_data.bodies.open_bodies import OpenBodies
 
-    return OpenBodies()
+    return OpenBodies(dressed=name == "open")
 
 
 _HELD_BY: Final[dict[str, str]] = {

@@ -100,11 +100,16 @@ class OpenBodies(MadeBodies):
     """The paper's subsets by open bodies, 2 329 in all.
 
     A: one man in 71 postures. B and C: a man and a woman, dressed, in four motions each. people: 583 people standing
-    with their arms a little off.
+    with their arms a little off. dressed: False takes off what B and C wear, to measure what clothes are worth; the
+    source is then called "bare".
     """
 
-    def __init__(self) -> None:
-        super().__init__("open", dict([*_postures(), *_moving("B"), *_moving("C"), *_people()]))
+    def __init__(self, dressed: bool = True) -> None:
+        moving = (each for subject in _MOVING for each in _moving(subject, dressed))
+        super().__init__("open" if dressed else "bare", dict([*_postures(), *moving, *_people()]))
+
+
+_MOVING: Final[tuple[Literal["B", "C"], ...]] = ("B", "C")
 
 
 _Listed = Iterator[tuple[BodyRef, Callable[[], Figure]]]
@@ -116,17 +121,17 @@ def _postures() -> _Listed:
         yield ref, partial(Figure, SUBJECT_A, pose)
 
 
-def _moving(subject: Literal["B", "C"]) -> _Listed:
+def _moving(subject: Literal["B", "C"], dressed: bool) -> _Listed:
     for name, motion in MOTIONS[subject].items():
         split = split_by_motion(subject, name)
         for index in range(motion.frames):
             ref = BodyRef(subject, subject, f"{subject}-{name}-{index:03d}", name, split)
-            yield ref, partial(_moved, subject, motion, index)
+            yield ref, partial(_moved, subject, motion, index, OUTFITS[subject] if dressed else None)
 
 
-def _moved(subject: Literal["B", "C"], motion: Motion, index: int) -> Figure:
+def _moved(subject: Literal["B", "C"], motion: Motion, index: int, outfit: Outfit | None) -> Figure:
     frame = motion.frame(index)
-    return Figure(SUBJECTS[subject], frame.pose, frame.height_m, OUTFITS[subject])
+    return Figure(SUBJECTS[subject], frame.pose, frame.height_m, outfit)
 
 
 def _people() -> _Listed:
