@@ -25,7 +25,9 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
+    "stability": ("bodyseg_model.commands.stability", "test networks where methods fail"),
     "bench": ("bodyseg_data.commands.bench", "measure speed and accuracy side by side"),
+    "chart": ("bodyseg_data.commands.chart", "chart speed against accuracy, one chart a choice"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""

@@ -57,7 +57,7 @@ def command_line(program: str, options: Any) -> str:
         named = field.metadata["address"] or _kind(hints[field.name])[0] is Path
         texts = [place_name(str(each)) if named else str(each) for each in values]
         if not field.metadata["positional"]:
-            words.append("--" + field.name.replace("_", "-"))
+            words.append(_flag(field.name))
         if hints[field.name] is not bool:
             words += texts
     return " ".join(words)
@@ -103,7 +103,12 @@ def _add(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], hint: A
     else:
         if required:
             settings["required"] = True
-        parser.add_argument("--" + field.name.replace("_", "-"), dest=field.name, **settings)
+        parser.add_argument(_flag(field.name), dest=field.name, **settings)
+
+
+def _flag(name: str) -> str:
+    """A field's option; an underscore at the end is not part of it, for words that Python keeps to itself: `in_`."""
+    return "--" + name.removesuffix("_").replace("_", "-")
 
 
 def _path(text: str) -> Path:

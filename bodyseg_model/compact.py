@@ -123,11 +123,14 @@ class Compact(nn.Module):
 
 
 def relief_of(range_m: torch.Tensor) -> torch.Tensor:
-    """[B, 2, H, W]: range less its mean over what was measured, scaled; and whether it was measured."""
-    measured = (range_m > 0).to(range_m.dtype)
+    """[B, 2, H, W]: range less its mean over what was measured, scaled; and whether it was measured.
+
+    Added up in float32 whatever comes in: the ranges of a body are too many for float16.
+    """
+    metres, measured = range_m.float(), (range_m > 0).float()
     count = measured.sum((1, 2, 3), keepdim=True).clamp(min=1)
-    mean = range_m.sum((1, 2, 3), keepdim=True) / count
-    return torch.cat([(range_m - mean) * measured * _RELIEF, measured], 1)
+    mean = metres.sum((1, 2, 3), keepdim=True) / count
+    return torch.cat([(metres - mean) * measured * _RELIEF, measured], 1).to(range_m.dtype)
 
 
 def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bodyseg_data.errors import BadConfig
-from bodyseg_model.compact import Compact, CompactSettings, _mean_over_body, shrunk
+from bodyseg_model.compact import Compact, CompactSettings, _mean_over_body, relief_of, shrunk
 from bodyseg_model.networks import build, coarse, parameters, predict, settings_of
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
@@ -210,3 +210,10 @@ def test_shrinking_averages_what_was_measured() -> None:
     )
     assert shrunk(relief, 2).tolist() == [[[[3.0, 4.0]], [[0.5, 0.5]]]]
     assert shrunk(torch.zeros(1, 2, 4, 4), 4).tolist() == [[[[0.0]], [[0.0]]]]
+
+
+def test_a_body_of_many_pixels_fits_into_half_precision() -> None:
+    range_m = 2.0 + torch.rand(1, 1, 300, 300, generator=torch.Generator().manual_seed(0))  # 225 km in all
+    half = relief_of(range_m.half())
+    assert half.dtype == torch.float16
+    torch.testing.assert_close(half.float(), relief_of(range_m), atol=5e-3, rtol=0)

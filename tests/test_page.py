@@ -62,4 +62,19 @@ def test_a_place_that_cannot_be_filled_is_named(folder: Path, place: str, messag
 
 
 def test_sources_are_listed_once() -> None:
-    assert sources_of("{{b.json x 0}} {{a.json y 0}} {{b.json z 0}}") == ["a.json", "b.json"]
+    assert sources_of("{{b.json x 0}} {{a.json y 0}} {{b.json z 0}} {{sources}}") == ["a.json", "b.json"]
+
+
+def test_tables_are_made_of_records(folder: Path) -> None:
+    (folder / "t.json").write_text('{"rows": [{"what": "noise", "points": -1.5}, {"what": "all", "points": 0}]}')
+    expected = "| what | points |\n| --- | --- |\n| noise | -1.5 |\n| all | 0 |"
+    assert render_page("{{t.json rows table}}", folder) == expected
+
+
+def test_every_file_says_where_it_is_from(folder: Path) -> None:
+    (folder / "b.json").write_text('{"x": 1, "command": "tools/bench b", "commit": "0123", "hardware": "2 cores"}')
+    table = render_page("{{b.json x 0}}\n{{sources}}", folder).splitlines()
+    assert table[1] == "| file | command | commit | hardware |"
+    assert table[3] == "| [b.json](b.json) | `tools/bench b` | 0123 | 2 cores |"
+    with pytest.raises(BadConfig, match="a.json must say its command, commit, hardware"):
+        render_page("{{a.json share %1}} {{sources}}", folder)

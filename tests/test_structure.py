@@ -69,6 +69,7 @@ ORDER = [
     "sheet",
     "gallery",
     "options",
+    "charts",
     "benches",
     "commands",
     "cli",
@@ -80,6 +81,7 @@ MODEL_ORDER = [
     "fcn_alexnet",
     "pretrained",
     "compact",
+    "rivals",
     "crops",
     "networks",
     "checkpoints",
@@ -110,6 +112,7 @@ MODEL_ORDER = [
     "flicker",
     "overlay",
     "sequence_summary",
+    "stability",
     "benches",
     "commands",
 ]
@@ -125,7 +128,9 @@ HEAVY = [
     "pymeshlab",
     "pyrender",
     "scipy",
+    "sklearn",
     "tensorboard",
+    "transformers",
     "trimesh",
     "warp",
 ]

@@ -147,7 +147,7 @@ def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray
     across, down = _slope(z, 1), _slope(z, 0)
     across *= focal
     down *= focal
-    slant = (z + x * across + y * down) ** 2
+    slant: NDArray[np.float32] = (z + x * across + y * down) ** 2
     slant += across**2
     slant += down**2
     slant *= (x**2 + 1) + y**2
@@ -159,7 +159,8 @@ def _slope(z: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """The smaller one of the differences to a pixel's two neighbours along an axis."""
     step = np.diff(z, axis=axis, prepend=_FAR, append=_FAR)
     backward, forward = (step[:-1], step[1:]) if axis == 0 else (step[:, :-1], step[:, 1:])
-    return np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+    smaller: NDArray[np.float32] = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+    return smaller
 
 
 def _lose_first(
@@ -196,7 +197,7 @@ def _box_of(range_image: NDArray[np.uint16]) -> Box | None:
 def _chances(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
     """Uniform numbers from 0 to below 1, [count], of raw words: NumPy does not guarantee its distributions' bits."""
     words = np.asarray(generator.bit_generator.random_raw(count), np.uint64)
-    return (words >> np.uint64(11)) * 2.0**-53
+    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def _check_share(share: float, what: str = "the share of lost pixels") -> None:

@@ -8,6 +8,8 @@ A template is Markdown with places like these:
     {{network.json command text}}                       as it is
     {{network.json times[task=scores][threads=2].ms .1}}    of a list, the first entry that has these values
     {{loader.json samples_per_second.ours_all.2 / samples_per_second.memory.2 .2}}    one number over another
+    {{ablation.json table table}}                       a list of records, as a table with their names for a head
+    {{sources}}                                         a table of all files read: command, commit, hardware
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from bodyseg_data.errors import BadConfig
 
 _PLACE: Final = re.compile(r"\{\{(.+?)\}\}")
 _STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[([^=\[\]]+)=([^\[\]]*)\]")
-_THIN_SPACE: Final = " "
+_SOURCES: Final = "sources"
+_ORIGIN: Final = ("command", "commit", "hardware")
 
 
 def render_page(template: str, folder: Path) -> str:
@@ -32,12 +35,17 @@ def render_page(template: str, folder: Path) -> str:
     that does not fit its format.
     """
     files = lru_cache(maxsize=None)(lambda name: _read(folder / name))
-    return _PLACE.sub(lambda place: _fill(place[1], files), template)
+    sources = sources_of(template)
+
+    def fill(place: re.Match[str]) -> str:
+        return _origins(sources, files) if place[1] == _SOURCES else _fill(place[1], files)
+
+    return _PLACE.sub(fill, template)
 
 
 def sources_of(template: str) -> list[str]:
     """The JSON files that a template reads, each once, in alphabetical order."""
-    return sorted({place[1].split()[0] for place in _PLACE.finditer(template)})
+    return sorted({place[1].split()[0] for place in _PLACE.finditer(template)} - {_SOURCES})
 
 
 def _fill(place: str, files: Any) -> str:
@@ -76,10 +84,26 @@ def _shown(value: Any, how: str) -> str:
         if not isinstance(value, str | int | float):
             raise TypeError(f"{value!r} is neither text nor a number")
         return str(value)
+    if how == "table":
+        return _table([*value[0]], [[str(cell) for cell in row.values()] for row in value])
     percent, decimals = how.startswith("%"), int(how.lstrip("%."))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is no number")
-    return f"{value * 100 if percent else value:,.{decimals}f}".replace(",", _THIN_SPACE)
+    return f"{value * 100 if percent else value:,.{decimals}f}".replace(",", " ")
+
+
+def _origins(sources: list[str], files: Any) -> str:
+    rows = []
+    for name in sources:
+        found = [files(name).get(what) for what in _ORIGIN]
+        if not all(found):
+            raise BadConfig(f"{name} must say its {', '.join(_ORIGIN)} to stand on the page, found {found}")
+        rows.append([f"[{name}]({name})", f"`{found[0]}`", *map(str, found[1:])])
+    return _table(["file", *_ORIGIN], rows)
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
 
 
 def _read(file: Path) -> Any:

@@ -56,6 +56,11 @@ BENCHES: Final = {
     ),
     "network": Bench("typical frames, 12", figure=True, also=("runs", "scores"), package=_OF_NETWORKS),
     "sensors": Bench("bodies, 12", figure=True, also=("runs",), package=_OF_NETWORKS),
+    "architectures": Bench(
+        "typical frames, 12", needs=("data", "runs"), also=("images", "forest"), package=_OF_NETWORKS
+    ),
+    "ablation": Bench(figure=True, needs=("data", "runs"), also=("images", "hard"), package=_OF_NETWORKS),
+    "failures": Bench(figure=True, needs=("data",), also=("runs", "images", "hard"), package=_OF_NETWORKS),
 }
 """Name -> what it takes. `PACKAGE/NAME.py` measures by its `bench_NAME`, `PACKAGE/NAME_figure.py` draws."""
 
@@ -87,21 +92,26 @@ class Options:
         "variants",
         "network",
         "sensors",
+        "architectures",
+        "ablation",
+        "failures",
     ] = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
     views: int | None = option(f"how much to measure on ({_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     workers: tuple[int, ...] | None = option("for loader: numbers of worker processes to measure with (0 2)", None)
-    data: str | None = option("for variants: folder or address of the set to train and to test on", None)
+    data: str | None = option(f"for {_takers('data')}: folder or address of the set", None)
     runs: tuple[Path, ...] | None = option(
-        "for variants: folder of the trainings, VARIANT-SEED each, where missing ones are made; "
-        "for network: trained networks whose weights to use",
+        "for variants: folder of the trainings, VARIANT-SEED each, where missing ones are made; for architectures and "
+        "ablation: folder of the trainings, NAME-SEED each; for the others: trained networks",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (3)", None)
     steps: int | None = option("for variants: steps of each training (those there, else the recipe's)", None)
-    images: int | None = option("for variants: test images (500)", None)
+    images: int | None = option("test images (variants 500, architectures and ablation 200, failures 1000)", None)
+    hard: str | None = option(f"for {_takers('hard')}: a set of the source hard to test on as well", None)
+    forest: int | None = option("for architectures: training images of a forest to compare with (0: none)", None)
     alone: bool = option("for variants: also sweep noise and missing data without the other artifacts", False)
     scores: tuple[Path, ...] | None = option("for network: results of bodyseg evaluate on `all` to take over", None)
 

@@ -1,0 +1,72 @@
+"""Pareto fronts: of several ways to do a thing, those that no other beats in cost and quality together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What is measured. title: with its unit, as drawn; noun: one word for it; factor: from values to what is drawn."""
+
+    title: str
+    noun: str
+    more_is_better: bool = False
+    factor: float = 1.0
+
+    def gain(self, value: float, other: float) -> float:
+        """By how much `value` is better than `other`, in the axis' unit; negative if it is worse."""
+        return value - other if self.more_is_better else other - value
+
+
+@dataclass(frozen=True)
+class Point:
+    """One way to do it. label: what stands beside it, where it is named; named: whether it is, even off the front.
+
+    y_sd: standard deviation of y over repetitions, None if there is one only.
+    """
+
+    name: str
+    x: float
+    y: float
+    label: str
+    family: str = ""
+    named: bool = False
+    y_sd: float | None = None
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A point of the front that beats another, and by what shares of the other's own values."""
+
+    better: Point
+    x_share: float
+    y_share: float
+
+
+def beats(one: Point, other: Point, x: Axis, y: Axis) -> bool:
+    """Whether `one` is nowhere worse than `other` and somewhere better."""
+    gains = x.gain(one.x, other.x), y.gain(one.y, other.y)
+    return min(gains) >= 0 and max(gains) > 0
+
+
+def front(points: Sequence[Point], x: Axis, y: Axis) -> tuple[Point, ...]:
+    """The points that no other beats, by rising x. Of points in one place, all or none."""
+    kept = [point for point in points if not any(beats(other, point, x, y) for other in points)]
+    return tuple(sorted(kept, key=lambda point: (point.x, point.y)))
+
+
+def shortfalls(point: Point, points: Sequence[Point], x: Axis, y: Axis) -> tuple[Shortfall, ...]:
+    """What of the front beats `point`, the largest sum of shares first; nothing if it is on the front."""
+    found = [
+        Shortfall(one, _share(x.gain(one.x, point.x), point.x), _share(y.gain(one.y, point.y), point.y))
+        for one in front(points, x, y)
+        if beats(one, point, x, y)
+    ]
+    return tuple(sorted(found, key=lambda fall: -(fall.x_share + fall.y_share)))
+
+
+def _share(gain: float, of: float) -> float:
+    """0 of nothing: what costs nothing cannot be beaten."""
+    return gain / of if of else 0.0

@@ -1,0 +1,162 @@
+"""`bodyseg stability`: networks under rising severity of what a sensor does, in motion, and in coarser arithmetic."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import torch
+
+from bodyseg_data.benches.provenance import provenance, write_figures
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.options import command_line, option, place_name
+from bodyseg_data.pictures import new_chart
+from bodyseg_data.streaming import RangeImages
+from bodyseg_model.ranks import find_device, use_threads
+from bodyseg_model.stability.examining import examine
+from bodyseg_model.stability.figure import draw_stability
+from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
+from bodyseg_model.stability.numerical import numerical
+from bodyseg_model.stability.scenes import Scenes
+from bodyseg_model.stability.severities import SWEEPS, Sweep, chosen
+from bodyseg_model.stability.summary import motion_over_seeds, summarise
+from bodyseg_model.stability.temporal import temporal
+
+EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
+
+Part = Literal["images", "temporal", "numerical"]
+
+_FORMAT: Final = "bodyseg stability 1"
+_ANSWERS: Final = "answers"
+"""In --out: what is kept of an interrupted run."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
+    data: str = option("folder or address of a set of shards, whose test split is used", address=True)
+    out: Path = option("folder for stability.json, stability.png, and answers to carry on from")
+    reference: tuple[Path, ...] = option(
+        "runs whose errors are 1 in mCE: FCN-AlexNet trained on none (default: no mCE)", ()
+    )
+    hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
+    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
+    sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
+    images: int = option("images of every setting", 40)
+    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    threads: int | None = option("threads that compute on the processor (default: all)", None)
+
+
+def run(options: Options) -> int:
+    """Measure the parts asked for, write the figures, then draw."""
+    if options.images < 1:
+        raise BadConfig(f"--images must be at least 1, found {options.images}")
+    use_threads(options.threads)
+    sweeps = chosen(options.sweeps, options.hard is not None)
+    device = find_device(options.device)
+    facts = provenance(command_line("bodyseg stability", options))  # before: files may change meanwhile
+    runs = load_runs((*options.run, *options.reference))
+    groups = group(runs)
+    reference = group_of(groups, options.reference)
+    if "images" in options.parts:
+        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+    try:
+        (options.out / _ANSWERS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadConfig(f"--out cannot be the folder {options.out}: {error.strerror or error}") from error
+    start = time.perf_counter()
+    for each in runs:
+        each.trained.network.to(device)
+    figures: dict[str, Any] = {
+        "format": _FORMAT,
+        **facts,
+        "device": str(device),
+        "threads": torch.get_num_threads(),
+        "networks": {each.name: _origin(each) for each in runs},
+    }
+    if "images" in options.parts:
+        figures |= _images(options, runs, groups, sweeps, reference)
+    if "temporal" in options.parts:
+        figures["temporal"] = _temporal(options, runs, groups)
+    if "numerical" in options.parts:
+        figures["numerical"] = _numerical(options, groups)
+    figures["seconds"] = round(time.perf_counter() - start, 1)
+    written = [options.out / "stability.json"]
+    write_figures(written[0], figures)
+    if "images" in options.parts:
+        written.append(options.out / "stability.png")
+        draw_stability(figures, written[-1])
+    sys.stderr.write(f"{_remarks(groups, reference)}wrote {', '.join(map(str, written))}\n")
+    return 0
+
+
+def _images(
+    options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
+) -> dict[str, Any]:
+    """The sweeps over images."""
+    images = RangeImages(options.data, "none", "test", options.seed)
+    hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
+    settings = list(dict.fromkeys(setting for name, sweep in sweeps.items() for setting in sweep.settings(name)))
+    with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
+        scenes = Scenes(images, options.images, hard, bodies.update)
+        found = examine(runs, settings, scenes, options.out / _ANSWERS, progress.update)
+    return {
+        "images": len(scenes),
+        "seed": options.seed,
+        "data": _describe(images),
+        "hard": None if hard is None else _describe(hard),
+        **summarise(groups, sweeps, found, reference),
+    }
+
+
+def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[str, Any]:
+    """How steady labels are while bodies move."""
+    networks = {each.name: each.trained.network for each in runs}
+    rig = RangeImages(options.data, "none", "test").manifest.rig
+    with Progress("motion", "frames") as progress:
+        found = temporal(networks, seed=options.seed, rig=rig, progress=progress.update)
+    return found | {"groups": motion_over_seeds(groups, found["networks"])}
+
+
+def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
+    """What changes with the arithmetic, for the first network of every group: another seed computes the same way."""
+    found = {}
+    with Progress("arithmetic", "networks") as progress:
+        for done, each in enumerate(groups):
+            progress.update(done, len(groups), each.label)
+            images = RangeImages(options.data, "all", "test", options.seed)
+            found[each.label] = {
+                "run": each.runs[0].name,
+                **numerical(each.runs[0].trained.network, images, options.images),
+            }
+        progress.update(len(groups), len(groups))
+    return found
+
+
+def _describe(images: RangeImages) -> dict[str, Any]:
+    return {
+        "name": place_name(images.path),
+        "source": images.manifest.source,
+        "rig": images.manifest.rig.name,
+        "samples_of_split": len(images),
+        "digest": images.identity()["set"],
+    }
+
+
+def _origin(run: Run) -> dict[str, Any]:
+    return {name: run.trained.card.get(name) for name in ("command", "commit", "hardware")}
+
+
+def _remarks(groups: list[Group], reference: Group | None) -> str:
+    """What a reader of the figures should know."""
+    few = [each.label for each in groups if each.few_seeds]
+    lines = [f"fewer than {FEWEST_SEEDS} seeds, so no spread to speak of: {', '.join(few)}\n"] if few else []
+    lines += [] if reference is not None else ["no --reference, so no mCE\n"]
+    return "".join(lines)

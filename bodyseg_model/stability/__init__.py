@@ -1,0 +1,1 @@
+"""How steady a network is: severities, motion, arithmetic."""

@@ -1,0 +1,98 @@
+"""Consecutive frames of a motion before a camera that stands still: clean samples, and the meshes behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bodyseg_data.bodies import Body, BodyRef, BodySource
+from bodyseg_data.errors import BadConfig
+from bodyseg_data.partition import partition
+from bodyseg_data.parts import BACKGROUND
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering.sampling import faces_towards, sample_key
+from bodyseg_data.rig import PlacedCamera, Rig
+from bodyseg_data.sample import Sample, SampleInfo, steps
+from bodyseg_data.views import View
+from bodyseg_model.stability.correspondence import SeenBody
+
+DISTANCE_CM: Final = 255
+AZIMUTHS_DEG: Final = (0, 50, 90, 140)
+"""One a shot, in turn: from the front, from both quarters, from the side."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Consecutive bodies of one motion, and where the camera stands."""
+
+    bodies: tuple[BodyRef, ...]
+    view: View
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a shot: what is stored of a sample, and the body that it shows."""
+
+    sample: Sample
+    seen: SeenBody
+
+
+def choose_shots(source: BodySource, count: int, frames: int) -> list[Shot]:
+    """`count` shots of `frames` bodies each from the motions that a source tests on, taken in turn.
+
+    A motion is all bodies of one subject and pose, in the source's order; its shots begin evenly along it. Raises
+    BadConfig if there is no motion of as many bodies.
+    """
+    motions: dict[tuple[str, str], list[BodyRef]] = {}
+    for body in source.bodies():
+        if body.split == "test":
+            motions.setdefault((body.subject, body.pose), []).append(body)
+    long = [motion for motion in motions.values() if len(motion) >= frames]
+    if not long:
+        longest = max(map(len, motions.values()), default=0)
+        raise BadConfig(
+            f"the source {source.name!r} needs a motion of {frames} frames to test on, found at most {longest}"
+        )
+    shots = []
+    for number in range(count):
+        motion, turn = long[number % len(long)], number // len(long)
+        shares = len(range(number % len(long), count, len(long)))
+        start = (2 * turn + 1) * (len(motion) - frames + 1) // (2 * shares)
+        view = View(DISTANCE_CM, AZIMUTHS_DEG[number % len(AZIMUTHS_DEG)])
+        shots.append(Shot(tuple(motion[start : start + frames]), view))
+    return shots
+
+
+def take_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
+    """The frames of a shot. The camera looks at the mean of the bodies' middles throughout.
+
+    Raises as `BodySource.build`, `partition` and `steps`.
+    """
+    built = [source.build(body) for body in shot.bodies]
+    centre = np.mean([body.mesh.centre for body in built], axis=0)
+    placed = rig.placed(centre, shot.view)
+    for ref, body in zip(shot.bodies, built, strict=True):
+        yield _frame(ref, body, shot.view, sample_key(source.name, ref, shot.view), placed, source.name)
+
+
+def _frame(
+    ref: BodyRef, body: Body, view: View, key: str, placed: tuple[PlacedCamera, PlacedCamera], source: str
+) -> Frame:
+    """As `Sampler.take`, for devices that are placed already, and with all that the projector sees."""
+    camera, projector = placed
+    renderer = open_renderer("raster", body.mesh)
+    seen = SeenBody(body.mesh, camera, renderer.see(camera))
+    lit = renderer.see(projector)
+    renderer.close()
+    shape = seen.surface.face.shape
+    labels, facing = np.full(shape, BACKGROUND, np.uint8), np.zeros(shape, np.bool_)
+    parts = partition(body.mesh, body.landmarks)
+    labels.ravel()[seen.pixels] = parts.labels_at(body.mesh, seen.faces, seen.points)
+    facing.ravel()[seen.pixels] = faces_towards(body.mesh, seen.faces, seen.points, projector.position)
+    info = SampleInfo(
+        source, ref.subset, ref.subject, ref.mesh, ref.pose, view.distance_cm, view.azimuth_deg, ref.split
+    )
+    return Frame(Sample(key, steps(seen.surface.range, key), steps(lit.range, key), labels, facing, info), seen)
