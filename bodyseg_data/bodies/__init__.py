@@ -19,7 +19,7 @@ from bodyseg_data.mesh import Mesh
 from bodyseg_data.placing import Units, UpAxis
 from bodyseg_data.splits import Split
 
-SourceName = Literal["open", "bare", "hard", "scape", "mit", "caesar", "folder", "paper"]
+SourceName = Literal["open", "bare", "wide", "hard", "scape", "mit", "caesar", "folder", "paper"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def open_source(
     mesh files are in and which of their axes points up, found from body and landmarks if "auto" (`placing`).
     Raises BadConfig.
     """
-    if name in ("open", "bare", "hard"):
+    if name in ("open", "bare", "wide", "hard"):
         given = {"--path": path, "--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto"}
         unused = [option for option, value in given.items() if value]
         if unused:
@@ -106,6 +106,10 @@ def _made_bodies(name: str) -> BodySource:
         from bodyseg_data.bodies.hard import HardBodies
 
         return HardBodies()
+    if name == "wide":
+        from bodyseg_data.bodies.wide import WideBodies
+
+        return WideBodies()
     from bodyseg_data.bodies.open_bodies import OpenBodies
 
     return OpenBodies(dressed=name == "open")
