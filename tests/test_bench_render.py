@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bodyseg_data.benches import render
+from bodyseg_data.benches import render, render_alone
 from bodyseg_data.benches.render import bench_render
+from bodyseg_data.benches.render_alone import PLAIN, measure_renderers, true_range
 from bodyseg_data.benches.render_figure import draw_render
 from bodyseg_data.benches.render_steps import STAGES, _Scene, _steps, measure_stages, measure_steps
 from bodyseg_data.errors import BadConfig, MissingLibrary
+from bodyseg_data.mesh import Mesh
 from bodyseg_data.packing import Packing
 from bodyseg_data.partition import partition
+from bodyseg_data.rendering import Renderer
+from bodyseg_data.rig import PlacedCamera, axes_at
 from bodyseg_data.views import ViewGrid
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
@@ -59,7 +63,7 @@ def test_the_plain_way_draws_the_same_body(tmp_path: Path) -> None:
 
     body = PACKING.opened().build(PACKING.bodies()[0])
     parts = partition(body.mesh, body.landmarks)
-    drawn = PlainScenes(PACKING.rig, body.mesh, parts).take(VIEWS[0])
+    drawn = PlainScenes(PACKING.rig, body.mesh, parts.labels).take(VIEWS[0])
     scene = _Scene(PACKING.rig, PACKING.opened(), PACKING.bodies()[0])
     (ranges, _), (projector, _), (stored, _) = scene.by_pixel(VIEWS[0], scene.in_blocks)
     for ours, plain in ((ranges, drawn["range"]), (projector, drawn["projector"])):
@@ -73,6 +77,48 @@ def test_the_plain_way_draws_the_same_body(tmp_path: Path) -> None:
     assert len(files) == 3 * len(VIEWS) and size == sum(file.stat().st_size for file in files)
     key = "open-{0.subject}-{0.mesh}-{1}".format(PACKING.bodies()[0], VIEWS[0].name)
     assert np.array_equal(np.asarray(Image.open(tmp_path / f"{key}.range.png")), drawn["range"])
+
+
+def test_the_true_range_is_that_of_a_box() -> None:
+    """A unit cube seen from the front: a square of one depth; from the corner: the depth of each ray's own face."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))])
+    cube, device = Mesh("cube", corners, faces), PACKING.rig.camera
+    front = true_range(cube, PlacedCamera(device, axes_at(0), np.array([0.0, 0.0, 2.5])))
+    rays = device.pixel_rays()
+    square = (np.abs(rays[..., :2]) * 2 < 0.5).all(axis=-1)
+    np.testing.assert_allclose(front, np.where(square, 2.0, 0.0), rtol=0, atol=1e-12)
+
+    placed = PlacedCamera(device, axes_at(30), axes_at(30).T @ np.array([0.0, 0.0, -2.5]))
+    ways, start = rays @ placed.axes, placed.position
+    ends = np.stack([(side - start) / ways for side in (-0.5, 0.5)])  # the slab between each pair of sides
+    enters, leaves = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    np.testing.assert_allclose(true_range(cube, placed), np.where(enters < leaves, enters, 0), rtol=0, atol=1e-12)
+
+
+def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_alone, "_ROUNDS", 1)
+    opened = render_alone.open_renderer
+    told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
+    assert told["default_renderer"] == "raster" and set(told["renderers"]) >= {"raster", "embree"}
+    for name, row in told["renderers"].items():
+        assert row["ms_per_view"] > 0 and row["worst_mm"] >= row["range_error_mm"] > 0
+        if name == PLAIN:
+            assert 0.1 < row["range_error_mm"] < 1 and 0.001 < row["silhouette_error"] < 0.02
+        else:
+            assert row["range_error_mm"] < 0.001 and row["silhouette_error"] < 0.001
+    assert set(told["renderers"]) | set(told["renderers_missing"]) == {"raster", "embree", "opengl", PLAIN}
+
+    def absent(name: str, mesh: Mesh) -> Renderer:
+        if name != "raster":
+            raise MissingLibrary(f"the {name} renderer needs a library")
+        return opened(name, mesh)
+
+    monkeypatch.setattr(render_alone, "open_renderer", absent)
+    told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
+    assert set(told["renderers"]) - {PLAIN} == {"raster"}
+    assert told["renderers_missing"]["embree"] == "the embree renderer needs a library"
 
 
 def test_without_opengl_the_reason_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

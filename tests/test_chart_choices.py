@@ -76,7 +76,7 @@ def test_renderers_alone_have_a_panel_of_their_own() -> None:
     }  # fmt: skip
     assert (alone.default, files.default) == ("raster", "bodyseg shard")
     assert "embree\n(silhouette off by 0.004 %)" in [point.label for point in alone.points]
-    with pytest.raises(BadConfig, match=r"^render.json: the default 'opengl' is not among: both images, one process"):
+    with pytest.raises(BadConfig, match=r"^render.json: the default 'opengl' is not among: both images alone"):
         panels_of("renderer", **RENDERERS | {"default_renderer": "opengl"})
 
 

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -120,6 +122,23 @@ def test_a_smaller_tolerance_keeps_more_triangles(reduction: Reduction) -> None:
     finer = reduce(BALL, MARKS, 2e-4, RIG)
     assert 1.5 * len(reduction.mesh.faces) < len(finer.mesh.faces) < len(BALL.faces)
     assert 0 < finer.error_m <= 2e-4
+
+
+@pytest.mark.parametrize(("power", "misses"), [(1.2, 0), (1.6, 0), (1.95, 0), (3.0, 1)])
+def test_the_search_neither_goes_too_far_nor_creeps(power: float, misses: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an error that is a power of the count: up to 2 no stage is made in vain, and each takes away enough."""
+    tolerance_m, tried = 5e-4, list[tuple[float, float]]()
+
+    def modelled(before: Reduction, share: float, *_: object) -> Reduction:
+        left = round(len(before.mesh.faces) * share)
+        tried.append((share, 3e-5 * (len(BALL.faces) / left) ** power))
+        return replace(before, mesh=cast(Mesh, SimpleNamespace(faces=BALL.faces[:left])), error_m=tried[-1][1])
+
+    monkeypatch.setattr(mesh_reduction, "_coarser", modelled)
+    found = reduce(BALL, MARKS, tolerance_m, RIG)
+    assert all(0.6 <= share <= 0.85 for share, _ in tried)
+    assert sum(error > tolerance_m for _, error in tried) == misses
+    assert 0.85**2 * 0.95 * tolerance_m <= found.error_m <= tolerance_m
 
 
 def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(reduction: Reduction) -> None:

@@ -166,11 +166,12 @@ def test_other_parts_are_sections(
 
     def motion(networks: Any, **options: Any) -> dict[str, Any]:
         asked_for.append(sorted(networks))
-        return {"networks": {name: {"all": {"tc": 0.5}} for name in networks}}
+        scores = {"tc": 0.5, "vc": 0.4, "vc_right": None, "accuracy": 0.3}
+        return {"networks": {name: {"all": scores} for name in networks}}
 
     def arithmetic(network: Any, images: RangeImages, count: int) -> dict[str, Any]:
         asked_for.append((images.variant, images.split, count))
-        return {"ways": {}}
+        return {"ways": {}, "batches": {}}
 
     monkeypatch.setattr(command, "temporal", motion)
     monkeypatch.setattr(command, "numerical", arithmetic)
@@ -179,6 +180,7 @@ def test_other_parts_are_sections(
     assert figures["temporal"]["groups"]["all"]["all"]["tc"] == {"mean": 0.5, "sd": 0.0, "seeds": [0.5, 0.5]}
     assert {label: each["run"] for label, each in figures["numerical"].items()} == {"all": "all-0", "none": "none-0"}
     assert asked_for == [["all-0", "all-1", "none-0"], ("all", "test", 2), ("all", "test", 2)]
+    assert [row["TC, %"] for row in figures["tables"]["motion"]] == ["50.0 ± 0.0", "50.0"]
     assert "groups" not in figures and not (tmp_path / "out" / "stability.png").exists()
 
 

@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bodyseg_data.benches.render_alone import measure_renderers
 from bodyseg_data.benches.render_steps import measure_stages, measure_steps
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.engines import PROCESSES, open_engine
@@ -44,7 +45,8 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
     range_error_mm: stored camera ranges against pyrender's, drawn with one sample at each pixel's centre, median of the
     absolute difference. silhouette_error: share of the body's pixels that only one of the two sees. "plain_errors" says
     the same of the plain way, and the share of its labels that differ. stages and steps: see `render_steps.py`. All
-    that needs pyrender is null where it cannot draw, and "plain_missing" says why. Raises BadConfig for no views.
+    that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `render_alone.py`.
+    Raises BadConfig for no views.
     """
     if views < 1:
         raise BadConfig(f"at least one view must be measured, found {views}")
@@ -53,13 +55,16 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
     bodies = packing.bodies()
     packing.opened().build(bodies[0])  # fills the body model's cache, which several workers would do at once
     missing = _why_no_pyrender()
-    done, total = 0, 3 + 2 * _ROUNDS
+    done, total = 0, 4 + 2 * _ROUNDS
 
     def tick() -> None:
         nonlocal done
         progress(done := done + 1, total)
 
     few = _spread(bodies, 4)
+    with open_engine(PROCESSES, 1, packing) as alone:  # a process of its own: it has other libraries than packing has
+        renderers = alone.executor.submit(measure_renderers, packing, few, grid, _spread(grid, 9)).result()
+    tick()
     rates: dict[str, list[float]] = {"ours": [], "plain": []}
     memory: dict[str, float | None] = {"ours": None, "plain": None}
     sizes: dict[str, float | None] = {"ours": None, "plain": None}
@@ -101,7 +106,12 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
         "views": len(grid) * len(bodies),
         "bodies": len(bodies),
         "workers": _WORKERS,
-        "units": {"stages": "ms of processor a view, one process", "steps": "ms of processor a view, without the mesh"},
+        **renderers,
+        "units": {
+            "stages": "ms of processor a view, one process",
+            "steps": "ms of processor a view, without the mesh",
+            "renderers": "ms of processor a view, camera and projector, one process",
+        },
     }
 
 
@@ -157,7 +167,7 @@ def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) 
     for ref in bodies:
         body = packing.opened().build(ref)
         parts = partition(body.mesh, body.landmarks)
-        exact, plain = open_renderer("opengl", body.mesh), PlainScenes(packing.rig, body.mesh, parts)
+        exact, plain = open_renderer("opengl", body.mesh), PlainScenes(packing.rig, body.mesh, parts.labels)
         sampler = Sampler(open_renderer(packing.renderer, body.mesh), packing.rig, body.mesh, parts, "open", ref)
         for view in views:
             true_m = exact.see(packing.rig.placed(body.mesh.centre, view)[0]).range

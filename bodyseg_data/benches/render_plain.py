@@ -18,7 +18,7 @@ from PIL import Image
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.mesh import Mesh
 from bodyseg_data.packing import Packing
-from bodyseg_data.partition import Partition, partition
+from bodyseg_data.partition import partition
 from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.rendering.sampling import sample_key
 from bodyseg_data.rig import PlacedCamera, Rig
@@ -33,7 +33,7 @@ def plain_run(packing: Packing, body: BodyRef, views: tuple[View, ...], folder: 
     """Render all views of one body into files, in whichever process; how many bytes they have."""
     source = packing.opened()
     built = source.build(body)
-    scenes = PlainScenes(packing.rig, built.mesh, partition(built.mesh, built.landmarks))
+    scenes = PlainScenes(packing.rig, built.mesh, partition(built.mesh, built.landmarks).labels)
     size = 0
     for view in views:
         key = sample_key(source.name, body, view)
@@ -45,12 +45,12 @@ def plain_run(packing: Packing, body: BodyRef, views: tuple[View, ...], folder: 
 
 
 class PlainScenes:
-    """One body for pyrender."""
+    """One body for pyrender. labels: uint8 [V], parts of vertices."""
 
-    def __init__(self, rig: Rig, mesh: Mesh, parts: Partition) -> None:
+    def __init__(self, rig: Rig, mesh: Mesh, labels: NDArray[np.uint8]) -> None:
         self._rig, self._mesh = rig, mesh
         corners = mesh.vertices[mesh.faces].reshape(-1, 3)
-        grey = parts.labels[mesh.faces[:, 0]].repeat(3).astype(np.float32) / 255
+        grey = labels[mesh.faces[:, 0]].repeat(3).astype(np.float32) / 255
         colours = np.stack([grey, grey, grey, np.ones_like(grey)], axis=1)
         self._scene = pyrender.Scene(bg_color=(1.0, 1.0, 1.0, 1.0))
         self._scene.add(pyrender.Mesh([pyrender.Primitive(positions=corners, color_0=colours)]))
@@ -59,12 +59,17 @@ class PlainScenes:
 
     def take(self, view: View) -> dict[str, NDArray[Any]]:
         """Camera range and projector range, uint16, in steps; labels, uint8."""
-        camera, projector = self._rig.placed(self._mesh.centre, view)
+        seen, lit = self.ranges(view)
         flags = pyrender.RenderFlags
-        seen, lit = (self._draw(device, flags.DEPTH_ONLY) for device in (camera, projector))
-        colour, _ = self._draw(camera, flags.FLAT | flags.SKIP_CULL_FACES)
+        colour, _ = self._draw(self._rig.placed(self._mesh.centre, view)[0], flags.FLAT | flags.SKIP_CULL_FACES)
         labels = np.where(seen > 0, colour[..., 0], BACKGROUND).astype(np.uint8)
         return {"range": steps(seen, "camera"), "projector": steps(lit, "projector"), "labels": labels}
+
+    def ranges(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Camera range and projector range, float32 [H, W], metres, 0 where there is no body."""
+        camera, projector = self._rig.placed(self._mesh.centre, view)
+        seen, lit = (self._draw(device, pyrender.RenderFlags.DEPTH_ONLY) for device in (camera, projector))
+        return seen, lit
 
     def _draw(self, placed: PlacedCamera, flags: int) -> Any:
         device = placed.camera

@@ -86,7 +86,7 @@ def _renderer(figures: Field) -> tuple[Panel, ...]:
             _rendered(name, row["ms_per_view"].number(above=0), row["range_error_mm"], row["silhouette_error"])
             for name, row in alone.items().items()
         ]
-        panels.append(Panel("both images, one process", tuple(points), figures["default_renderer"].text()))
+        panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"].text()))
     if figures.get("range_error_mm") is not None:  # null where pyrender, which it is measured with, cannot draw
         speeds, plain = figures["views_per_second"], figures["plain_errors"]
         ours, rival = (

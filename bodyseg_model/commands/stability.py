@@ -24,6 +24,7 @@ from bodyseg_model.stability.numerical import numerical
 from bodyseg_model.stability.scenes import Scenes
 from bodyseg_model.stability.severities import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.summary import motion_over_seeds, summarise
+from bodyseg_model.stability.tables import tables
 from bodyseg_model.stability.temporal import temporal
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
@@ -87,6 +88,7 @@ def run(options: Options) -> int:
         figures["temporal"] = _temporal(options, runs, groups)
     if "numerical" in options.parts:
         figures["numerical"] = _numerical(options, groups)
+    figures["tables"] = tables(figures)
     figures["seconds"] = round(time.perf_counter() - start, 1)
     written = [options.out / "stability.json"]
     write_figures(written[0], figures)

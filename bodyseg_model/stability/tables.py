@@ -1,0 +1,85 @@
+"""The answers of `bodyseg stability` as rows that people read: records of text, the columns' titles for names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+Rows = list[dict[str, str]]
+_NONE = "–"
+
+
+def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
+    """The tables of the parts that were measured."""
+    found = {}
+    if "groups" in figures:
+        found["images"] = [_images(label, group, figures) for label, group in figures["groups"].items()]
+        found["sweeps"] = [_sweep(name, figures) for name in figures["sweeps"]]
+    if "temporal" in figures:
+        groups = figures["temporal"]["groups"].items()
+        found["motion"] = [_motion(label, variant, row) for label, of in groups for variant, row in of.items()]
+    if "numerical" in figures:
+        found["arithmetic"] = [
+            _arithmetic(label, way, row)
+            for label, of in figures["numerical"].items()
+            for way, row in [
+                *of["ways"].items(),
+                *((f"{size} images together", row["batch"]) for size, row in of["batches"].items() if size != "1"),
+            ]
+        ]
+    return found
+
+
+def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) -> dict[str, str]:
+    worst = group["worst"]
+    falls = group["falls_below_bound_at"]
+    early = {name: each["mean"] for name, each in falls.items() if each["mean"] is not None}
+    return {
+        "network": label,
+        "clean, %": _percent(group["clean"].get("stored")),
+        "mCE": _number(group["mce"]),
+        "mRR": _number(group["mrr"]),
+        "worst": f"{worst['sweep']} at {worst['strength']:g}: {100 * worst['accuracy']:.1f} %",
+        f"falls below {figures['bound']:.0%} at": "; ".join(f"{name} {at:.3g}" for name, at in early.items()) or _NONE,
+    }
+
+
+def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
+    """One kind of harm at its strongest, by group."""
+    sweep = figures["sweeps"][name]
+    strongest = {label: f"{100 * group['curves'][name]['mean'][-1]:.1f}" for label, group in figures["groups"].items()}
+    return {"sweep": name, "strongest": f"{sweep['strengths'][-1]:g}"} | strongest
+
+
+def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "network": label,
+        "frames": variant,
+        "TC, %": _percent(row["tc"]),
+        "VC₈ constant, %": _percent(row["vc"]),
+        "VC₈ constant and right, %": _percent(row["vc_right"]),
+        "accuracy, %": _percent(row["accuracy"]),
+    }
+
+
+def _arithmetic(label: str, way: str, row: Mapping[str, Any]) -> dict[str, str]:
+    if row["changed"] is None:
+        return {"network": label, "way": way, "labels changed, %": _NONE, "accuracy, points": row["reason"]}
+    return {
+        "network": label,
+        "way": way,
+        "labels changed, %": f"{100 * row['changed']:.3f}",
+        "accuracy, points": f"{100 * row['accuracy_change']:+.2f}",
+    }
+
+
+def _percent(value: Mapping[str, Any] | None) -> str:
+    return _NONE if value is None else _with_spread(100 * value["mean"], value["sd"] and 100 * value["sd"], 1)
+
+
+def _number(value: Mapping[str, Any] | None) -> str:
+    return _NONE if value is None else _with_spread(value["mean"], value["sd"], 3)
+
+
+def _with_spread(mean: float, sd: float | None, decimals: int) -> str:
+    return f"{mean:.{decimals}f}" + ("" if sd is None else f" ± {sd:.{decimals}f}")
