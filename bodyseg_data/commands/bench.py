@@ -59,7 +59,7 @@ BENCHES: Final = {
     "architectures": Bench(
         "typical frames, 12", needs=("data", "runs"), also=("images", "forest"), package=_OF_NETWORKS
     ),
-    "ablation": Bench(figure=True, needs=("data", "runs"), also=("images", "hard"), package=_OF_NETWORKS),
+    "ablation": Bench(figure=True, needs=("data", "runs"), also=("images", "hard", "clothes"), package=_OF_NETWORKS),
     "failures": Bench(figure=True, needs=("data",), also=("runs", "images", "hard"), package=_OF_NETWORKS),
 }
 """Name -> what it takes. `PACKAGE/NAME.py` measures by its `bench_NAME`, `PACKAGE/NAME_figure.py` draws."""
@@ -111,6 +111,7 @@ class Options:
     steps: int | None = option("for variants: steps of each training (those there, else the recipe's)", None)
     images: int | None = option("test images (variants 500, architectures and ablation 200, failures 1000)", None)
     hard: str | None = option(f"for {_takers('hard')}: a set of the source hard to test on as well", None)
+    clothes: tuple[str, ...] | None = option("for ablation: two sets alike, of dressed bodies and of bare ones", None)
     forest: int | None = option("for architectures: training images of a forest to compare with (0: none)", None)
     alone: bool = option("for variants: also sweep noise and missing data without the other artifacts", False)
     scores: tuple[Path, ...] | None = option("for network: results of bodyseg evaluate on `all` to take over", None)
