@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test check lock clean
+.PHONY: install demo test check page lock clean
 
 install: $(VENV)/.installed
 
@@ -27,6 +27,10 @@ check: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -q tests/test_structure.py
+
+# Charts and page of results from the JSON in docs/results.
+page: install
+	$(BIN)/bodyseg chart --in docs/results --out docs/results/charts --page docs/results/index.md
 
 # Newest versions that pyproject.toml allows, as the next exact list; a new PyTorch is chosen by hand in the list.
 lock:

@@ -71,6 +71,15 @@ def test_tables_are_made_of_records(folder: Path) -> None:
     assert render_page("{{t.json rows table}}", folder) == expected
 
 
+def test_columns_are_chosen_and_formatted(folder: Path) -> None:
+    rows = (
+        '[{"what": "noise", "share_of_wrong": 0.125, "lift": null}, {"what": "pose", "share_of_wrong": 1, "lift": 2}]'
+    )
+    (folder / "t.json").write_text(f'{{"rows": {rows}}}')
+    expected = "| what | share of wrong, % | lift |\n| --- | --- | --- |\n| noise | 12.5 |  |\n| pose | 100.0 | 2.0 |"
+    assert render_page("{{t.json rows table what share_of_wrong:%1 lift:.1}}", folder) == expected
+
+
 def test_every_file_says_where_it_is_from(folder: Path) -> None:
     (folder / "b.json").write_text('{"x": 1, "command": "tools/bench b", "commit": "0123", "hardware": "2 cores"}')
     table = render_page("{{b.json x 0}}\n{{sources}}", folder).splitlines()

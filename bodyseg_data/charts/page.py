@@ -9,6 +9,7 @@ A template is Markdown with places like these:
     {{network.json times[task=scores][threads=2].ms .1}}    of a list, the first entry that has these values
     {{loader.json samples_per_second.ours_all.2 / samples_per_second.memory.2 .2}}    one number over another
     {{ablation.json table table}}                       a list of records, as a table with their names for a head
+    {{failures.json sets.test.causes table cause share_of_wrong:%1}}    the same of some columns, in formats
     {{sources}}                                         a table of all files read: command, commit, hardware
 """
 
@@ -56,6 +57,8 @@ def _fill(place: str, files: Any) -> str:
             return _shown(_find(files(words[0]), words[1]) / over, words[4])
         if len(words) == 3:
             return _shown(_find(files(words[0]), words[1]), words[2])
+        if len(words) > 3 and words[2] == "table":
+            return _columns(_find(files(words[0]), words[1]), words[3:])
     except (LookupError, TypeError, ValueError, ZeroDivisionError) as error:
         raise BadConfig(f"{{{{{place}}}}} cannot be filled: {type(error).__name__}: {error}") from error
     raise BadConfig(f"a place must be a file, a path and a format, or two paths with / between, found {{{{{place}}}}}")
@@ -77,6 +80,13 @@ def _find(content: Any, path: str) -> Any:
                 raise LookupError(f"no entry has {name} = {value}")
             content = found if "[" in path[at : at + 1] else found[0]
     return content
+
+
+def _columns(records: Any, wanted: list[str]) -> str:
+    """Some columns of records, each `name` or `name:format`; an empty cell where there is no value."""
+    named = [(name, how or "text") for name, _, how in (each.partition(":") for each in wanted)]
+    rows = [["" if row[name] is None else _shown(row[name], how) for name, how in named] for row in records]
+    return _table([name.replace("_", " ") + (", %" if how[0] == "%" else "") for name, how in named], rows)
 
 
 def _shown(value: Any, how: str) -> str:
