@@ -16,7 +16,7 @@ from bodyseg_data.errors import BadConfig
 from bodyseg_data.streaming import RangeImages
 from bodyseg_model.benches import architectures as bench
 from bodyseg_model.benches import architectures_runs
-from bodyseg_model.benches.architectures import bench_architectures, operations
+from bodyseg_model.benches.architectures import bench_architectures
 from bodyseg_model.benches.architectures_forest import ForestScale, fit_forest
 from bodyseg_model.benches.architectures_runs import groups_in
 from bodyseg_model.benches.network_times import LEAST_ROUNDS
@@ -158,11 +158,6 @@ def test_a_gpu_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> N
     ]
     assert bench._headlines(times, "a") == {"cpu_ms": 9.0, "labels_ms": None, "gpu_ms": 0.5}
     assert bench._headlines(times, "forest") == {"cpu_ms": 7.0, "labels_ms": None, "gpu_ms": None}
-
-
-def test_operations_are_counted_as_by_hand() -> None:
-    network = nn.Conv2d(1, 7, 3, padding=1, bias=False)
-    assert operations(network, np.ones((1000, 100), np.float32)) == round(2 * 9 * 7 * 1e5 / 1e9, 6)
 
 
 def test_a_subset_too_small_has_no_accuracy() -> None:

@@ -19,7 +19,7 @@ from bodyseg_model.benches import network_times
 from bodyseg_model.benches.network import bench_network
 from bodyseg_model.benches.network_figure import draw_network
 from bodyseg_model.benches.network_frames import stretched, typical_frames
-from bodyseg_model.benches.network_times import LEAST_ROUNDS, Cell, summary, time_cell
+from bodyseg_model.benches.network_times import LEAST_ROUNDS, Cell, operations, summary, time_cell
 from bodyseg_model.checkpoints import save_network
 from bodyseg_model.networks import build, parameters
 
@@ -110,7 +110,7 @@ def test_size_time_and_accuracy_of_both_networks(run: Callable[..., Path], score
 
 def test_operations_are_counted_as_by_hand() -> None:
     network = nn.Conv2d(1, 7, 3, padding=1, bias=False)
-    assert bench._operations(network, np.ones((1000, 100), np.float32)) == round(2 * 9 * 7 * 1e5 / 1e9, 6)
+    assert operations(network, np.ones((1000, 100), np.float32)) == round(2 * 9 * 7 * 1e5 / 1e9, 6)
 
 
 def test_further_runs_have_their_folders_names(run: Callable[..., Path], scores: Callable[..., Path]) -> None:

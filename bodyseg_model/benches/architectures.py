@@ -16,7 +16,6 @@ from typing import Any, Final
 import torch
 from numpy.typing import NDArray
 from torch import nn
-from torch.utils.flop_counter import FlopCounterMode
 
 from bodyseg_data.batch_order import whole_number
 from bodyseg_data.errors import BadConfig
@@ -26,7 +25,7 @@ from bodyseg_model.benches.architectures_forest import SHOTTONS_IMAGES, DepthFor
 from bodyseg_model.benches.architectures_runs import SHARED, Run, groups_in, is_shipped
 from bodyseg_model.benches.network import FILLED, TYPICAL
 from bodyseg_model.benches.network_frames import as_batch, body_rectangle, stretched, typical_frames
-from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, summary, time_cell
+from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from bodyseg_model.benches.variants_claims import over_seeds
 from bodyseg_model.benches.variants_scores import TABLE, Examiner
 from bodyseg_model.evaluation import evaluate
@@ -130,13 +129,6 @@ def bench_architectures(
         "torch": torch.__version__,
         "load_before": load,
     }
-
-
-def operations(network: nn.Module, frame: NDArray[Any]) -> float:
-    """Multiplications and additions of `forward` on a frame [H, W], in thousand millions."""
-    with torch.inference_mode(), FlopCounterMode(display=False) as counter:
-        network(as_batch(frame, 1, torch.device("cpu")))
-    return float(round(counter.get_total_flops() / 1e9, 6))
 
 
 def _facts(name: str, group: Sequence[Run], frame: NDArray[Any]) -> Tree:

@@ -16,14 +16,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
-from torch.utils.flop_counter import FlopCounterMode
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.machine import processors
 from bodyseg_model.benches.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
-from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, Task, summary, time_cell
+from bodyseg_model.benches.network_times import (
+    BUDGET_S,
+    MOST_ROUNDS,
+    Cell,
+    Precision,
+    Task,
+    operations,
+    summary,
+    time_cell,
+)
 from bodyseg_model.checkpoints import SHIPPED, load_network, read_json
-from bodyseg_model.networks import NETWORKS, build, device_of, parameters
+from bodyseg_model.networks import NETWORKS, build, parameters
 
 REFERENCE: Final = "compact"
 FILLED: Final = "filled"
@@ -81,7 +89,7 @@ def bench_network(
                 "cpu_ms": _headline(times, "cpu", name),
                 "gpu_ms": _headline(times, "cuda", name),
                 "accuracy_all": accuracies.get(name),
-                "giga_operations": _operations(one.network, frames[FILLED][0]),
+                "giga_operations": operations(one.network, frames[FILLED][0]),
                 "weights": one.run,
             }
             for name, one in contestants.items()
@@ -181,13 +189,6 @@ def _headline(times: Sequence[dict[str, Any]], device: str, name: str) -> float 
         ):
             return float(row["networks"][name]["ms"])
     return None
-
-
-def _operations(network: nn.Module, frame: NDArray[np.float32]) -> float:
-    """Multiplications and additions of `forward` on a frame, in thousand millions."""
-    with torch.inference_mode(), FlopCounterMode(display=False) as counter:
-        network(as_batch(frame, 1, device_of(network)))
-    return float(round(counter.get_total_flops() / 1e9, 6))
 
 
 def _boxes(frames: Sequence[NDArray[np.float32]]) -> dict[str, list[int]]:

@@ -11,9 +11,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
-from bodyseg_model.networks import predict
+from bodyseg_model.benches.network_frames import as_batch
+from bodyseg_model.networks import device_of, predict
 
 Task = Literal["scores", "labels"]
 Precision = Literal["float32", "bfloat16"]
@@ -121,3 +124,10 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def operations(network: nn.Module, frame: NDArray[np.float32]) -> float:
+    """Multiplications and additions of `forward` on a frame [H, W], in thousand millions."""
+    with torch.inference_mode(), FlopCounterMode(display=False) as counter:
+        network(as_batch(frame, 1, device_of(network)))
+    return float(round(counter.get_total_flops() / 1e9, 6))
