@@ -128,7 +128,7 @@ def _amounts(axis: Any, figures: Tree, name: str, label: str) -> None:
     axis.grid(axis="y", color=_GRID, linewidth=0.6)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.set_title(f"How many {name} suffice; dashed: {NEAR_POINTS:g} point below all", loc="left", fontsize=11)
+    axis.set_title(f"How many {name} suffice?\ndashed: {NEAR_POINTS:g} point below all", loc="left", fontsize=11)
 
 
 def _handles() -> list[Any]:
