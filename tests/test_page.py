@@ -15,6 +15,7 @@ CONTENT = {
     "ms": {"ours": 10.98, "theirs": 215.2},
     "bytes": 1957696,
     "command": "tools/bench network",
+    "codecs": {"ours, compiled": {"ms": 0.25}},
     "times": [{"task": "scores", "threads": 1, "ms": 5}, {"task": "scores", "threads": 2, "ms": 3}],
 }
 
@@ -35,6 +36,7 @@ def folder(tmp_path: Path) -> Path:
         ("a.json command text", "tools/bench network"),
         ("a.json times[task=scores][threads=2].ms 0", "3"),
         ("a.json times.0.ms 0", "5"),
+        ("a.json codecs.ours, compiled.ms .2", "0.25"),
         ("a.json ms.theirs / ms.ours .1", "19.6"),
     ],
 )
@@ -69,6 +71,7 @@ def test_tables_are_made_of_records(folder: Path) -> None:
     (folder / "t.json").write_text('{"rows": [{"what": "noise", "points": -1.5}, {"what": "all", "points": 0}]}')
     expected = "| what | points |\n| --- | --- |\n| noise | -1.5 |\n| all | 0 |"
     assert render_page("{{t.json rows table}}", folder) == expected
+    assert render_page("{{t.json rows[what=all] table}}", folder) == expected.replace("| noise | -1.5 |\n", "")
 
 
 def test_columns_are_chosen_and_formatted(folder: Path) -> None:

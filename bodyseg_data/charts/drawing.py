@@ -108,7 +108,7 @@ def _dress(figure: Any, choice: Choice, source: Source, markers: dict[str, str],
     letters = int(width * _LETTERS_AN_INCH)
     words = f"{source['command']}   ·   commit {source['commit']}   ·   {source['hardware']}"
     small = textwrap.fill(words, letters, break_long_words=False, break_on_hyphens=False)
-    handles, columns = _legend(markers, limits), 4 if width < 10 else 5
+    handles, columns = _legend(markers, limits), 3 if width < 10 else 5
     print_in = _PRINT_LINE_IN * (small.count("\n") + 1) + 0.08
     below_in = print_in + _LEGEND_LINE_IN * -(-len(handles) // columns) + 0.05
     left = 0.12 / width

@@ -8,7 +8,8 @@ A template is Markdown with places like these:
     {{network.json command text}}                       as it is
     {{network.json times[task=scores][threads=2].ms .1}}    of a list, the first entry that has these values
     {{loader.json samples_per_second.ours_all.2 / samples_per_second.memory.2 .2}}    one number over another
-    {{ablation.json table table}}                       a list of records, as a table with their names for a head
+    {{stability.json tables.images table}}              a list of records, as a table with their names for a head
+    {{motion.json tables.arithmetic[network=all] table}}    those of them that have this value
     {{failures.json sets.test.causes table cause share_of_wrong:%1}}    the same of some columns, in formats
     {{sources}}                                         a table of all files read: command, commit, hardware
 """
@@ -50,21 +51,24 @@ def sources_of(template: str) -> list[str]:
 
 
 def _fill(place: str, files: Any) -> str:
-    words = place.split()
+    name, _, rest = place.strip().partition(" ")
+    path, _, how = rest.strip().rpartition(" ")
     try:
-        if len(words) == 5 and words[2] == "/":
-            over = _find(files(words[0]), words[3])
-            return _shown(_find(files(words[0]), words[1]) / over, words[4])
-        if len(words) == 3:
-            return _shown(_find(files(words[0]), words[1]), words[2])
-        if len(words) > 3 and words[2] == "table":
-            return _columns(_find(files(words[0]), words[1]), words[3:])
+        if " table " in rest:
+            path, _, columns = rest.partition(" table ")
+            return _columns(_find(files(name), path.strip()), columns.split())
+        if " / " in path:
+            value, over = (_find(files(name), each.strip()) for each in path.split(" / ", 1))
+            return _shown(value / over, how)
+        if path:
+            return _shown(_find(files(name), path, every=how == "table"), how)
     except (LookupError, TypeError, ValueError, ZeroDivisionError) as error:
         raise BadConfig(f"{{{{{place}}}}} cannot be filled: {type(error).__name__}: {error}") from error
     raise BadConfig(f"a place must be a file, a path and a format, or two paths with / between, found {{{{{place}}}}}")
 
 
-def _find(content: Any, path: str) -> Any:
+def _find(content: Any, path: str, every: bool = False) -> Any:
+    """What stands at a path; every: all entries that its last condition holds for, not the first."""
     at = 0
     while at < len(path):
         step = _STEP.match(path, at)
@@ -78,7 +82,7 @@ def _find(content: Any, path: str) -> Any:
             found = [each for each in content if str(each[name]) == value]
             if not found:
                 raise LookupError(f"no entry has {name} = {value}")
-            content = found if "[" in path[at : at + 1] else found[0]
+            content = found if path[at : at + 1] == "[" or (every and at == len(path)) else found[0]
     return content
 
 

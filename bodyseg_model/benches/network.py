@@ -7,6 +7,7 @@ the answer.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.errors import BadConfig, MissingLibrary
 from bodyseg_data.machine import processors
 from bodyseg_model.benches.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from bodyseg_model.benches.network_times import (
@@ -58,7 +59,7 @@ def bench_network(
     scores: tuple[Path, ...] = (),
     progress: Callable[..., None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Parameters, times and accuracy of fcn_alexnet at full width and of compact.
+    """Parameters, times and accuracy of every kind of network that is installed, fcn_alexnet at full width.
 
     Weights are those of the first of `runs` with such a network, else the shipped ones, else new; further runs are
     measured under their folders' names. views: how many typical frames to take turns with. scores: files of `bodyseg
@@ -122,7 +123,13 @@ def _contestants(runs: Sequence[Path]) -> dict[str, _Contestant]:
             if name in further or name in NETWORKS:
                 raise BadConfig(f"further runs are called after their folders, found a second {name!r}: {path}")
             further[name] = one
-    return {kind: first[kind] if kind in first else _new(kind) for kind in NETWORKS} | further
+    for kind in NETWORKS:
+        if kind not in first:
+            try:
+                first[kind] = _new(kind)
+            except MissingLibrary as error:
+                sys.stderr.write(f"{kind} is left out: {error}\n")
+    return {kind: first[kind] for kind in NETWORKS if kind in first} | further
 
 
 def _new(kind: str) -> _Contestant:
