@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from PIL import Image, ImageDraw, ImageFont
 
@@ -66,8 +66,16 @@ def new_chart(width: float, height: float) -> Any:
     return figure
 
 
+def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
+    """A figure of matplotlib as PNG or SVG: the same bytes for the same figure, by one version of matplotlib."""
+    import matplotlib
+
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "bodyseg", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    return buffer.getvalue()
+
+
 def save_chart(figure: Any, path: Path, dpi: int) -> None:
     """Write a figure of matplotlib as PNG at once or not at all. Raises BadConfig if it cannot be written."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
-    write_result(path, buffer.getvalue())
+    write_result(path, chart_bytes(figure, "png", dpi))

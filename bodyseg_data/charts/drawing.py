@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import textwrap
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from bodyseg_data.charts.choices import Choice, Panel
 from bodyseg_data.charts.fronts import Point, front, shortfalls
 from bodyseg_data.charts.labels import Label, place_labels
 from bodyseg_data.charts.scales import axis_title, scale_of
-from bodyseg_data.pictures import new_chart
+from bodyseg_data.pictures import chart_bytes, new_chart
 
 FRONT: Final = "#0072B2"  # this and the next by M. Okabe and K. Ito, told apart by the colour-blind and by their grey
 DEFAULT: Final = "#E69F00"
@@ -49,7 +48,7 @@ class Picture:
 def draw(choice: Choice, panels: Sequence[Panel], source: Source) -> Picture:
     """Draw a choice. The same panels and source give the same bytes. Raises MissingLibrary without matplotlib."""
     figure = chart(choice, panels, source)
-    return Picture(_saved(figure, "svg", {"Date": None}), _saved(figure, "png", None))
+    return Picture(chart_bytes(figure, "svg", DPI), chart_bytes(figure, "png", DPI))
 
 
 def chart(choice: Choice, panels: Sequence[Panel], source: Source) -> Any:
@@ -91,15 +90,6 @@ def _divide(axis: Any, choice: Choice, panel: Panel, panels: Sequence[Panel]) ->
     beside = panels if "y" in choice.shared else [panel]
     heights = [point.y + side for one in beside for point in one.points for side in _bars(point)]
     scale_of(heights, choice.y).apply(axis, "y")
-
-
-def _saved(figure: Any, kind: str, metadata: dict[str, None] | None) -> bytes:
-    import matplotlib
-
-    buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "bodyseg", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
-    return buffer.getvalue()
 
 
 def _dress(figure: Any, choice: Choice, source: Source, markers: dict[str, str], limits: bool) -> None:
