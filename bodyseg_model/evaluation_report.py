@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import statistics
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -143,3 +145,9 @@ def _key(kind: str) -> str:
 
 def _share(value: float) -> float | None:
     return None if math.isnan(value) else round(value, _PLACES)
+
+
+def over_seeds(values: Sequence[float], places: int = 5) -> Tree:
+    """Mean, standard deviation (divisor n - 1; None for one seed) and every seed's value."""
+    spread = round(statistics.stdev(values), places) if len(values) > 1 else None
+    return {"mean": round(statistics.mean(values), places), "sd": spread, "seeds": [round(v, places) for v in values]}

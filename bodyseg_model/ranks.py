@@ -60,6 +60,17 @@ def use_threads(count: int | None) -> None:
     torch.set_num_threads(count)
 
 
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """So many threads of the processor for torch, and afterwards as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def find_device(name: str | None = None) -> torch.device:
     """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's number, else the processor.
 

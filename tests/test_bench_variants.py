@@ -18,12 +18,13 @@ from bodyseg_data.errors import BadConfig
 from bodyseg_data.variants import VARIANTS, Artifacts
 from bodyseg_model.benches import variants, variants_runs, variants_scores
 from bodyseg_model.benches.variants import bench_variants
-from bodyseg_model.benches.variants_claims import claims, over_seeds
+from bodyseg_model.benches.variants_claims import claims
 from bodyseg_model.benches.variants_figure import draw_variants
 from bodyseg_model.benches.variants_runs import Run, common_plan, runs_in, train
 from bodyseg_model.benches.variants_scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
 from bodyseg_model.checkpoints import load_network
 from bodyseg_model.commands import train as train_command
+from bodyseg_model.evaluation_report import over_seeds
 from bodyseg_model.networks import predict
 from bodyseg_model.ranks import Ranks
 from bodyseg_model.scores import ConfusionMatrix

@@ -43,9 +43,9 @@ from bodyseg_model.benches.ablation_runs import (
     plan_of,
     sets_of,
 )
-from bodyseg_model.benches.variants_claims import over_seeds
 from bodyseg_model.benches.variants_scores import Examiner
 from bodyseg_model.checkpoints import load_network
+from bodyseg_model.evaluation_report import over_seeds
 from bodyseg_model.ranks import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"

@@ -26,10 +26,9 @@ from bodyseg_model.benches.architectures_runs import SHARED, Run, groups_in, is_
 from bodyseg_model.benches.network import FILLED, TYPICAL
 from bodyseg_model.benches.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from bodyseg_model.benches.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
-from bodyseg_model.benches.variants_claims import over_seeds
 from bodyseg_model.benches.variants_scores import TABLE, Examiner
 from bodyseg_model.evaluation import evaluate
-from bodyseg_model.evaluation_report import report
+from bodyseg_model.evaluation_report import over_seeds, report
 from bodyseg_model.networks import parameters, settings_of
 from bodyseg_model.ranks import find_device
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -17,6 +16,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from bodyseg_model.benches.network_frames import as_batch
 from bodyseg_model.networks import device_of, predict
+from bodyseg_model.ranks import threads
 
 Task = Literal["scores", "labels"]
 Precision = Literal["float32", "bfloat16"]
@@ -56,7 +56,7 @@ def time_cell(
     device = torch.device(cell.device)
     names = list(networks)
     # Layers' weights are rounded once: autocast forgets the rounded ones where its context ends.
-    with _threads(cell.threads), torch.autocast(device.type, torch.bfloat16, enabled=cell.precision == "bfloat16"):
+    with threads(cell.threads), torch.autocast(device.type, torch.bfloat16, enabled=cell.precision == "bfloat16"):
         for name in names:
             _milliseconds(_job(cell.task, networks[name], batches[0]), device)
         start = time.perf_counter()
@@ -114,16 +114,6 @@ def _milliseconds(job: Callable[[], Any], device: torch.device) -> float:
 def _wait(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
-
-
-@contextlib.contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def operations(network: nn.Module, frame: NDArray[np.float32]) -> float:

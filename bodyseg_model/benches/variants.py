@@ -17,10 +17,11 @@ import torch
 from bodyseg_data.batch_order import whole_number
 from bodyseg_data.errors import BadConfig
 from bodyseg_data.variants import VARIANTS, VariantName
-from bodyseg_model.benches.variants_claims import Ask, Tree, accuracies, claims, over_seeds
+from bodyseg_model.benches.variants_claims import Ask, Tree, accuracies, claims
 from bodyseg_model.benches.variants_runs import NETWORK, Plan, Run, common_plan, runs_in, train
 from bodyseg_model.benches.variants_scores import SWEEPS, SWEEPS_ALONE, TABLE, Examiner, Setting, Sweep
 from bodyseg_model.checkpoints import load_network
+from bodyseg_model.evaluation_report import over_seeds
 from bodyseg_model.networks import build, parameters
 from bodyseg_model.ranks import Ranks, find_device
 from bodyseg_model.training import Figures

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from bodyseg_data.variants import VARIANTS, VariantName
 from bodyseg_model.benches.variants_scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
+from bodyseg_model.evaluation_report import over_seeds
 
 Tree = dict[str, Any]
 Ask = Callable[[VariantName, Setting], list[Tree]]
@@ -23,12 +24,6 @@ _SIGMA_MM: Final = 40
 _MISSING: Final = 0.5
 _EDGE_BINS: Final = ("1", "1-2", "2-4")
 _ACCURACY: Final = "average_per_class_accuracy"
-
-
-def over_seeds(values: Sequence[float], places: int = 5) -> Tree:
-    """Mean, standard deviation (divisor n - 1; None for one seed) and every seed's value."""
-    spread = round(statistics.stdev(values), places) if len(values) > 1 else None
-    return {"mean": round(statistics.mean(values), places), "sd": spread, "seeds": [round(v, places) for v in values]}
 
 
 def accuracies(ask: Ask, variant: VariantName, setting: Setting) -> list[float]:

@@ -5,10 +5,9 @@ Every way is compared with one: each image alone, in 32 bits, by one thread.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,6 +20,7 @@ from bodyseg_data.parts import BACKGROUND
 from bodyseg_data.streaming import RangeImages
 from bodyseg_model.crops import body_window
 from bodyseg_model.networks import device_of, margin, predict
+from bodyseg_model.ranks import threads
 from bodyseg_model.scores import ConfusionMatrix
 
 BATCH_SIZES: Final = (2, 7, 16)
@@ -82,7 +82,7 @@ def numerical(
         if progress is not None:
             progress(done, total)
 
-    with _threads(1):
+    with threads(1):
         usual = _one_by_one(functools.partial(_labels, network), shown.range_m)
         found = {}
         for name, way in ways.items():
@@ -125,7 +125,7 @@ def _ways(network: nn.Module, device: str) -> dict[str, Way]:
         return lambda range_m: _labels(turned, range_m.to(kind))
 
     def two_threads(range_m: torch.Tensor) -> torch.Tensor:
-        with _threads(2):
+        with threads(2):
             return _labels(network, range_m)
 
     def channels_last(range_m: torch.Tensor) -> torch.Tensor:
@@ -203,13 +203,3 @@ def _accuracy(truth: torch.Tensor, predicted: torch.Tensor) -> float:
     confusion = ConfusionMatrix()
     confusion.add(truth.cpu().numpy(), predicted.cpu().numpy())
     return confusion.average_per_class_accuracy()
-
-
-@contextlib.contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

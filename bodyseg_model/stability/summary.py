@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
+from bodyseg_model.evaluation_report import over_seeds
 from bodyseg_model.stability.examining import Accuracies
 from bodyseg_model.stability.groups import Group
 from bodyseg_model.stability.severities import CLEAN, Setting, Sweep
@@ -46,12 +47,6 @@ def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accur
             for group in groups
         },
     }
-
-
-def over_seeds(values: Sequence[float]) -> Tree:
-    """Mean, standard deviation (divisor n - 1; None for one seed) and every seed's value."""
-    spread = round(statistics.stdev(values), 5) if len(values) > 1 else None
-    return {"mean": round(statistics.mean(values), 5), "sd": spread, "seeds": [round(value, 5) for value in values]}
 
 
 def motion_over_seeds(groups: Sequence[Group], networks: Mapping[str, Mapping[str, Tree]]) -> Tree:
