@@ -320,7 +320,8 @@ def test_what_pays_and_what_does_not() -> None:
     assert verdict(turned, ("x",)) == {"verdict": "pays", "pays_on": ["x"], "harms_on": ["all"]}
     assert worth(have, lack, None)["all"] == {"points": 1.0, "sd": None, "threshold": 0.3}
     louder = worth(have, lack, {"all": 0.5, "x": 0.5, "y": 1})  # threshold 1.15
-    assert verdict(louder, ("all", "x"))["verdict"] == "does not pay"
+    assert verdict(louder, ("all", "x")) == {"verdict": "undecided", "pays_on": [], "harms_on": []}
+    assert verdict(louder, ("x",))["verdict"] == "does not pay"
 
 
 def test_the_smallest_set_that_suffices() -> None:

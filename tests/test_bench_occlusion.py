@@ -16,7 +16,7 @@ from shapes import figure
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.benches import occlusion as bench
 from bodyseg_data.benches.occlusion import bench_occlusion
-from bodyseg_data.benches.occlusion_figure import draw_occlusion, front
+from bodyseg_data.benches.occlusion_figure import draw_occlusion
 from bodyseg_data.benches.occlusion_rivals import DEFAULT, methods, nearest, plane, votes
 from bodyseg_data.benches.occlusion_stored import Storage, exact_masks, facing_bytes
 from bodyseg_data.benches.occlusion_tallies import SCENES
@@ -138,11 +138,6 @@ def test_the_exact_mask_is_stored_in_few_bytes(seen: ExactView) -> None:
     assert set(costs) == {"bit of the label byte", "image by the codec", "packed bits, zstd"}
     assert all(size < 10_000 and 0 < seconds < 0.1 for size, seconds in costs.values())
     assert abs(facing_bytes(seen)) < 10_000
-
-
-def test_the_front_is_what_nothing_beats() -> None:
-    rows = [{"a": a, "b": b} for a, b in ((1, 5), (2, 2), (2, 3), (5, 1), (6, 1), (2, 2))]
-    assert front(rows, ("a", "b")) == [rows[0], rows[1], rows[3], rows[5]]
 
 
 @pytest.fixture(scope="module")

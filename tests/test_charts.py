@@ -13,7 +13,7 @@ from PIL import Image
 
 from bodyseg_data.charts.choices import Choice, Panel
 from bodyseg_data.charts.drawing import DPI, chart, draw
-from bodyseg_data.charts.fronts import Axis, Point, beats, front, shortfalls
+from bodyseg_data.charts.fronts import Axis, Point, front, shortfalls, unbeaten
 from bodyseg_data.charts.labels import Label, Placed, place_labels
 from bodyseg_data.charts.scales import axis_title, scale_of, shown
 
@@ -33,6 +33,12 @@ def test_a_front_by_hand() -> None:
     assert [point.name for point in front(found, MORE, LESS)] == ["p5"]
     assert [point.name for point in front(found, MORE, MORE)] == ["p6"]
     assert [point.name for point in front(found, LESS, MORE)] == ["p0"]
+
+
+def test_what_nothing_beats_stays_in_its_order_and_equals_stay_together() -> None:
+    rows = [{"a": a, "b": b} for a, b in ((1, 5), (2, 2), (2, 3), (5, 1), (6, 1), (2, 2))]
+    assert unbeaten(rows, lambda row: (row["a"], row["b"])) == [rows[0], rows[1], rows[3], rows[5]]
+    assert unbeaten([3, 1, 2], lambda number: (number,)) == [1]
 
 
 def test_of_points_in_one_place_none_is_lost() -> None:
@@ -66,7 +72,7 @@ def test_by_how_much_a_point_is_beaten() -> None:
     assert (second.better, second.x_share, second.y_share) == (fast, 0.2, 0.0)
     (only,) = shortfalls(fast, [slow, fast], MORE, LESS)
     assert (only.better, only.x_share, only.y_share) == (slow, 0.25, 0.0)
-    assert not beats(slow, slow, LESS, LESS)
+    assert shortfalls(slow, [slow, slow], LESS, LESS) == ()
 
 
 # Scales

@@ -14,36 +14,58 @@ def over_seeds(*values: float) -> dict[str, Any]:
 
 GROUP = {
     "clean": {"stored": over_seeds(0.8, 0.9)},
-    "curves": {"noise": {"mean": [0.85, 0.5]}, "tilt": {"mean": [0.8, 0.7]}},
-    "falls_below_bound_at": {"noise": {"mean": 72.5}, "tilt": {"mean": None}},
+    "curves": {
+        "noise": {"mean": [0.85, 0.5], "sd": [0.01, 0.02]},
+        "tilt": {"mean": [0.8, 0.7], "sd": [0.01, 0.01]},
+        "hard": {"mean": [0.5, 0.4], "sd": [None, None]},
+    },
+    "falls_below_bound_at": {
+        "noise": {"mean": 72.5, "seeds": [71.5, 73.5]},
+        "tilt": {"mean": None, "seeds": [None, None]},
+        "hard": {"mean": 0, "seeds": [0, 0]},
+    },
     "worst": {"sweep": "noise", "strength": 100, "accuracy": 0.5},
     "mce": None,
     "mrr": over_seeds(0.75),
 }
 
 
+SWEEPS = {
+    "noise": {"title": "Noise", "axis": "sigma, mm", "strengths": [0, 100]},
+    "tilt": {"title": "Looks down", "axis": "degrees", "strengths": [0, 30]},
+    "hard": {"title": "Hard poses", "axis": "1: hard", "strengths": [0, 1]},
+}
+FIGURES = {"bound": 0.6, "sweeps": SWEEPS, "groups": {"all": GROUP}}
+
+
 def test_images_have_a_row_a_group_and_sweeps_a_row_a_sweep() -> None:
-    figures = {
-        "bound": 0.6,
-        "sweeps": {"noise": {"strengths": [0, 100]}, "tilt": {"strengths": [0, 30]}},
-        "groups": {"all": GROUP},
-    }
-    assert tables(figures) == {
+    assert tables(FIGURES) == {
         "images": [
             {
                 "network": "all",
                 "clean, %": "85.0 ± 1.0",
                 "mCE": "–",
                 "mRR": "0.750",
-                "worst": "noise at 100: 50.0 %",
-                "falls below 60% at": "noise 72.5",
+                "worst case": "Noise, 100: 50.0 ± 2.0 %",
             }
         ],
         "sweeps": [
-            {"sweep": "noise", "strongest": "100", "all": "50.0"},
-            {"sweep": "tilt", "strongest": "30", "all": "70.0"},
+            {"harm": "Noise", "strongest": "100, sigma, mm", "all": "50.0 ± 2.0"},
+            {"harm": "Looks down", "strongest": "30, degrees", "all": "70.0 ± 1.0"},
+            {"harm": "Hard poses", "strongest": "1, 1: hard", "all": "40.0"},
+        ],
+        "falls": [
+            {"harm": "Noise: sigma, mm, 0 to 100", "all": "72.5 ± 1.4"},
+            {"harm": "Looks down: degrees, 0 to 30", "all": "never"},
+            {"harm": "Hard poses: 1: hard, 0 to 1", "all": "when clean"},
         ],
     }
+
+
+def test_a_strength_has_no_spread_where_a_seed_never_falls() -> None:
+    falls = {"noise": {"mean": 72.5, "seeds": [71.5, None]}}
+    group = GROUP | {"falls_below_bound_at": GROUP["falls_below_bound_at"] | falls}
+    assert tables(FIGURES | {"groups": {"all": group}})["falls"][0]["all"] == "72.5"
 
 
 def test_motion_has_a_row_for_each_kind_of_frames() -> None:

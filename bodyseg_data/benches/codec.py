@@ -20,6 +20,7 @@ from bodyseg_data import kernels
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.benches.codec_rivals import Rival, rivals
 from bodyseg_data.bodies import open_source
+from bodyseg_data.charts.fronts import unbeaten
 from bodyseg_data.codec import encode_sample
 from bodyseg_data.codecs.bsi import decode_images, encode_images
 from bodyseg_data.codecs.labels import join_labels
@@ -179,13 +180,8 @@ def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
 
 
 def _front(rows: dict[str, Any]) -> list[str]:
-    def beaten(one: dict[str, float]) -> bool:
-        return any(
-            other["bytes"] <= one["bytes"] and other["decode_ms"] <= one["decode_ms"] and other is not one
-            for other in rows.values()
-        )
-
-    return sorted((name for name in rows if not beaten(rows[name])), key=lambda name: rows[name]["bytes"])
+    best = unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"]))
+    return sorted(best, key=lambda name: rows[name]["bytes"])
 
 
 class _Sizes:

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from bodyseg_data.benches.occlusion_crops import draw_crops
 from bodyseg_data.benches.occlusion_rivals import DEFAULT
+from bodyseg_data.charts.fronts import unbeaten
 from bodyseg_data.pictures import new_chart, save_chart
 
 Row = dict[str, Any]
@@ -89,19 +90,13 @@ def draw_occlusion(figures: Row, path: Path) -> None:
     draw_crops(figures, path.with_name(f"{path.stem}_errors.png"))
 
 
-def front(rows: list[Row], costs: tuple[str, ...]) -> list[Row]:
-    """Those of which no other is nowhere worse and somewhere better."""
-
-    def beaten(row: Row, other: Row) -> bool:
-        pairs = [(other[cost], row[cost]) for cost in costs]
-        return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
-
-    return [row for row in rows if not any(beaten(row, other) for other in rows)]
+def _front(rows: list[Row], costs: tuple[str, ...]) -> list[Row]:
+    return unbeaten(rows, lambda row: [row[cost] for cost in costs])
 
 
 def _scatter(axis: Any, cost: str, maps: list[Row], mask: Row) -> None:
-    best = front(maps, ("wrong_pixels", "us_per_view", "bytes"))
-    line = sorted((row[cost], row["wrong_pixels"]) for row in front(maps, ("wrong_pixels", cost)))
+    best = _front(maps, ("wrong_pixels", "us_per_view", "bytes"))
+    line = sorted((row[cost], row["wrong_pixels"]) for row in _front(maps, ("wrong_pixels", cost)))
     axis.plot(*zip(*line, strict=True), color="black", linewidth=1, linestyle="--", drawstyle="steps-post", zorder=2)
     for row in maps:
         shown = row in best
@@ -157,7 +152,7 @@ def _compiled(axis: Any, rows: list[Row]) -> None:
             linewidths=0.8,
             zorder=5,
         )
-    line = sorted((row["us_per_view"], row["wrong_pixels"]) for row in front(rows, ("wrong_pixels", "us_per_view")))
+    line = sorted((row["us_per_view"], row["wrong_pixels"]) for row in _front(rows, ("wrong_pixels", "us_per_view")))
     if line:
         axis.plot(*zip(*line, strict=True), color="black", linewidth=1, linestyle="-", drawstyle="steps-post", zorder=2)
 

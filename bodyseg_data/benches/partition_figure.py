@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.charts.fronts import unbeaten
 from bodyseg_data.pictures import new_chart, save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
@@ -50,11 +51,7 @@ def draw_partition(figures: dict[str, Any], path: Path) -> None:
 
 def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:
     points = {name: (row["partition_ms"], max(row["wrong_surface"], _NOTHING)) for name, row in methods.items()}
-    front = sorted(
-        point
-        for name, point in points.items()
-        if not any(other[0] <= point[0] and other[1] < point[1] for key, other in points.items() if key != name)
-    )
+    front = sorted(unbeaten(points.values(), lambda point: point))
     axis.plot(*zip(*front, strict=True), color="black", linewidth=1, linestyle="--", zorder=1)
     for name, (x, y) in points.items():
         big = name == default

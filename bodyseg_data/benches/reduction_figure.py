@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.charts.fronts import unbeaten
 from bodyseg_data.pictures import new_chart, save_chart
 
 _NOTHING: Final = 0.01  # mm; where "none" is drawn, since a log axis has no zero
@@ -63,11 +64,7 @@ def _default(kind: dict[str, Any], tolerance_mm: float, least: int) -> dict[str,
 
 def _front(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows that none beats in both error and speed, by error."""
-    front: list[dict[str, Any]] = []
-    for row in sorted(rows, key=lambda row: (_error(row), -row["views_per_second"])):
-        if not front or row["views_per_second"] > front[-1]["views_per_second"]:
-            front.append(row)
-    return front
+    return sorted(unbeaten(rows, lambda row: (_error(row), -row["views_per_second"])), key=_error)
 
 
 def _dots(name: str) -> dict[str, Any]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -45,15 +48,18 @@ class Shortfall:
     y_share: float
 
 
-def beats(one: Point, other: Point, x: Axis, y: Axis) -> bool:
-    """Whether `one` is nowhere worse than `other` and somewhere better."""
-    gains = x.gain(one.x, other.x), y.gain(one.y, other.y)
-    return min(gains) >= 0 and max(gains) > 0
+def unbeaten(things: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
+    """Those that no other beats, in the order given. costs: of one thing, as many of each, all better if smaller.
+
+    One beats another if it is nowhere worse and somewhere better; so of several with the same costs stay all or none.
+    """
+    priced = [(thing, costs(thing)) for thing in things]
+    return [thing for thing, mine in priced if not any(_beats(other, mine) for _, other in priced)]
 
 
 def front(points: Sequence[Point], x: Axis, y: Axis) -> tuple[Point, ...]:
     """The points that no other beats, by rising x. Of points in one place, all or none."""
-    kept = [point for point in points if not any(beats(other, point, x, y) for other in points)]
+    kept = unbeaten(points, lambda point: _costs(point, x, y))
     return tuple(sorted(kept, key=lambda point: (point.x, point.y)))
 
 
@@ -62,9 +68,18 @@ def shortfalls(point: Point, points: Sequence[Point], x: Axis, y: Axis) -> tuple
     found = [
         Shortfall(one, _share(x.gain(one.x, point.x), point.x), _share(y.gain(one.y, point.y), point.y))
         for one in front(points, x, y)
-        if beats(one, point, x, y)
+        if _beats(_costs(one, x, y), _costs(point, x, y))
     ]
     return tuple(sorted(found, key=lambda fall: -(fall.x_share + fall.y_share)))
+
+
+def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
+    pairs = [*zip(one, other, strict=True)]
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def _costs(point: Point, x: Axis, y: Axis) -> tuple[float, float]:
+    return -x.gain(point.x, 0.0), -y.gain(point.y, 0.0)
 
 
 def _share(gain: float, of: float) -> float:

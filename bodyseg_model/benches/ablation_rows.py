@@ -25,12 +25,13 @@ BASE: Final = "all"
 LEAST_POINTS: Final = 0.3
 DEVIATIONS: Final = 2.0
 NEAR_POINTS: Final = 1.0
-HARMS_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like harm by chance
 """How far behind the full set a smaller one may be to be called enough."""
+HARMS_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like harm by chance
 
 RULE: Final = (
     f"A thing pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
     "deviations of the difference above that without it, on at least one kind of test images that it is meant to help. "
+    f"Undecided: more than {LEAST_POINTS:g} points above, but within those deviations, so more seeds are wanted. "
     "It harms where accuracy is as much lower with it, on images with all artifacts or with none."
 )
 
@@ -171,9 +172,12 @@ def worth(
 
 def verdict(found: Mapping[str, Tree], helps: Sequence[str]) -> Tree:
     """`RULE` applied to what `worth` found."""
-    pays = [name for name in helps if name in found and found[name]["points"] > found[name]["threshold"]]
+    meant = [found[name] | {"name": name} for name in helps if name in found]
+    pays = [each["name"] for each in meant if each["points"] > each["threshold"]]
     harms = [name for name in HARMS_SOUGHT_ON if name in found and found[name]["points"] < -found[name]["threshold"]]
-    return {"verdict": "pays" if pays else "does not pay", "pays_on": pays, "harms_on": harms}
+    perhaps = any(each["points"] > LEAST_POINTS for each in meant)
+    word = "pays" if pays else "undecided" if perhaps else "does not pay"
+    return {"verdict": word, "pays_on": pays, "harms_on": harms}
 
 
 def enough(rows: Iterable[Tree], prefix: str) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,6 +16,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
     if "groups" in figures:
         found["images"] = [_images(label, group, figures) for label, group in figures["groups"].items()]
         found["sweeps"] = [_sweep(name, figures) for name in figures["sweeps"]]
+        found["falls"] = [_falls(name, figures) for name in figures["sweeps"]]
     if "temporal" in figures:
         groups = figures["temporal"]["groups"].items()
         found["motion"] = [_motion(label, variant, row) for label, of in groups for variant, row in of.items()]
@@ -32,23 +34,48 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
 
 def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) -> dict[str, str]:
     worst = group["worst"]
-    falls = group["falls_below_bound_at"]
-    early = {name: each["mean"] for name, each in falls.items() if each["mean"] is not None}
+    sweep = figures["sweeps"][worst["sweep"]]
+    place = sweep["strengths"].index(worst["strength"])
+    accuracy = _percent(_at(group["curves"][worst["sweep"]], place))
     return {
         "network": label,
         "clean, %": _percent(group["clean"].get("stored")),
         "mCE": _number(group["mce"]),
         "mRR": _number(group["mrr"]),
-        "worst": f"{worst['sweep']} at {worst['strength']:g}: {100 * worst['accuracy']:.1f} %",
-        f"falls below {figures['bound']:.0%} at": "; ".join(f"{name} {at:.3g}" for name, at in early.items()) or _NONE,
+        "worst case": f"{sweep['title']}, {worst['strength']:g}: {accuracy} %",
     }
 
 
 def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
     """One kind of harm at its strongest, by group."""
     sweep = figures["sweeps"][name]
-    strongest = {label: f"{100 * group['curves'][name]['mean'][-1]:.1f}" for label, group in figures["groups"].items()}
-    return {"sweep": name, "strongest": f"{sweep['strengths'][-1]:g}"} | strongest
+    return {
+        "harm": sweep["title"],
+        "strongest": f"{sweep['strengths'][-1]:g}, {sweep['axis']}",
+        **{label: _percent(_at(group["curves"][name], -1)) for label, group in figures["groups"].items()},
+    }
+
+
+def _falls(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
+    """How strong one kind of harm has to be for accuracy to fall below the bound, by group."""
+    sweep = figures["sweeps"][name]
+    clean, strongest = sweep["strengths"][0], sweep["strengths"][-1]
+    row = {"harm": f"{sweep['title']}: {sweep['axis']}, {clean:g} to {strongest:g}"}
+    for label, group in figures["groups"].items():
+        falls = group["falls_below_bound_at"][name]
+        row[label] = "never" if falls["mean"] is None else "when clean" if falls["mean"] == clean else _strength(falls)
+    return row
+
+
+def _strength(falls: Mapping[str, Any]) -> str:
+    """That of the mean curve; with the spread of the seeds' own, unless one never falls."""
+    seeds = falls["seeds"]
+    spread = "" if len(seeds) < 2 or None in seeds else f" ± {statistics.stdev(seeds):.2g}"
+    return f"{falls['mean']:.3g}{spread}"
+
+
+def _at(curve: Mapping[str, Any], place: int) -> dict[str, Any]:
+    return {"mean": curve["mean"][place], "sd": curve["sd"][place]}
 
 
 def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
