@@ -12,7 +12,7 @@ from torch import nn
 
 from bodyseg_data.errors import BadConfig
 from bodyseg_model.checkpoints import Trained
-from bodyseg_model.stability.figure import draw_stability
+from bodyseg_model.stability.figure import _styles, draw_stability
 from bodyseg_model.stability.groups import Group, Run, group, group_of
 from bodyseg_model.stability.severities import CLEAN, Setting, Sweep
 from bodyseg_model.stability.summary import (
@@ -188,3 +188,9 @@ def test_groups_of_one_variant_look_different(figures: dict[str, Any], tmp_path:
     with Image.open(tmp_path / "stability.png") as picture:
         colours = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     assert (colours == (0x8A, 0x5A, 0xA3)).all(axis=1).sum() > 100
+
+
+def test_a_dozen_networks_beside_the_variants_look_different() -> None:
+    variants = ["none", "occ", "noise", "md", *["all"] * 13]
+    found = _styles({f"network {number}": {"variant": variant} for number, variant in enumerate(variants)})
+    assert len({(style.colour, style.marker) for style in found.values()}) == len(variants)

@@ -31,7 +31,16 @@ _SPARE: Final = (
     _Style("#9a6a3a", (0, (8, 2)), "X"),
     _Style("#c9619a", (0, (3, 1.2, 1, 1.2)), "<"),
     _Style("#2f4b9a", (0, (1, 1)), ">"),
+    _Style("#4aa3da", "-", "p"),
+    _Style("#00785a", (0, (1.2, 1.6)), "h"),
+    _Style("#d98e00", (0, (3, 1.2, 1, 1.2)), "d"),
+    _Style("#000000", (0, (8, 2)), "^"),
+    _Style("#8a5aa3", (0, (1, 1)), "s"),
+    _Style("#6b6b6b", "-", "o"),
+    _Style("#9a6a3a", (0, (1.2, 1.6)), "D"),
 )
+"""For further groups, told apart by their markers where a colour comes again."""
+
 _COLUMNS: Final = 4
 _FEW_LINES: Final = 6
 
