@@ -101,7 +101,7 @@ def test_every_network_is_judged_and_timed(figures_set: Path, run: Make) -> None
     assert list(found["networks"]) == ["compact", "fcn_alexnet_16th", "forest"] and found["reference"] == "compact"
     compact, alexnet, forest = found["networks"].values()
     assert [row["default"] for row in (compact, alexnet, forest)] == [True, False, False]
-    assert (compact["label"], alexnet["label"]) == ("compact", "FCN-AlexNet, 16th")
+    assert (compact["label"], alexnet["label"]) == ("compact", "FCN-AlexNet, width 1/16")
     assert [row["family"] for row in (compact, alexnet, forest)] == ["compact", "fcn_alexnet", "forest"]
     assert compact["commands"] == {"compact-0": "trained compact-0", "compact-1": "trained compact-1"}
     assert compact["parameters"] == parameters(build("compact", TINY)) and forest["parameters"] > 33

@@ -10,6 +10,7 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
@@ -133,18 +134,26 @@ def bench_architectures(
 def _facts(name: str, group: Sequence[Run], frame: NDArray[Any]) -> Tree:
     first, network = group[0], group[0].network
     cards = {run.path.name: run.trained.card for run in group}
-    title, rest = TITLES.get(first.family, first.family), name.removeprefix(first.family).strip("_-").replace("_", " ")
+    settings = settings_of(network)
     return {
         "family": first.family,
-        "label": f"{title}, {rest}" if rest else title,
+        "label": _label(first, settings),
         "default": is_shipped(first),
         "parameters": parameters(network),
         "giga_operations": operations(network, frame),
-        "settings": settings_of(network),
+        "settings": settings,
         "recipe": first.recipe,
         "commands": {run: card.get("command") for run, card in cards.items()},
         "commits": {run: card.get("commit") for run, card in cards.items()},
     }
+
+
+def _label(run: Run, settings: Tree) -> str:
+    """What charts call a network: its family, then what of the width or of the image it has, or else its own name."""
+    shares = {"width": Fraction(settings.get("width", 1)), "image": Fraction(1, settings.get("shrink", 1))}
+    words = [f"{what} {share.limit_denominator(99)}" for what, share in shares.items() if share < 1]
+    words = words or [run.name.removeprefix(run.family).strip("_-").replace("_", " ")]
+    return ", ".join([TITLES.get(run.family, run.family), *filter(None, words)])
 
 
 def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
