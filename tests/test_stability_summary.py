@@ -194,3 +194,12 @@ def test_a_dozen_networks_beside_the_variants_look_different() -> None:
     variants = ["none", "occ", "noise", "md", *["all"] * 13]
     found = _styles({f"network {number}": {"variant": variant} for number, variant in enumerate(variants)})
     assert len({(style.colour, style.marker) for style in found.values()}) == len(variants)
+
+
+def test_no_name_is_cut_off_below_the_figure(figures: dict[str, Any], tmp_path: Path) -> None:
+    names = [f"a network of {number} with a long name" for number in range(12)]
+    draw_stability(figures | {"groups": dict.fromkeys(names, figures["groups"]["all"])}, tmp_path / "stability.png")
+    with Image.open(tmp_path / "stability.png") as picture:
+        legend = np.asarray(picture.convert("L"))[-100:]
+    assert (legend < 100).any()
+    assert (legend[:, :5] == 255).all() and (legend[:, -5:] == 255).all()

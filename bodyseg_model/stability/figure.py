@@ -42,7 +42,8 @@ _SPARE: Final = (
 """For further groups, told apart by their markers where a colour comes again."""
 
 _COLUMNS: Final = 4
-_FEW_LINES: Final = 6
+_WIDTH: Final = 16.0
+_MOST_IN_A_ROW: Final = 6
 
 
 def draw_stability(figures: Tree, path: Path) -> None:
@@ -53,8 +54,10 @@ def draw_stability(figures: Tree, path: Path) -> None:
     sweeps, groups = figures["sweeps"], figures["groups"]
     rows = -(-len(sweeps) // _COLUMNS)
     styles = _styles(groups)
-    legend_rows = -(-len(groups) // _FEW_LINES)
-    figure = new_chart(16, 0.9 + 0.3 * legend_rows + 3.0 * rows)
+    handles = [_handle(label, group, styles[label]) for label, group in groups.items()]
+    in_a_row = _fitting(handles)
+    legend_rows = -(-len(handles) // in_a_row)
+    figure = new_chart(_WIDTH, 0.9 + 0.3 * legend_rows + 3.0 * rows)
     axes = figure.subplots(rows, _COLUMNS, sharey=True, squeeze=False)
     for axis in axes.flat[len(sweeps) :]:
         axis.set_visible(False)
@@ -66,8 +69,7 @@ def draw_stability(figures: Tree, path: Path) -> None:
         if place % _COLUMNS == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     figure.legend(
-        handles=[_handle(label, group, styles[label]) for label, group in groups.items()],
-        loc="outside lower center", ncols=min(_FEW_LINES, len(groups)), fontsize=10.5, handlelength=4.5, frameon=False,
+        handles=handles, loc="outside lower center", ncols=in_a_row, fontsize=10.5, handlelength=4.5, frameon=False,
     )  # fmt: skip
     figure.suptitle(_title(figures), x=0.005, ha="left", fontsize=11)
     save_chart(figure, path, dpi=100)
@@ -124,6 +126,12 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 
     count = len(group["seeds"])
     return Line2D([], [], label=f"{label}: {count} seed{'' if count == 1 else 's'}", **_drawn(style))
+
+
+def _fitting(handles: list[Any]) -> int:
+    """How many entries of the legend fit side by side, in columns as wide as the longest of them."""
+    inches = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)
+    return max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / inches)))
 
 
 def _title(figures: Tree) -> str:
