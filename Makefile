@@ -19,8 +19,9 @@ demo: install
 	rm -rf demo
 	$(BIN)/bodyseg demo --out demo
 
+# Two files of tests at a time, each with one thread of PyTorch: twice two threads wait for each other.
 test: install
-	$(BIN)/pytest
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile
 
 check: install
 	$(BIN)/ruff check .
