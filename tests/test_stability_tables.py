@@ -35,7 +35,7 @@ SWEEPS = {
     "tilt": {"title": "Looks down", "axis": "degrees", "strengths": [0, 30]},
     "hard": {"title": "Hard poses", "axis": "1: hard", "strengths": [0, 1]},
 }
-FIGURES = {"bound": 0.6, "sweeps": SWEEPS, "groups": {"all": GROUP}}
+FIGURES = {"sweeps": SWEEPS, "groups": {"all": GROUP}}
 
 
 def test_images_have_a_row_a_group_and_sweeps_a_row_a_sweep() -> None:

@@ -172,10 +172,10 @@ def worth(
 
 def verdict(found: Mapping[str, Tree], helps: Sequence[str]) -> Tree:
     """`RULE` applied to what `worth` found."""
-    meant = [found[name] | {"name": name} for name in helps if name in found]
-    pays = [each["name"] for each in meant if each["points"] > each["threshold"]]
+    meant = [name for name in helps if name in found]
+    pays = [name for name in meant if found[name]["points"] > found[name]["threshold"]]
     harms = [name for name in HARMS_SOUGHT_ON if name in found and found[name]["points"] < -found[name]["threshold"]]
-    perhaps = any(each["points"] > LEAST_POINTS for each in meant)
+    perhaps = any(found[name]["points"] > LEAST_POINTS for name in meant)
     word = "pays" if pays else "undecided" if perhaps else "does not pay"
     return {"verdict": word, "pays_on": pays, "harms_on": harms}
 

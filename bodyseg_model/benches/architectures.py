@@ -86,7 +86,7 @@ def bench_architectures(
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = {FILLED: [stretched(largest, *largest.shape)], TYPICAL: typical}
-    facts = {name: _facts(name, group, frames[FILLED][0]) for name, group in groups.items()}
+    facts = {name: _facts(group, frames[FILLED][0]) for name, group in groups.items()}
     networks = {name: group[0].network for name, group in groups.items()}
     reference = next((name for name, row in facts.items() if row["default"]), next(iter(facts)))
     if scale is not None:
@@ -131,7 +131,7 @@ def bench_architectures(
     }
 
 
-def _facts(name: str, group: Sequence[Run], frame: NDArray[Any]) -> Tree:
+def _facts(group: Sequence[Run], frame: NDArray[Any]) -> Tree:
     first, network = group[0], group[0].network
     cards = {run.path.name: run.trained.card for run in group}
     settings = settings_of(network)
