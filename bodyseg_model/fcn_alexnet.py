@@ -68,13 +68,20 @@ class FcnAlexnet(nn.Module):
         self._norm = nn.LocalResponseNorm(5, alpha=1e-4, beta=0.75) if normalise else nn.Identity()
         self._drop = nn.Dropout(0.5)
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def forward(
+        self, range_m: torch.Tensor, rows: torch.Tensor | None = None, columns: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Scores (logits), float [B, 33, H, W], of range images in metres, float [B, 1, H, W], 0 = nothing measured.
 
+        rows, columns: int64 [h] and [w], the pixels of the image to answer, [B, 33, h, w]; None: all. The last layer
+        sees every pixel by itself, so training, which looks at one in sixteen, need not pay for the others.
         Raises BadConfig for any other shape.
         """
         check_range_images(range_m)
-        rows, columns = range_m.shape[2:]
+        rows, columns = (
+            torch.arange(side, device=range_m.device) if asked is None else asked
+            for asked, side in zip((rows, columns), range_m.shape[2:], strict=True)
+        )
         x = self._pool(self._norm(self.conv1(range_m * RANGE_SCALE).relu()))
         x = self._pool(self._norm(self.conv2(x).relu()))
         x = self.conv4(self.conv3(x).relu()).relu()
@@ -84,16 +91,17 @@ class FcnAlexnet(nn.Module):
         scores: torch.Tensor = self.score(self._upsampled(self.conv8(x).relu(), rows, columns))
         return scores
 
-    def _upsampled(self, x: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
-        """What upfeat makes of x, cropped. It is frozen, the same for all channels, and a product of a filter down and
-        one across: so two small matrices do, and gradients need not pass through 256 filters of 63 x 63.
+    def _upsampled(self, x: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """What upfeat makes of x, at some rows and columns of the image. It is frozen, the same for all channels, and a
+        product of a filter down and one across: so two small matrices do, and gradients need not pass through 256
+        filters of 63 x 63.
         """
         filter_down = self.upfeat.weight[0, 0, :, STRIDE - 1]
         down, across = (
             F.conv_transpose1d(torch.eye(count).to(filter_down)[:, None], filter_down[None, None], stride=STRIDE)[:, 0]
             for count in x.shape[2:]
         )
-        return down[:, _CROP : _CROP + rows].mT @ x @ across[:, _CROP : _CROP + columns]
+        return down[:, _CROP + rows].mT @ x @ across[:, _CROP + columns]
 
 
 def bilinear_filters(channels: int, stride: int) -> torch.Tensor:

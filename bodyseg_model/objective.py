@@ -10,6 +10,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
 from bodyseg_data.parts import BACKGROUND, PART_COUNT
+from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks import coarse
 
 
@@ -37,7 +38,7 @@ class Objective(nn.Module):
     def __init__(self, network: nn.Module, weights: torch.Tensor, every: int = 1, compiled: bool = False) -> None:
         super().__init__()
         self.network, self.every = network, every
-        self._ask = torch.compile(coarse, dynamic=False) if compiled else coarse
+        self._ask = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
     def forward(self, range_m: torch.Tensor, labels: torch.Tensor, place: torch.Tensor) -> Outcome:
@@ -46,14 +47,16 @@ class Objective(nn.Module):
         The loss is the mean over images of each image's mean over its body, which is 0 for an image without one. So it
         is the same however a batch is cut up, between processes or into turns.
         """
-        scores, step = self._ask(self.network, range_m)
-        apart = max(step, self.every)
+        pixels = (
+            torch.arange(int(part * self.every), side, self.every, device=range_m.device)
+            for part, side in zip(place.tolist(), labels.shape[1:], strict=True)
+        )
+        scores, step = self._ask(self.network, range_m, *pixels)
+        scores, apart = scores.float(), max(step, self.every)
         row, column = (int(part * apart) for part in place.tolist())
         truth = labels[:, row::apart, column::apart].long()
-        if step == 1:
-            scores = scores[:, :, row::apart, column::apart].float()
-        else:
-            scores = shifted(shifted(scores.float(), (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
+        if step > 1:
+            scores = shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
         scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
         body = truth != BACKGROUND
         each = F.cross_entropy(scores, truth, self.weights, ignore_index=BACKGROUND, reduction="none")
@@ -63,6 +66,16 @@ class Objective(nn.Module):
             pairs = truth[body] * PART_COUNT + scores.argmax(1)[body]
             counts = torch.bincount(pairs, minlength=PART_COUNT**2).reshape(PART_COUNT, PART_COUNT)
         return Outcome(loss, counts)
+
+
+def _scores(
+    network: nn.Module, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor
+) -> tuple[torch.Tensor, int]:
+    """As `coarse`; where there is a score for every pixel of the image, those at `rows` and `columns` only."""
+    if isinstance(network, FcnAlexnet):
+        return network(range_m, rows, columns), 1
+    scores, step = coarse(network, range_m)
+    return (scores if step > 1 else scores[:, :, rows][..., columns]), step
 
 
 def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:

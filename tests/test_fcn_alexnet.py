@@ -207,4 +207,22 @@ def test_two_small_matrices_are_upfeat(network: FcnAlexnet) -> None:
     x = torch.randn(2, 16, 9, 7, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         expected = network.upfeat(x)[:, :, 18 : 18 + 200, 18 : 18 + 150]
-        torch.testing.assert_close(network._upsampled(x, 200, 150), expected, atol=2e-6, rtol=1e-6)
+        answer = network._upsampled(x, torch.arange(200), torch.arange(150))
+        torch.testing.assert_close(answer, expected, atol=2e-6, rtol=1e-6)
+
+
+def test_asked_for_some_pixels_it_answers_and_learns_as_if_asked_for_all() -> None:
+    torch.manual_seed(0)
+    network = FcnAlexnet(width=1 / 16).eval()
+    range_m, rows, columns = 2 + torch.rand(2, 1, 70, 50), torch.arange(3, 70, 4), torch.tensor([0, 7, 49])
+    answers = [network(range_m)[:, :, rows][..., columns], network(range_m, rows, columns)]
+    torch.testing.assert_close(answers[1], answers[0], atol=1e-6, rtol=1e-5)
+    learned = []
+    for scores in answers:
+        network.zero_grad()
+        scores.square().sum().backward()
+        learned.append([weight.grad.clone() for weight in network.parameters() if weight.grad is not None])
+    assert len(learned[0]) == 18
+    for of_all, of_some in zip(*learned, strict=True):
+        assert of_all.any()
+        torch.testing.assert_close(of_some, of_all, atol=1e-4 * float(of_all.abs().max()), rtol=1e-4)

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 
 from bodyseg_model.compact import Compact, CompactSettings
+from bodyseg_model.fcn_alexnet import FcnAlexnet
 from bodyseg_model.objective import Objective, part_weights, shifted
 
 
@@ -110,3 +111,17 @@ def test_of_scores_for_every_pixel_it_may_look_at_one_in_sixteen() -> None:
         for row, column in itertools.product(range(4), range(4))
     )
     assert torch.equal(counts, Objective(network, torch.ones(33))(range_m, labels, torch.zeros(2)).counts)
+
+
+def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
+    torch.manual_seed(0)
+    network = FcnAlexnet(width=1 / 16).eval()
+    range_m, labels = batch(50, 35)
+    with torch.no_grad():
+        whole = PixelScores(50, 35)
+        whole.scores = network(range_m)
+        for place in (torch.zeros(2), torch.tensor([0.3, 0.99])):
+            loss, counts = Objective(network, torch.ones(33), every=4)(range_m, labels, place)
+            expected = Objective(whole, torch.ones(33), every=4)(range_m, labels, place)
+            assert float(loss) == pytest.approx(float(expected.loss), rel=1e-5)
+            assert torch.equal(counts, expected.counts)
