@@ -47,8 +47,8 @@ class Objective(nn.Module):
         The loss is the mean over images of each image's mean over its body, which is 0 for an image without one. So it
         is the same however a batch is cut up, between processes or into turns.
         """
-        pixels = (
-            torch.arange(int(part * self.every), side, self.every, device=range_m.device)
+        pixels = (  # as tensors, not slices: compiled code would be made anew for each place at which a slice begins
+            torch.arange(side, device=range_m.device)[int(part * self.every) :: self.every]
             for part, side in zip(place.tolist(), labels.shape[1:], strict=True)
         )
         scores, step = self._ask(self.network, range_m, *pixels)

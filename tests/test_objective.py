@@ -125,3 +125,9 @@ def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
             expected = Objective(whole, torch.ones(33), every=4)(range_m, labels, place)
             assert float(loss) == pytest.approx(float(expected.loss), rel=1e-5)
             assert torch.equal(counts, expected.counts)
+
+
+def test_an_image_may_be_smaller_than_the_square_of_which_one_pixel_is_looked_at() -> None:
+    range_m, labels = batch(2, 5)
+    loss, counts = Objective(PixelScores(2, 5), torch.ones(33), every=4)(range_m, labels, torch.tensor([0.9, 0.0]))
+    assert float(loss) == 0 and not counts.any()
