@@ -11,13 +11,13 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from bodyseg_data.errors import BodysegError
-    from bodyseg_data.loading import Loader, loader
-    from bodyseg_data.parts import BACKGROUND, PARTS
-    from bodyseg_data.rig import Rig, load_rig
-    from bodyseg_data.sample import Sample
-    from bodyseg_data.streaming import Batch, RangeImages
-    from bodyseg_data.variants import VARIANTS, Artifacts, Augmentation
+    from bodyseg_data.core.errors import BodysegError
+    from bodyseg_data.loading.loader import Loader, loader
+    from bodyseg_data.core.parts import BACKGROUND, PARTS
+    from bodyseg_data.core.rig import Rig, load_rig
+    from bodyseg_data.core.sample import Sample
+    from bodyseg_data.loading.range_images import Batch, RangeImages
+    from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, Augmentation
 
 _HOME: Final = {
     "BodysegError": "errors",

@@ -2,6 +2,6 @@
 
 import sys
 
-from bodyseg_data.cli import main
+from bodyseg_data.commands.cli import main
 
 sys.exit(main())

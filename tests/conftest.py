@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from fakes import Figures
 
-from bodyseg_data import packing
-from bodyseg_data.views import ViewGrid
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.core.views import ViewGrid
 
 
 @pytest.fixture(scope="session")

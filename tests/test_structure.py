@@ -175,13 +175,13 @@ def test_imports_of_networks_point_backwards_only(module: str, path: Path) -> No
     for name in imports(path):
         if name.startswith("bodyseg_model."):
             assert MODEL_ORDER.index(room(name)) <= here, f"{module} imports {name}"
-        assert not name.startswith("bodyseg_data.cli"), f"{module} imports {name}"
+        assert not name.startswith("bodyseg_data.commands.cli"), f"{module} imports {name}"
 
 
 def test_an_import_against_the_flow_would_be_seen(tmp_path: Path) -> None:
     file = tmp_path / "x.py"
-    file.write_text("from bodyseg_data import sheet, cli\nimport bodyseg_data.streaming\n")
-    assert imports(file) == {"bodyseg_data.sheet", "bodyseg_data.cli", "bodyseg_data.streaming"}
+    file.write_text("from bodyseg_data import sheet, cli\nimport bodyseg_data.loading.range_images\n")
+    assert imports(file) == {"bodyseg_data.drawing.contact_sheet", "bodyseg_data.commands.cli", "bodyseg_data.loading.range_images"}
 
 
 def loaded_by(statement: str) -> list[str]:
@@ -200,10 +200,10 @@ def test_importing_the_package_is_light() -> None:
     [
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation",
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
-        "import bodyseg_data.bodies; bodyseg_data.bodies.open_source('open').bodies()",
-        "import bodyseg_data.packing",
+        "import bodyseg_data.bodies.source; bodyseg_data.bodies.sources.open_source('open').bodies()",
+        "import bodyseg_data.packing.pack",
         "import bodyseg_model.commands.segment, bodyseg_model.commands.train, bodyseg_model.commands.evaluate",
-        "import bodyseg_data.engines.cluster, bodyseg_data.engines.processes, bodyseg_data.commands.shard",
+        "import bodyseg_data.packing.engines.cluster, bodyseg_data.packing.engines.processes, bodyseg_data.commands.shard",
     ],
 )
 def test_streaming_and_planning_need_no_renderer(statement: str) -> None:

@@ -13,9 +13,9 @@ from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.occlusion_compiled import Shadow, find_runs, mark_lit, shadow_of
 from bodyseg_data.artifacts.philox_compiled import raw_words
 from bodyseg_data.artifacts.scratch import constant, copy_unless_same, scratch_for
-from bodyseg_data.kernels import compiled
-from bodyseg_data.randomness import Stream
-from bodyseg_data.sample import Sample
+from bodyseg_data.core.kernels import compiled
+from bodyseg_data.core.randomness import Stream
+from bodyseg_data.core.sample import Sample
 
 _HALF: Final = np.float32(0.5)
 _NEAREST, _FARTHEST = np.float32(1), np.float32(65535)

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.rig import Camera
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import Camera
 
 KINDS: Final = ("none", "patches", "stripes", "grazing")
 

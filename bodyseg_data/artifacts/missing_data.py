@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig
 
 
 @dataclass(frozen=True)

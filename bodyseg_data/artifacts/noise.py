@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.sample import RANGE_STEP_M
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.sample import RANGE_STEP_M
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadSample
-from bodyseg_data.rig import Rig
-from bodyseg_data.sample import RANGE_STEP_M
+from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.rig import Rig
+from bodyseg_data.core.sample import RANGE_STEP_M
 
 SURFACE_GAP_M: Final = 0.006
 """How far behind the surface that the projector sees a point may be and still belong to it."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS, ShadowTest
 from bodyseg_data.artifacts.scratch import constant, scratch_for
-from bodyseg_data.kernels import compiled
+from bodyseg_data.core.kernels import compiled
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)

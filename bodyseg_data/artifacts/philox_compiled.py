@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from bodyseg_data.kernels import compiled
+from bodyseg_data.core.kernels import compiled
 
 _llvm: Any = import_module("llvmlite.ir")  # has no types
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.mesh_files import mesh_stem, mesh_suffix, preferred
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred
 
 LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
 """What a landmark file's name ends in; of several for one mesh, the first in this order is read."""

@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import BodyRef, BodySource, SourceName, open_source
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.files import write_atomically
-from bodyseg_data.mesh import Mesh
-from bodyseg_data.mesh_files import read_mesh
-from bodyseg_data.options import option
-from bodyseg_data.partition import partition
-from bodyseg_data.parts import LANDMARKS, PARTS
-from bodyseg_data.pictures import check_picture, save_picture
-from bodyseg_data.placing import Units, UpAxis, metres_a_unit
-from bodyseg_data.portrait import HEIGHTS_PX, Sitter, draw_portraits
+from bodyseg_data.bodies.source import BodyRef, BodySource
+from bodyseg_data.bodies.sources import SourceName, open_source
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_atomically
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.commands.options import option
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.core.parts import LANDMARKS, PARTS
+from bodyseg_data.drawing.style import check_picture, save_picture
+from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
+from bodyseg_data.drawing.body_views import HEIGHTS_PX, Sitter, draw_portraits
 
 if TYPE_CHECKING:
-    from bodyseg_data.proposal import Proposal
+    from bodyseg_data.bodies.landmark_fitting.search import Proposal
 
 EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
 
@@ -95,7 +96,7 @@ def _proposed(options: Options, out: Path) -> Sitter:
         if not file.parent.is_dir():
             raise BadConfig(f"cannot write {file}: no such folder")
     mesh, title, upward = _to_propose(options)
-    from bodyseg_data.proposal import propose
+    from bodyseg_data.bodies.landmark_fitting.search import propose
 
     sys.stderr.write(f"laying the open body over {title}: about a quarter of a minute\n")
     proposal = propose(mesh, [_upright(axis).T for axis in upward])

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bodyseg_data.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 
 OnError = Literal["stop", "skip"]
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig
 
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the one at hand, the one before it, and one more."""

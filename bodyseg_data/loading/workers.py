@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.errors import BadConfig, WorkerLost
+from bodyseg_data.core.errors import BadConfig, WorkerLost
 
 StartMethod = Literal["fork", "spawn", "forkserver"]
 

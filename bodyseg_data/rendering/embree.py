@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import MissingLibrary
-from bodyseg_data.mesh import Mesh
-from bodyseg_data.rendering import Surface
+from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.renderer import Surface
 from bodyseg_data.rendering.outline import Outline
-from bodyseg_data.rig import PlacedCamera
+from bodyseg_data.core.rig import PlacedCamera
 
 try:
     from embreex.mesh_construction import TriangleMesh

@@ -17,11 +17,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.mesh import Mesh
-from bodyseg_data.rendering import Surface
-from bodyseg_data.rig import Camera, PlacedCamera
-from bodyseg_data.system_libraries import SOFTWARE_DRIVER, missing_library
+from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.core.rig import Camera, PlacedCamera
+from bodyseg_data.core.system_libraries import SOFTWARE_DRIVER, missing_library
 
 _FEATURE: Final = "the opengl renderer"
 _EMBREE: Final = "the embree renderer needs nothing from the system"

@@ -10,13 +10,13 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.benches.provenance import provenance, write_figures
+from bodyseg_data.core.provenance import provenance, write_figures
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.options import command_line, option, place_name
-from bodyseg_data.pictures import new_chart
-from bodyseg_data.streaming import RangeImages
-from bodyseg_model.ranks import find_device, use_threads
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands.options import command_line, option, place_name
+from bodyseg_data.drawing.style import new_chart
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.training.distributed import find_device, use_threads
 from bodyseg_model.stability.examining import examine
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs

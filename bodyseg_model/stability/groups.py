@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.errors import BadConfig
-from bodyseg_model.checkpoints import Trained, load_network
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.checkpoints import Trained, load_network
 
 FEWEST_SEEDS: Final = 3
 """Fewer say nothing about spread."""

@@ -14,20 +14,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import BodyRef, open_source
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.mesh import Mesh
-from bodyseg_data.partition import Partition, partition
-from bodyseg_data.parts import BACKGROUND
-from bodyseg_data.rendering import Renderer, open_renderer
-from bodyseg_data.rendering.sampling import Sampler, surface_points
-from bodyseg_data.rendering.shading import shadow_test
-from bodyseg_data.rig import Camera, PlacedCamera, Rig, axes_at
-from bodyseg_data.sample import Sample, steps
-from bodyseg_data.streaming import RangeImages, metres
-from bodyseg_data.views import View
-from bodyseg_model.cameras import SENSORS, frame_camera
-from bodyseg_model.resampling import view_body
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.rendering.renderer import Renderer
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.packing.sampler import Sampler, surface_points
+from bodyseg_data.packing.occluder_range import shadow_test
+from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
+from bodyseg_data.core.sample import Sample, steps
+from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.core.views import View
+from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting, altered
 
 MADE: Final = ("open", "hard")

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
 from bodyseg_data.artifacts.missing_data import kept_pixels
 from bodyseg_data.artifacts.noise import add_noise
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.randomness import generator, pixel_draws, stream
-from bodyseg_data.rig import Camera, load_rig
-from bodyseg_data.sample import RANGE_STEP_M, Sample
-from bodyseg_model.cameras import SENSORS
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import generator, pixel_draws, stream
+from bodyseg_data.core.rig import Camera, load_rig
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_model.segmentation.cameras import SENSORS
 
 Origin = Literal["stored", "rendered"]
 

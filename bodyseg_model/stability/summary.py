@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
-from bodyseg_model.evaluation_report import over_seeds
+from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.stability.examining import Accuracies
 from bodyseg_model.stability.groups import Group
 from bodyseg_model.stability.severities import CLEAN, Setting, Sweep

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.randomness import generator
+from bodyseg_data.core.randomness import generator
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Final
 
-from bodyseg_data.errors import BadConfig
-from bodyseg_data.randomness import check_seed
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import check_seed
 
 
 @dataclass(frozen=True)

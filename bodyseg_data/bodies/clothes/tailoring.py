@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.clothes.outfits import Outfit
-from bodyseg_data.connectivity import find_edges
-from bodyseg_data.landmarks import load_landmarks
-from bodyseg_data.parts import LANDMARKS
+from bodyseg_data.meshes.topology import find_edges
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.core.parts import LANDMARKS
 
 Floats = NDArray[np.float64]
 

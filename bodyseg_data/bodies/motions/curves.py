@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 
 Vector = NDArray[np.float64]
 

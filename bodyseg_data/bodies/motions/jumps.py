@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, pelvis_over, standing
 from bodyseg_data.bodies.motions.stands import both
-from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 
 _GRAVITY: Final = 9.81
 _STEPS: Final = 200

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.posing import Arm, Leg, Matrix, Pose, Trunk, root_rotation
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Matrix, Pose, Trunk, root_rotation
 
 Vector = NDArray[np.float64]
 Triple = tuple[float, float, float]

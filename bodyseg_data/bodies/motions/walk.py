@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.motions.curves import Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, reach
-from bodyseg_data.bodies.posing import Arm, Leg, Pose, Trunk, root_rotation
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, root_rotation
 
 Vector = NDArray[np.float64]
 

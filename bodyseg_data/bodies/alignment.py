@@ -1,0 +1,160 @@
+"""Bringing a mesh as its file holds it into the body frame: which unit it is in, which axes point up and left.
+
+Files keep their posture: a body is scaled, and turned by one of the 24 rotations that take axes to axes. What is not
+given is found from the body's size and from its landmarks: the trunk points up, the shoulders lie left and right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig, BadMesh
+from bodyseg_data.meshes.landmarks.by_point import METRES
+from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M
+from bodyseg_data.core.parts import LANDMARKS
+
+Units = Literal["auto", "m", "cm", "mm", "in"]
+UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
+
+UPRIGHT_DEG: Final = 25.0
+"""A body whose trunk and legs lean no farther than this shows which way is up beyond doubt."""
+
+_TOO_LEANING_DEG: Final = 40.0  # at 45 degrees the next axis is as near
+_FOUND_BY_SIZE: Final = ("m", "cm", "mm")
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How to bring a file's coordinates into the body frame. Made by `find_placement`.
+
+    scale: metres in the file's unit. rotation: float64 [3, 3], one of the 24; its rows are the directions to the
+    subject's left, up and to the front, in the file's axes. lean_deg: how far the trunk or the legs of the body it was
+    found from, whichever more, lean from upright.
+    """
+
+    scale: float
+    rotation: NDArray[np.float64]
+    lean_deg: float
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points [N, 3] of the file in the body frame, metres."""
+        from_axis = np.abs(self.rotation).argmax(axis=1)  # not a product of matrices: that spreads what is not finite
+        placed: NDArray[np.float64] = points[:, from_axis] * (self.scale * self.rotation.sum(axis=1))
+        return placed
+
+    def __str__(self) -> str:
+        """Everything that shapes what it does, for digests."""
+        return f"{self.scale!r} {self.rotation.astype(int).tolist()}"
+
+
+def check_placing(units: str, up: str) -> None:
+    """Raise BadConfig unless these can be given for the units and the axis that points up."""
+    for option, value, choices in (("units", units, get_args(Units)), ("up", up, get_args(UpAxis))):
+        if value not in choices:
+            raise BadConfig(f"{option} must be one of {', '.join(choices)}, found {value!r}")
+
+
+def find_placement(
+    surface: NDArray[np.float64], landmarks: NDArray[np.float64], units: Units, up: UpAxis, where: str
+) -> Placement:
+    """The placement of one body.
+
+    surface: the vertices [N, 3] that its faces use, as the file has them. landmarks: its points [33, 3] in the same
+    axes, whatever their unit. where: names the file in messages. Raises BadMesh if no unit gives a body of human
+    size, or if the axis that points up is to be found and the trunk points along none.
+    """
+    scale = metres_a_unit(surface, units, where)
+    place = dict(zip(LANDMARKS, landmarks, strict=True))
+    pelvis = (place["Rt. PSIS"] + place["Lt. PSIS"]) / 2
+    feet = (place["Rt. Lateral Malleolus"] + place["Lt. Lateral Malleolus"]) / 2
+    trunk = _direction(place["Cervicale"] - pelvis)
+    legs = _direction(pelvis - feet)
+    left = _direction(place["Lt. Acromion"] - place["Rt. Acromion"])
+    upward = _axis(up) if up != "auto" else _nearest_axis(trunk)
+    if up == "auto" and _angle(trunk, upward) > _TOO_LEANING_DEG:
+        raise BadMesh(
+            f"{where}: cannot find which axis points up: the trunk points along {np.round(trunk, 2).tolist()}, between "
+            "the axes; give it with --up"
+        )
+    leftward = _nearest_axis(left, not_along=upward)
+    rotation = np.stack([leftward, upward, np.cross(leftward, upward)])
+    return Placement(scale, rotation, max(_angle(trunk, upward), _angle(legs, upward)))
+
+
+def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> float:
+    """Metres in the unit that vertices [N, 3] of a whole body are in. Raises BadMesh."""
+    extents = np.ptp(surface, axis=0)
+    extent = float(extents.max())
+    shown = " x ".join(f"{value:.4g}" for value in extents)
+    low, high = HEIGHT_RANGE_M
+    fitting = [unit for unit in METRES if low <= extent * METRES[unit] <= high]
+    if units != "auto":
+        if units not in fitting:
+            raise BadMesh(
+                f"{where}: a body must be {low} to {high} m at its largest, found {shown} {units}"
+                + (f", which would fit in {' or '.join(fitting)}" if fitting else "")
+            )
+        return METRES[units]
+    if len(fitting) == 1 and fitting[0] in _FOUND_BY_SIZE:
+        return METRES[fitting[0]]
+    if fitting:
+        sizes = " or ".join(f"{extent * METRES[unit]:.3g} m if in {unit}" for unit in fitting)
+        raise BadMesh(f"{where}: cannot find the unit: the body is {shown}, that is {sizes}; give it with --units")
+    raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest: found {shown}, which fits in no unit")
+
+
+def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
+    """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
+
+    Its head is well above its feet; and what lies at the front of head, chest and pelvis is in front of what lies at
+    their back, which it is not if right and left, or front and back, are mistaken for each other.
+    """
+    heights = dict(zip(LANDMARKS, landmarks[:, 1], strict=True))
+    feet = (heights["Rt. Lateral Malleolus"] + heights["Lt. Lateral Malleolus"]) / 2
+    above = heights["Sellion"] - feet
+    if above < 0.5 * np.ptp(landmarks, axis=0).max():
+        raise BadMesh(
+            f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
+            "axis points up? --up gives it)"
+        )
+    places = dict(zip(LANDMARKS, landmarks, strict=True))
+    ahead = [
+        places[front][2] - places[back][2]
+        for front, back in (
+            ("Sellion", "Nuchale"),
+            ("Suprasternale", "Cervicale"),
+            ("Rt. ASIS", "Rt. PSIS"),
+            ("Lt. ASIS", "Lt. PSIS"),
+        )
+    ]
+    if min(ahead) < 0:
+        raise BadMesh(
+            f"{where}: Sellion, Suprasternale and the ASIS lie in front of Nuchale, Cervicale and the PSIS, found one "
+            f"{-100 * min(ahead):.0f} cm behind: are right and left, or two names, exchanged?"
+        )
+
+
+def _axis(name: str) -> NDArray[np.float64]:
+    axis = np.zeros(3)
+    axis["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return axis
+
+
+def _nearest_axis(direction: NDArray[np.float64], not_along: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    place = int(np.where(np.equal(not_along, 0), np.abs(direction), -1.0).argmax())
+    axis = np.zeros(3)
+    axis[place] = -1.0 if direction[place] < 0 else 1.0
+    return axis
+
+
+def _direction(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length else vector
+
+
+def _angle(direction: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
+    return float(np.degrees(np.arccos(np.clip(direction @ axis, -1.0, 1.0))))

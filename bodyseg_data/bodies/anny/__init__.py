@@ -1,0 +1,1 @@
+"""The open body model: people, skeleton and postures of Anny."""

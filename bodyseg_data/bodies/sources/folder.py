@@ -1,0 +1,58 @@
+"""Any folder of meshes, with a landmark file for each or for all of one topology; the subset "folder".
+
+Meshes may lie in sub-folders. The landmarks of PATH/a/b/NAME.ply are those in PATH/a/b/NAME.json (or .lnd); if there is
+no such file, those given for all; if none is given, those in landmarks.json (or .lnd) of the same folder or the next
+one above. The subject is the first sub-folder, without one the mesh's name. Meshes in PATH/train and PATH/test are for
+training and for testing, all others for training.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.file_search import files_below, given_landmarks, landmark_file, meshes_in
+from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.names import key_name
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.core.splits import Split
+
+_LONGEST_SUBJECT: Final = 20  # with the mesh's name and the view in a sample key of at most 80
+_LONGEST_MESH: Final = 40
+
+
+class FolderBodies(MeshBodies):
+    """The meshes found below a folder, sorted by their paths. Raises BadConfig if there are none.
+
+    landmarks: a file for all meshes that have none of their own, or a folder with sub-folders like those of `path` in
+    which to look for landmark files.
+    """
+
+    name = "folder"
+
+    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+        given, folder = given_landmarks(path, landmarks)
+        files: dict[BodyRef, MeshFile] = {}
+        for parent in sorted({file.parent for file in files_below(path)}):
+            inside = parent.relative_to(path)
+            places = [folder / level for level in (inside, *inside.parents)]
+            for stem, file in meshes_in(parent).items():
+                own = landmark_file(places[:1], stem)
+                labels = own or given or landmark_file(places, "landmarks")
+                wanted = f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {places[0]} or above"
+                group = None if own else str(labels)
+                files[_ref(inside / stem)] = MeshFile(file, labels, wanted, shared=own is None, group=group)
+        if not files:
+            raise BadConfig(f"the source 'folder' needs meshes (.ply, .obj, .off): found none in {path}")
+        super().__init__(files, (), units, up)
+
+
+def _ref(inside: Path) -> BodyRef:
+    """The name of the mesh at a path, without its suffix, inside the folder."""
+    first = inside.parts[0].lower() if len(inside.parts) > 1 else ""
+    split: Split = "test" if first == "test" else "train"
+    person = inside.parts[1:] if first in ("train", "test") else inside.parts
+    mesh = key_name(inside.as_posix(), _LONGEST_MESH)
+    return BodyRef("folder", key_name(person[0], _LONGEST_SUBJECT), mesh, key_name(inside.name, _LONGEST_MESH), split)

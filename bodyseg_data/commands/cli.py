@@ -1,0 +1,134 @@
+"""`bodyseg <command>`, and `tools/<command>` in a checkout: one implementation."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.commands.options import parse
+
+COMMANDS: Final[dict[str, tuple[str, str]]] = {
+    "shard": ("bodyseg_data.commands.shard", "render bodies and pack them into shards"),
+    "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
+    "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
+    "gallery": ("bodyseg_data.commands.gallery", "draw many views of sets in one picture"),
+    "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
+    "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
+    "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
+    "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
+    "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
+    "stability": ("bodyseg_model.commands.stability", "test networks where methods fail"),
+    "bench": ("benches.bench", "measure speed and accuracy side by side"),
+    "chart": ("benches.chart", "chart speed against accuracy, one chart a choice"),
+    "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
+}
+"""Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""
+
+INTERNAL_ERROR: Final = 70  # EX_SOFTWARE of sysexits.h
+
+
+class Command(Protocol):
+    """What a command's module defines. `run` returns the exit status and raises BodysegError for bad input."""
+
+    EXAMPLE: str
+    Options: type[Any]
+
+    def run(self, options: Any) -> int: ...
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a command as tidily as Ctrl-C."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and say what goes wrong in one line.
+
+    Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 nobody reads the output, 143
+    terminated, 70 a fault of this program.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = words[0] if words else ""
+    for stream in ("stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed by whoever started this process
+            setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
+    before = _handle_signals()
+    try:
+        status = _run(name, words[1:])
+        sys.stdout.flush()
+        return status
+    except BodysegError as error:
+        return _say(name, str(error), 2)
+    except _Terminated:
+        return _say(name, "terminated", 143)
+    except KeyboardInterrupt:
+        return _say(name, "interrupted", 130)
+    except BrokenPipeError:
+        # What is left in the buffer has no reader; without a place to go it would raise again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        if os.environ.get("BODYSEG_TRACEBACK"):
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(name, f"{where}{error.strerror or error}", 2)
+    except Exception as error:
+        if os.environ.get("BODYSEG_TRACEBACK"):
+            raise
+        what = f"{type(error).__name__}: {error}"
+        return _say(name, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
+    finally:
+        if signal.getsignal(signal.SIGTERM) is _stop:  # else this process is ending
+            for number, action in before.items():
+                signal.signal(number, action)
+
+
+_COMMAND: Final = os.getpid()
+
+
+def _handle_signals() -> dict[signal.Signals, Any]:
+    """Let SIGINT and SIGTERM end the command tidily; returns what they did before, for those that now differ."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}  # only the main thread may, and the others get no signals
+    numbers = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+    return {number: signal.signal(number, _stop) for number in numbers}
+
+
+def _stop(number: int, frame: Any) -> None:
+    if os.getpid() != _COMMAND:  # a fork, like a loader's worker: not the one that has something to say
+        os._exit(128 + number)
+    # Once is enough: people press Ctrl-C again while things are being tidied up.
+    for again in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(again, signal.SIG_IGN)
+    raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
+
+
+def _run(name: str, words: list[str]) -> int:
+    if name in ("", "-h", "--help"):
+        sys.stdout.write(_overview())
+        return 0
+    if name not in COMMANDS:
+        raise BadConfig(f"no such command; there are {', '.join(COMMANDS)}")
+    module, summary = COMMANDS[name]
+    command: Command = importlib.import_module(module)
+    options = parse(command.Options, words, f"bodyseg {name}", summary, command.EXAMPLE)
+    return command.run(options)
+
+
+def _say(name: str, message: str, status: int) -> int:
+    with contextlib.suppress(OSError):  # nobody listens
+        sys.stderr.write(f"{' '.join(('bodyseg', name)).strip()}: {' '.join(message.split())}\n")
+    return status
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
+    return "\n".join(["usage: bodyseg COMMAND [--help] ...", "", *lines, ""])

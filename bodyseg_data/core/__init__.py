@@ -1,0 +1,1 @@
+"""Ideas that every room shares: errors, parts, rig, sample, random numbers, files."""

@@ -1,0 +1,113 @@
+"""Loops over pixels, compiled where numba is installed; every one has a NumPy form that gives the same bits.
+
+BODYSEG_KERNELS chooses: `auto` (the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice
+changes how long a sample takes and nothing else.
+
+Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import os
+import platform
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+
+VARIABLE: Final = "BODYSEG_KERNELS"
+_CHOICES: Final = ("auto", "numpy", "compiled")
+_one_at_a_time = threading.Lock()
+
+
+@lru_cache(maxsize=1)
+def use_compiled() -> bool:
+    """Whether loops are compiled; asked once a process. Raises BadConfig, or MissingLibrary if numba must be there."""
+    choice = os.environ.get(VARIABLE, "auto")
+    if choice not in _CHOICES:
+        raise BadConfig(f"{VARIABLE} must be one of {', '.join(_CHOICES)}, found {choice!r}")
+    if choice == "numpy":
+        return False
+    try:
+        _numba(f"{VARIABLE}=compiled")
+    except MissingLibrary:  # absent, or there and unfit for the NumPy that is installed
+        if choice == "compiled":
+            raise
+        return False
+    return True
+
+
+def compiled(loops: Callable[..., Any], feature: str) -> Any:
+    """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
+
+    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary, naming `feature`.
+    """
+    numba = _numba(feature)
+    options = {"nogil": True, "error_model": "numpy"}
+    with _one_at_a_time:  # numba asks for the folder once, here
+        before = numba.config.CACHE_DIR
+        folder = _folder(before, _digest(loops, numba))
+        if folder is None:
+            return numba.njit(loops, **options)
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            return numba.njit(loops, cache=True, **options)
+        finally:
+            numba.config.CACHE_DIR = before
+
+
+def _numba(feature: str) -> Any:
+    try:
+        return import_module("numba")
+    except ImportError as error:
+        raise MissingLibrary(f"{feature} needs the package 'numba': pip install 'bodyseg[fast]' ({error})") from error
+
+
+def _folder(named: str, digest: str) -> Path | None:
+    """The digest's folder, in the one named or in the user's cache folder; None if it cannot be written to.
+
+    Only this user may write there, for what lies there is run.
+    """
+    try:
+        cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+        folder = (Path(named) if named else Path(cache) / "bodyseg" / "kernels") / digest
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, RuntimeError):  # RuntimeError: this user has no home
+        return None
+    return folder
+
+
+def _digest(loops: Callable[..., Any], numba: Any) -> str:
+    """Of everything that machine code is made of: sources, frozen constants, compiler and processor.
+
+    numba itself looks at the source of the outermost function alone, and replaces index and code one after the other,
+    so after a change old code could be run as if it were new. A folder for every state rules both out.
+    """
+    llvm = import_module("llvmlite.binding")
+    machine = platform.machine(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    settings = sorted((name, value) for name, value in os.environ.items() if name.startswith("NUMBA_"))
+    versions = numba.__version__, import_module("llvmlite").__version__, sys.version
+    parts = [*_frozen(loops, set()), repr((machine, settings, versions))]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def _frozen(loops: Callable[..., Any], seen: set[Any]) -> Iterator[str]:
+    """The source of `loops`' file, the values of the globals it names, and the same for the loops among them."""
+    seen.add(loops)
+    yield Path(inspect.getfile(loops)).read_text()
+    for name in sorted(loops.__code__.co_names):
+        value = loops.__globals__.get(name)
+        inner = getattr(value, "py_func", None)
+        if inner is None and not callable(value) and not inspect.ismodule(value):
+            yield f"{name} = {value!r}"
+        elif inner is not None and inner not in seen:
+            yield from _frozen(inner, seen)

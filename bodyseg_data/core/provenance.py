@@ -1,0 +1,49 @@
+"""Where figures come from: the command, commit and machine that stand beside every result."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_result
+from bodyseg_data.core.machine import hardware
+
+
+def provenance(command: str) -> dict[str, str]:
+    """Command, commit (of the checkout this package runs from, "unknown" outside one) and hardware of a measurement.
+
+    To be asked before the measurement begins.
+    """
+    return {"command": command, "commit": _commit(), "hardware": hardware()}
+
+
+def check_target(path: Path, option: str) -> None:
+    """Raise BadConfig unless figures can go into the file that `option` gives: to be asked before the measurement."""
+    folder = path.absolute().parent
+    if path.is_dir() or not folder.is_dir():
+        raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadConfig(f"{option} needs a folder that can be written, found {path}")
+
+
+def write_figures(path: Path, figures: dict[str, Any]) -> None:
+    """Write figures as JSON at once or not at all. Raises BadConfig."""
+    write_result(path, (json.dumps(figures, indent=1) + "\n").encode())
+
+
+def _commit() -> str:
+    here = Path(__file__).parent
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(here), *words], capture_output=True, text=True, check=True, timeout=10)
+        return done.stdout.strip()
+
+    try:
+        changed = "-changed" if git("status", "--porcelain", "--", str(here.parent)) else ""  # new files, too
+        return git("rev-parse", "--short=12", "HEAD") + changed
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

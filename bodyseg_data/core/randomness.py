@@ -1,0 +1,74 @@
+"""The only place that draws random numbers.
+
+A draw belongs to (seed, epoch, sample key, purpose) and to nothing else: not to a position in the stream, a worker, a
+rank or a shard. So a sample gets the same bits however it is read, and an artifact draws the same in every variant.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+
+_LARGEST: Final = 2**63
+
+Stream = NDArray[np.uint64]
+"""A purpose's stream of random words: the key of a Philox generator, uint64 [2]."""
+
+
+def check_seed(seed: int) -> int:
+    """`seed` as an int. Raises BadConfig unless it is a whole number from 0 to 2**63 - 1."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed < _LARGEST:
+        raise BadConfig(f"a seed must be a whole number from 0 to 2**63 - 1, found {seed!r}")
+    return int(seed)
+
+
+def check_epoch(epoch: int) -> int:
+    """`epoch` as an int. Raises BadConfig unless it is a whole number of at least 0."""
+    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer) or epoch < 0:
+        raise BadConfig(f"an epoch must be a whole number of at least 0, found {epoch!r}")
+    return int(epoch)
+
+
+def _digest(seed: int, epoch: int, key: str, purpose: str) -> bytes:
+    identity = "\0".join((str(seed), str(epoch), key, purpose))
+    return hashlib.blake2b(identity.encode(), digest_size=16, person=b"bodyseg").digest()
+
+
+def stream(seed: int, epoch: int, key: str, purpose: str) -> Stream:
+    """The stream of one purpose for one sample in one epoch.
+
+    Philox is counter-based (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011): any 128-bit key gives
+    an independent stream at no set-up cost.
+    """
+    return np.frombuffer(_digest(seed, epoch, key, purpose), "<u8").astype(np.uint64)
+
+
+def pixel_draws(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel, uniform over all values of `kind`, [count]: the raw words, cut up from their low end.
+
+    NumPy guarantees the bits of raw words, as it does not those of its distributions.
+    """
+    each = 8 // np.dtype(kind).itemsize
+    words = np.random.Philox(key=stream).random_raw(-(-count // each)).astype("<u8")
+    return words.view(np.dtype(kind).newbyteorder("<"))[:count].astype(kind)
+
+
+def chance(seed: int, epoch: int, key: str, purpose: str) -> float:
+    """One number, uniform over the multiples of 2**-53 from 0 to below 1: a purpose that draws once a sample."""
+    return (int.from_bytes(_digest(seed, epoch, key, purpose)[:8], "little") >> 11) * 2.0**-53
+
+
+def generator(seed: int, epoch: int, key: str, purpose: str) -> np.random.Generator:
+    """The random generator of one purpose for one sample in one epoch."""
+    return np.random.Generator(np.random.Philox(key=stream(seed, epoch, key, purpose)))
+
+
+def permutation(count: int, seed: int, epoch: int) -> NDArray[np.int64]:
+    """The order of `count` samples in an epoch, int64 [count]: sorts raw Philox words, whose bits NumPy guarantees."""
+    words = np.random.Philox(key=stream(seed, epoch, "", "order")).random_raw(count)
+    return np.argsort(words, kind="stable")

@@ -1,0 +1,127 @@
+"""One clean sample: what is stored, before any artifact."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.core.splits import SPLITS, Split
+
+RANGE_STEP_M: Final = 1e-4
+"""One step of a stored range image, metres; with 16 bits it reaches 6.5535 m."""
+
+_KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
+
+
+@dataclass(frozen=True)
+class SampleInfo:
+    """Where a sample comes from. source: "open", "mit"; subset: the paper's group; split: "train" or "test"."""
+
+    source: str
+    subset: str
+    subject: str
+    mesh: str
+    pose: str
+    distance_cm: int
+    azimuth_deg: int
+    split: Split
+
+
+@dataclass(frozen=True)
+class Known:
+    """What decoding found out about a sample's images and need not be found again; None: not known.
+
+    edges: int32 [2 N], where foreground begins, ends, begins ...; texels: int32 [N], where the projector's range is not
+    0. Places in the flat images, in reading order. They are relied on: whoever changes an image must drop them.
+    """
+
+    edges: NDArray[np.int32] | None
+    texels: NDArray[np.int32] | None
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A clean rendering of one body from one view.
+
+    range: uint16 [H, W], what the camera sees, in steps of 0.1 mm along its optical axis; 0 is background.
+    projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
+    labels: uint8 [H, W], part 0..32, 255 where range is 0.
+    faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
+    stands between); False on background.
+    known: only of samples read into given arrays.
+    """
+
+    key: str
+    range: NDArray[np.uint16]
+    projector_range: NDArray[np.uint16] | None
+    labels: NDArray[np.uint8]
+    faces_projector: NDArray[np.bool_]
+    info: SampleInfo
+    known: Known | None = None
+
+    def shading_range(self) -> NDArray[np.uint16]:
+        """The projector's range. Raises BadSample if it was not read."""
+        if self.projector_range is None:
+            raise BadSample(f"{self.key}: the projector's range is needed, the sample was read without it")
+        return self.projector_range
+
+    def check(self) -> None:
+        """Raise BadSample, naming the key, if the arrays break a rule of the format."""
+        check_key(self.key)
+        kinds = {"range": np.uint16, "projector_range": np.uint16, "labels": np.uint8, "faces_projector": np.bool_}
+        for field, kind in kinds.items():
+            array = getattr(self, field)
+            if array is None and field == "projector_range":
+                continue
+            if array.dtype != kind or array.ndim != 2 or not array.size:
+                raise BadSample(
+                    f"{self.key}: {field} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
+                )
+        if not self.range.shape == self.labels.shape == self.faces_projector.shape:
+            raise BadSample(
+                f"{self.key}: range, labels and facing must have one shape, found "
+                f"{self.range.shape}, {self.labels.shape}, {self.faces_projector.shape}"
+            )
+        background = self.range == 0
+        if not np.array_equal(background, self.labels == BACKGROUND):
+            raise BadSample(f"{self.key}: labels must be {BACKGROUND} exactly where range is 0")
+        if (self.labels[~background] >= PART_COUNT).any():
+            raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~background].max()}")
+        if (self.faces_projector & background).any():
+            raise BadSample(f"{self.key}: background cannot face the projector")
+
+
+def check_key(key: str) -> None:
+    """Raise BadSample unless `key` can name a sample in a tar: letters, digits, _, + and -, at most 80."""
+    if not _KEY.fullmatch(key):
+        raise BadSample(f"a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found {key!r}")
+
+
+def steps(range_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.uint16]:
+    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest. Raises BadSample beyond 6.5535 m."""
+    rounded = np.rint(np.asarray(range_m, np.float64) / RANGE_STEP_M)
+    fits = (rounded >= 0) & (rounded <= 65535)  # False for NaN too
+    if not fits.all():
+        raise BadSample(f"{where}: a range must be 0 to 6.5535 m, found {range_m[~fits][0]:.5g} m")
+    foreground = np.asarray(range_m) > 0
+    return np.where(foreground, np.maximum(rounded, 1), 0).astype(np.uint16)
+
+
+def info_from_json(tree: Any, key: str) -> SampleInfo:
+    """Check and read a sample's description. Raises BadSample."""
+    fields = SampleInfo.__dataclass_fields__
+    if not isinstance(tree, dict) or set(tree) != set(fields):
+        raise BadSample(f"{key}: the description must have exactly {sorted(fields)}")
+    for field in fields:
+        kind = int if field in ("distance_cm", "azimuth_deg") else str
+        if not isinstance(tree[field], kind) or isinstance(tree[field], bool):
+            raise BadSample(f"{key}: {field!r} must be {kind.__name__}, found {tree[field]!r}")
+    if tree["split"] not in SPLITS:
+        raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
+    return SampleInfo(**tree)

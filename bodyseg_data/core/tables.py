@@ -1,0 +1,76 @@
+"""Reading tables from files: key by key, with one clear line for whatever is missing, wrong or unknown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bodyseg_data.core.errors import BadConfig
+
+
+def _is_number(value: Any) -> bool:
+    """Finite, and small enough for a float: TOML allows whole numbers of any length."""
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
+
+
+def _shown(value: Any) -> str:
+    """The beginning of what was found."""
+    try:
+        return str(value)[:60]
+    except ValueError:  # hexadecimal numbers may be longer than Python is willing to print
+        return "a number of thousands of digits"
+
+
+class Table:
+    """A table of TOML or JSON, read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
+
+    def __init__(self, tree: dict[str, Any], where: str) -> None:
+        self._tree, self.where = dict(tree), where
+
+    def _take(self, key: str, kind: str) -> Any:
+        try:
+            return self._tree.pop(key)
+        except KeyError:
+            raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
+
+    def number(self, key: str) -> float:
+        value = self._take(key, "number")
+        if not _is_number(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {_shown(value)!r}")
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        value = self.number(key)
+        if value <= 0:
+            raise BadConfig(f"{self.where}: {key!r} must be positive, found {value:g}")
+        return value
+
+    def whole(self, key: str) -> int:
+        value = self.number(key)
+        if value != int(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
+        return int(value)
+
+    def text(self, key: str) -> str:
+        value = self._take(key, "text")
+        if not isinstance(value, str):
+            raise BadConfig(f"{self.where}: {key!r} must be text, found {_shown(value)}")
+        return value
+
+    def numbers(self, key: str, count: int) -> Any:
+        values = self._take(key, "list")
+        if not isinstance(values, list | tuple) or len(values) != count or not all(map(_is_number, values)):
+            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
+        return tuple(float(value) for value in values)
+
+    def table(self, key: str) -> Table:
+        value = self._take(key, "table")
+        if not isinstance(value, dict):
+            raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
+        return Table(value, f"{self.where}, [{key}]")
+
+    def has(self, key: str) -> bool:
+        return key in self._tree
+
+    def finish(self) -> None:
+        if self._tree:
+            raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")

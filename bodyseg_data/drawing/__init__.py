@@ -1,0 +1,1 @@
+"""Pictures for people: contact sheets, galleries, views of a body."""

@@ -1,0 +1,145 @@
+"""A contact sheet: what is stored of several samples and what the five variants make of it, side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from bodyseg_data.core.parts import colour_labels
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.artifacts.variants import VARIANTS, RangeImage, VariantName
+
+_EMPTY: Final = (24, 26, 32)
+"""Where nothing was measured."""
+
+_GAP: Final = 6
+_CAPTION: Final = 20
+_NOTE: Final = 18
+_PANEL_ROWS: Final = 320
+_PANEL_COLUMNS: Final = 480
+
+# Near to far: light to dark as well as warm to cold, so that it also reads in grey.
+_RAMP: Final = np.array(
+    [[255, 247, 200], [254, 217, 128], [247, 164, 86], [226, 104, 84], [178, 62, 104], [116, 46, 118], [66, 40, 104]]
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One sample: as stored, and as each variant shows it."""
+
+    sample: Sample
+    variants: dict[VariantName, RangeImage]
+
+
+def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.uint8]:
+    """Draw a range image: uint16 [H, W] -> sRGB uint8 [H, W, 3], light at `near` and dark at `far` (steps)."""
+    place = np.clip((image.astype(np.float64) - near) / max(far - near, 1), 0, 1) * (len(_RAMP) - 1)
+    colours = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
+    colours[image == 0] = _EMPTY
+    drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
+    return drawn
+
+
+def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Image:
+    """One line of panels a sample: camera range, projector range, labels, the five variants, labels in `shown`."""
+    panels = [_panels(row, shown) for row in rows]
+    heads = ["camera range", "projector, where it shades", "labels", *VARIANTS, f"labels in {shown}"]
+    widths = [
+        max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
+        for column, head in enumerate(heads)
+    ]
+    width = sum(widths) + _GAP * (len(widths) + 1)
+    legend = _legend(width - 2 * _GAP)
+    line_height = _CAPTION + _PANEL_ROWS + _NOTE + _GAP
+    top = 34 + _CAPTION
+    sheet = Image.new("RGB", (width, top + line_height * len(rows) + legend.height + 2 * _GAP), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    pen.text((_GAP, 8), title, INK, font=font(17))
+    for number, (row, line) in enumerate(zip(rows, panels, strict=True)):
+        left, line_top = _GAP, top + number * line_height
+        pen.text((left, line_top + 2), _caption(row.sample), FAINT, font=font(12))
+        for head, panel_width, (note, panel) in zip(heads, widths, line, strict=True):
+            if number == 0:
+                pen.text((left, 34), head, INK, font=font(14))
+            sheet.paste(panel, (left, line_top + _CAPTION))
+            pen.text((left, line_top + _CAPTION + _PANEL_ROWS + 2), note, INK, font=font(12))
+            left += panel_width + _GAP
+    sheet.paste(legend, (_GAP, sheet.height - legend.height - _GAP))
+    return sheet
+
+
+def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
+    """Notes and pictures of one line. All range panels share the scale of the clean camera range."""
+    sample = row.sample
+    shading = sample.shading_range()
+    span, projector_span = _span(sample.range), _span(shading)
+    panels = [
+        (_metres(sample.range), colour_range(sample.range, *span)),
+        (_metres(shading), colour_range(shading, *projector_span)),
+        ("", colour_labels(sample.labels, _EMPTY)),
+    ]
+    panels += [(_note(image), colour_range(image.range, *span)) for image in row.variants.values()]
+    panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
+    return [(note, _fit(picture)) for note, picture in panels]
+
+
+def _text_width(text: str, size: int) -> int:
+    return math.ceil(font(size).getlength(text)) + 4
+
+
+def _span(image: NDArray[np.uint16]) -> tuple[int, int]:
+    """Nearest and farthest range, steps."""
+    foreground = image[image > 0]
+    return (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
+
+
+def _metres(image: NDArray[np.uint16]) -> str:
+    near, far = _span(image)
+    return f"{near * RANGE_STEP_M:.2f} to {far * RANGE_STEP_M:.2f} m" if near else "nothing in view"
+
+
+def _fit(picture: NDArray[np.uint8]) -> Image.Image:
+    """Scale into a panel by picking pixels: averaging would hide missing ones."""
+    height, width = picture.shape[:2]
+    scale = min(_PANEL_ROWS / height, _PANEL_COLUMNS / width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return Image.fromarray(picture).resize(size, Image.Resampling.NEAREST)
+
+
+def _note(image: RangeImage) -> str:
+    drawn = []
+    if image.sigma_mm is not None:
+        drawn.append(f"noise {image.sigma_mm:.0f} mm")
+    if image.missing_rate is not None:
+        drawn.append(f"{image.missing_rate:.0%} missing")
+    return ", ".join(drawn)
+
+
+def _caption(sample: Sample) -> str:
+    info = sample.info
+    return (
+        f"{info.subject}, {info.pose}, {info.distance_cm / 100:.2f} m, {info.azimuth_deg}° ({info.split}, {sample.key})"
+    )
+
+
+def _legend(width: int) -> Image.Image:
+    """The 33 parts, and below them the range ramp."""
+    parts = draw_legend(width)
+    legend = Image.new("RGB", (width, parts.height + 34), PAPER)
+    legend.paste(parts, (0, 0))
+    pen = ImageDraw.Draw(legend)
+    top = parts.height + 10
+    ramp = colour_range(np.tile(np.arange(1, 241, dtype=np.uint16), (13, 1)), 1, 240)
+    legend.paste(Image.fromarray(ramp), (0, top + 2))
+    pen.text((248, top), "range: near to far within each line", INK, font=font(13))
+    pen.rectangle((500, top + 2, 513, top + 14), _EMPTY)
+    pen.text((519, top), "nothing measured", INK, font=font(13))
+    return legend

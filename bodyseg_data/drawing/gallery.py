@@ -1,0 +1,131 @@
+"""A gallery: many views of a set at a glance, each as a shaded surface in the colours of its parts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND, COLOURS
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+
+COLUMNS: Final = 12
+_TILE_ROWS: Final = 320
+_CAPTION: Final = 32
+_GAP: Final = 6
+_EDGE_M: Final = 0.03
+"""A step in range beyond which two neighbouring pixels do not lie on one surface."""
+
+_KEY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)-d\d+-a\d+")
+
+
+def choose(keys: Sequence[str], count: int) -> list[int]:
+    """`count` of a set's samples for a gallery, as indices into `keys`, ascending by group and mesh.
+
+    Shared out evenly over groups of subjects (P000, P001, … are one group) and, within each, over its meshes by name;
+    which view of a mesh is drawn from its name. Raises BadConfig for fewer samples than asked for.
+    """
+    if not 1 <= count <= len(keys):
+        raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
+    groups: dict[str, dict[str, list[int]]] = {}
+    for index, key in enumerate(keys):
+        match = _KEY.fullmatch(key)
+        if match is None:
+            raise BadConfig(f"a gallery needs keys like SOURCE-SUBJECT-MESH-d215-a010, found {key!r}")
+        group = f"{match['source']}-{re.sub('[0-9]+', '', match['subject'])}"
+        groups.setdefault(group, {}).setdefault(match["mesh"], []).append(index)
+    shares = dict.fromkeys(sorted(groups), 0)
+    room = {name: sum(map(len, meshes.values())) for name, meshes in groups.items()}
+    for _ in range(count):
+        shares[min((name for name in shares if shares[name] < room[name]), key=lambda name: shares[name])] += 1
+    return [index for name, share in shares.items() for index in _from_group(groups[name], share)]
+
+
+def _from_group(meshes: dict[str, list[int]], share: int) -> list[int]:
+    """One view each of evenly chosen meshes; further views of the same ones if there are not enough."""
+    names = sorted(meshes)
+    rounds: list[int] = []
+    for name in names:
+        generator(0, 0, name, "gallery").shuffle(meshes[name])
+    for turn in range(max(map(len, meshes.values()))):
+        left = [meshes[name][turn] for name in names if turn < len(meshes[name])]
+        wanted = min(share - len(rounds), len(left))
+        rounds += [left[(2 * place + 1) * len(left) // (2 * wanted)] for place in range(wanted)]
+    return rounds
+
+
+def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image.Image:
+    """A grid of views, twelve a line, with a caption below each and a legend of the parts; RGB.
+
+    camera: the one that took them all.
+    """
+    tiles = [_tile(sample, camera) for sample in samples]
+    width = max(tile.width for tile in tiles)
+    lines = -(-len(tiles) // COLUMNS)
+    columns = min(COLUMNS, len(tiles))
+    legend = draw_legend(max(columns * (width + _GAP), 900))
+    top, step = 44, _TILE_ROWS + _CAPTION + _GAP
+    picture = Image.new("RGB", (legend.width + 2 * _GAP, top + lines * step + legend.height + _GAP), PAPER)
+    pen = ImageDraw.Draw(picture)
+    pen.text((_GAP + 2, 10), title, INK, font=font(18))
+    for number, (sample, tile) in enumerate(zip(samples, tiles, strict=True)):
+        left, upper = _GAP + number % COLUMNS * (width + _GAP), top + number // COLUMNS * step
+        picture.paste(tile, (left, upper))
+        info = sample.info
+        pen.text((left + 2, upper + _TILE_ROWS + 2), f"{info.subject}, {info.pose}"[:26], INK, font=font(11))
+        where = f"{info.distance_cm / 100:.2f} m, {info.azimuth_deg}°, {info.split}"
+        pen.text((left + 2, upper + _TILE_ROWS + 15), where, FAINT, font=font(11))
+    picture.paste(legend, (_GAP, picture.height - legend.height - _GAP))
+    return picture
+
+
+def _tile(sample: Sample, camera: Camera) -> Image.Image:
+    foreground = sample.labels != BACKGROUND
+    canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
+    shade = shading(sample.range, camera)[foreground]
+    canvas[foreground] = np.clip(COLOURS[sample.labels[foreground]] * (0.35 + 0.7 * shade[:, None]), 0, 255)
+    picture = Image.fromarray(canvas)
+    return picture.resize((round(picture.width * _TILE_ROWS / picture.height), _TILE_ROWS), Image.Resampling.LANCZOS)
+
+
+def shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
+    """How squarely each pixel's surface faces a light a little above and left of the camera, 0 to 1, [H, W].
+
+    The normal is the cross product of the differences to the neighbours right and below (or left and above, where
+    those lie on another surface); 0 on background.
+    """
+    depth = image.astype(np.float64) * RANGE_STEP_M
+    rows, columns = image.shape
+    x = (np.arange(columns) + 0.5 - camera.centre_px[0]) / camera.focal_px
+    y = (np.arange(rows) + 0.5 - camera.centre_px[1]) / camera.focal_px
+    points = np.stack([depth * x, depth * y[:, None], depth], axis=-1)
+    normals = np.cross(_slope(points, axis=0), _slope(points, axis=1))
+    length = np.linalg.norm(normals, axis=-1)
+    light = np.array([-0.3, -0.45, -1.0]) / np.linalg.norm([-0.3, -0.45, -1.0])
+    shade = np.divide(normals @ light, length, out=np.zeros_like(depth), where=length > 0)
+    shade[image == 0] = 0
+    clipped: NDArray[np.float64] = np.clip(shade, 0, 1)
+    return clipped
+
+
+def _slope(points: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Difference to the next point along `axis`, or from the one before where that is nearer in range, [H, W, 3]."""
+    change = np.diff(points, axis=axis)
+    edge = np.zeros_like(np.take(points, [0], axis))
+    ahead, behind = np.concatenate([change, edge], axis), np.concatenate([edge, change], axis)
+    last, first = [slice(None)] * 2, [slice(None)] * 2
+    last[axis], first[axis] = slice(-1, None), slice(0, 1)
+    reach_ahead, reach_behind = np.abs(ahead[..., 2]), np.abs(behind[..., 2])
+    reach_ahead[tuple(last)], reach_behind[tuple(first)] = np.inf, np.inf
+    chosen = np.where((reach_ahead <= reach_behind)[..., None], ahead, behind)
+    chosen[np.minimum(reach_ahead, reach_behind) > _EDGE_M] = 0
+    smooth: NDArray[np.float64] = chosen
+    return smooth

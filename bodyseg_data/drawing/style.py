@@ -1,0 +1,81 @@
+"""What all pictures share: paper, ink, font, the legend of the 33 parts, and how they are written."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from PIL import Image, ImageDraw, ImageFont
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.files import write_result
+from bodyseg_data.core.parts import COLOURS, PART_COUNT, PARTS
+
+PAPER: Final = (250, 250, 247)
+INK: Final = (32, 34, 40)
+FAINT: Final = (110, 112, 118)
+
+_COLUMN: Final = 222  # fits the longest name
+_LINE: Final = 21
+
+
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font, so that pictures look the same on every machine."""
+    return ImageFont.load_default(size)
+
+
+def draw_legend(width: int) -> Image.Image:
+    """The 33 parts by colour, number and landmark, in as many columns as fit into `width` pixels."""
+    columns = max(1, width // _COLUMN)
+    lines = -(-PART_COUNT // columns)
+    columns = -(-PART_COUNT // lines)
+    legend = Image.new("RGB", (width, lines * _LINE), PAPER)
+    pen = ImageDraw.Draw(legend)
+    for part in PARTS:
+        column, line = divmod(part.label, lines)
+        left, top = column * width // columns, line * _LINE
+        pen.rounded_rectangle((left, top + 2, left + 15, top + 17), 3, tuple(COLOURS[part.label].tolist()))
+        pen.text((left + 38, top + 10), str(part.label), INK, font=font(13), anchor="rm")
+        pen.text((left + 46, top + 10), part.landmark, INK, font=font(13), anchor="lm")
+    return legend
+
+
+def check_picture(path: Path, option: str = "--out") -> None:
+    """Raise BadConfig unless `path`, given by `option`, can name a picture."""
+    if path.suffix.lower() != ".png":
+        raise BadConfig(f"{option} must be a .png file, found {path}")
+
+
+def save_picture(picture: Image.Image, path: Path) -> None:
+    """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", optimize=True)
+    write_result(path, buffer.getvalue())
+
+
+def new_chart(width: float, height: float) -> Any:
+    """An empty figure of matplotlib, inches, that needs no display. Raises MissingLibrary without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
+    """A figure of matplotlib as PNG or SVG: the same bytes for the same figure, by one version of matplotlib."""
+    import matplotlib
+
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "bodyseg", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    return buffer.getvalue()
+
+
+def save_chart(figure: Any, path: Path, dpi: int) -> None:
+    """Write a figure of matplotlib as PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    write_result(path, chart_bytes(figure, "png", dpi))

@@ -1,0 +1,152 @@
+"""Landmarks by coordinate: 33 points beside a surface, put onto it.
+
+A file of them is JSON, like one by vertex (`landmarks`), with points instead of vertices:
+
+    {"format": "bodyseg landmarks 1", "units": "mm", "points": {"Sellion": [12.1, 1630.0, 98.4], ...}}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadLandmarks
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_names, json_table
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.nearest import nearest_corner
+from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
+
+FARTHEST_M: Final = 0.03
+"""A landmark farther than this from the surface belongs to another body, unit or frame, or was read wrongly.
+
+Markers on the skin and a scan's surface differ by millimetres; hair, clothes and what a scan lacks add centimetres.
+"""
+
+METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Metres in a unit of length."""
+
+_KEYS: Final = ("format", "units", "points")
+_FEATURE: Final = "putting landmarks onto a surface"
+
+
+@dataclass(frozen=True)
+class Snapped:
+    """Landmarks on a surface. vertices: int64 [33], the corner nearest to each point of the triangle nearest to it.
+
+    distance_m: float64 [33], from each point to the surface, metres. Both in the order of `parts.PARTS`.
+    """
+
+    vertices: NDArray[np.int64]
+    distance_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PointLandmarks:
+    """The landmarks of one body in space. source: where they were read, for messages.
+
+    points: float64 [33, 3] in the order of `parts.LANDMARKS`, metres, in the frame of the file they came from, which is
+    not always that of the mesh (`moved`). Raises BadLandmarks unless they are 33 finite points.
+    """
+
+    source: str
+    points: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        points: NDArray[np.float64] = np.array(self.points, np.float64)
+        if points.shape != (PART_COUNT, 3):
+            raise BadLandmarks(f"landmarks {self.source}: there must be {PART_COUNT} points, found {points.shape}")
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(bad):
+            found = points[bad[0]].tolist()
+            raise BadLandmarks(f"landmarks {self.source}: {LANDMARKS[bad[0]]!r} must be finite, found {found}")
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    def moved(self, scale: float, rotation: NDArray[np.float64]) -> PointLandmarks:
+        """The same landmarks times `scale`, turned by `rotation` [3, 3]: as the mesh was turned into the body frame."""
+        return replace(self, points=self.points @ rotation.T * scale)
+
+    def for_mesh(self, mesh: Mesh) -> Snapped:
+        """Put onto the surface of `mesh`, whose frame the points must be in.
+
+        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, two that come to
+        one vertex, and one on another piece of the surface than most are; MissingLibrary without trimesh, rtree or
+        scipy.
+        """
+        where = f"landmarks {self.source} on mesh {mesh.name}"
+        vertices, distance = snap(mesh, self.points)
+        worst = int(distance.argmax())
+        if distance[worst] > FARTHEST_M:
+            others = int((distance > FARTHEST_M).sum()) - 1
+            raise BadLandmarks(
+                f"{where}: a landmark must lie within {100 * FARTHEST_M:g} cm of the surface, found "
+                f"{LANDMARKS[worst]!r} {100 * distance[worst]:.1f} cm off it at "
+                f"{np.round(self.points[worst], 4).tolist()}"
+                + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
+            )
+        holders: dict[int, str] = {}
+        for name, vertex in zip(LANDMARKS, vertices.tolist(), strict=True):
+            if vertex in holders:
+                raise BadLandmarks(
+                    f"{where}: landmarks must be different vertices, found {holders[vertex]!r} and {name!r} at {vertex}"
+                )
+            holders[vertex] = name
+        piece = mesh.pieces(_FEATURE)[vertices]
+        body = np.bincount(piece).argmax()
+        if (piece != body).any():
+            stray = int(np.flatnonzero(piece != body)[0])
+            raise BadLandmarks(
+                f"{where}: landmarks must lie on one piece of the surface, found {LANDMARKS[stray]!r} at vertex "
+                f"{vertices[stray]} of another piece than the one that holds {(piece == body).sum()} of them"
+            )
+        return Snapped(vertices, distance)
+
+    def propagated(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, Snapped]:
+        """A set by vertex for all meshes numbered like `mesh`, on which these points lie, and how far they lay off it.
+
+        topology: which meshes those are, in words. Raises as `for_mesh` does.
+        """
+        snapped = self.for_mesh(mesh)
+        counts = len(mesh.vertices), len(mesh.faces)
+        return LandmarkSet(self.source, topology, *counts, tuple(snapped.vertices.tolist())), snapped
+
+
+def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """For points [N, 3] the nearest corner of the triangle nearest to each, [N], and the distance to it, metres [N].
+
+    Raises MissingLibrary without trimesh, rtree or scipy.
+    """
+    faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
+    vertices, distance = nearest_corner(mesh.vertices, faces, points, _FEATURE)
+    return vertices.astype(np.int64), distance
+
+
+def parse_points(text: str, source: str) -> PointLandmarks:
+    """Landmarks by coordinate from JSON text; `source` names its origin in messages. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    tree = json_table(text, source)
+    check_names(list(tree), _KEYS, where, "key")
+    units, table = tree["units"], tree["points"]
+    if not isinstance(units, str) or units not in METRES:
+        raise BadLandmarks(f"{where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
+    if not isinstance(table, dict):
+        raise BadLandmarks(f"{where}: 'points' must map names to coordinates, found {table!r}")
+    check_names(list(table), LANDMARKS, where, "landmark")
+    points = [_point(table[name], f"{where}: the point of {name!r}") for name in LANDMARKS]
+    return PointLandmarks(source, np.array(points) * METRES[units])
+
+
+def _point(value: Any, what: str) -> list[float]:
+    if (
+        not isinstance(value, list)
+        or len(value) != 3
+        or any(isinstance(number, bool) or not isinstance(number, int | float) for number in value)
+        or not all(abs(number) < 1e9 and math.isfinite(number) for number in value)
+    ):
+        raise BadLandmarks(f"{what} must be three finite numbers, found {value!r}")
+    return [float(number) for number in value]

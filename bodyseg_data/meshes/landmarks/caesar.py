@@ -1,0 +1,200 @@
+"""Landmark files of the CAESAR survey (.lnd): rows of numbers and names, typed by hand and cut to a length.
+
+The rows stand between a line that begins with "AUX =" and one that begins with "END =". Each holds some numbers, the
+last three of which are x, y, z in millimetres, and a name, which may hold blanks or begin with a digit:
+
+    3  0  0  1   12.3  -101.2  1544.0  Rt. Thelion/Bustpoin
+
+A name is recognised if it is one of the survey's 73 in full, whatever its case, blanks and punctuation, or the
+beginning of one of them alone, or one misspelt by a letter or two that is clearly nearer to it than to any other of its
+side. Right and left, and numbers like the "V" of a finger, are never guessed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import zlib
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bodyseg_data.core.errors import BadLandmarks
+from bodyseg_data.core.files import contents
+from bodyseg_data.meshes.landmarks.by_point import METRES, PointLandmarks
+from bodyseg_data.core.parts import LANDMARKS
+
+_MIDDLE: Final = (
+    "Sellion",
+    "Supramenton",
+    "Nuchale",
+    "Cervicale",
+    "Suprasternale",
+    "Substernale",
+    "10th Rib Midspine",
+    "Waist, Preferred, Post.",
+    "Crotch",
+)
+_SIDED: Final = (
+    "Infraorbitale",
+    "Tragion",
+    "Gonion",
+    "Clavicale",
+    "Thelion/Bustpoint",
+    "10th Rib",
+    "ASIS",
+    "PSIS",
+    "Iliocristale",
+    "Trochanterion",
+    "Acromion",
+    "Axilla, Ant.",
+    "Axilla, Post.",
+    "Radial Styloid",
+    "Ulnar Styloid",
+    "Radiale",
+    "Olecranon",
+    "Humeral Lateral Epicn",
+    "Humeral Medial Epicn",
+    "Metacarpal Phal. II",
+    "Metacarpal Phal. V",
+    "Dactylion",
+    "Femoral Lateral Epicn",
+    "Femoral Medial Epicn",
+    "Knee Crease",
+    "Metatarsal Phal. I",
+    "Metatarsal Phal. V",
+    "Lateral Malleolus",
+    "Medial Malleolus",
+    "Sphyrion",
+    "Calcaneous, Post.",
+    "Digit II",
+)
+CAESAR_LANDMARKS: Final = (*_MIDDLE, *(f"{side} {name}" for name in _SIDED for side in ("Rt.", "Lt.")))
+"""All 73 landmarks of the survey, as it spells them; `parts.LANDMARKS` are 33 of these."""
+
+LARGEST_BYTES: Final = 1 << 20
+"""No file may be larger, also after unpacking: one of the survey has a hundredth of that."""
+
+_SIDES: Final = {"rt": "rt", "right": "rt", "lt": "lt", "left": "lt"}
+_PLACEHOLDER_MM: Final = -999.0
+_LEAST_SHARE: Final = 0.6  # of a name that a cut one keeps
+_LONGEST_NAME: Final = 60  # twice what the survey has; telling letters apart takes their number's square
+_MARGIN: Final = 2  # letters by which a misspelt name must be nearer to one than to the next
+_AUX: Final = re.compile(r"\s*AUX\s*=", re.IGNORECASE)
+_END: Final = re.compile(r"\s*END\s*=", re.IGNORECASE)
+
+
+def read_lnd(path: Path) -> PointLandmarks:
+    """Read a .lnd file (or .lnd.gz): the points in metres, in the frame of the survey's scan of the same subject.
+
+    Landmarks that are not among the 33 are left out, and so are rows without coordinates (-999, all 0, or not
+    numbers). Raises BadLandmarks, naming the file and the landmarks, for one that is missing or given twice in
+    different places, and for a file that cannot be read or lacks the lines "AUX =" and "END =".
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    unknown: list[str] = []
+    for number, point, written in _rows(_text(path), path):
+        name = recognise(written)
+        if name is None:
+            unknown.append(written)
+        if name is None or name not in LANDMARKS or _is_placeholder(point):
+            continue
+        if name in found and found[name] != point:
+            raise BadLandmarks(
+                f"landmarks {path}, line {number}: {name!r} is given twice, found {list(found[name])} and {list(point)}"
+            )
+        found[name] = point
+    missing = [name for name in LANDMARKS if name not in found]
+    if missing:
+        stray = f"; names not recognised: {', '.join(map(repr, unknown[:8]))}" if unknown else ""
+        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing{stray}")
+    return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
+
+
+@lru_cache(maxsize=4096)
+def recognise(written: str) -> str | None:
+    """Which of `CAESAR_LANDMARKS` a name in a file means; None if that is not certain."""
+    if len(written) > _LONGEST_NAME:
+        return None
+    side, words = _normalised(written.partition("#")[0])
+    names = {known: words for known, (its_side, words) in _KNOWN.items() if its_side == side}
+    exact = [known for known, other in names.items() if other == words]
+    if exact:
+        return exact[0]
+    whole = " ".join(words)
+    whole_names = {known: " ".join(other) for known, other in names.items()}
+    cut = [known for known, other in whole_names.items() if other.startswith(whole)]
+    if cut:
+        other = whole_names[cut[0]]
+        enough = len(cut) == 1 and len(whole) >= max(3, _LEAST_SHARE * len(other))
+        return cut[0] if enough and set(_numbers(words)) <= set(_numbers(other.split())) else None
+    distances = sorted((_edits(whole, other), known) for known, other in whole_names.items())
+    (edits, nearest), (next_edits, _) = distances[:2]
+    allowed = 0 if len(whole) < 6 else 1 if len(whole) < 10 else 2
+    same_numbers = _numbers(words) == _numbers(names[nearest])
+    return nearest if edits <= allowed and next_edits >= edits + _MARGIN and same_numbers else None
+
+
+def _normalised(name: str) -> tuple[str, tuple[str, ...]]:
+    """(side, "" in the middle; the other words), in small letters without punctuation."""
+    words = tuple(re.findall(r"[^\W_]+", name.lower()))
+    side = _SIDES.get(words[0], "") if words else ""
+    return side, words[1:] if side else words
+
+
+def _numbers(words: tuple[str, ...] | list[str]) -> list[str]:
+    """Those words that count: one of them wrong is another landmark, not a slip."""
+    return [word for word in words if re.fullmatch(r"[ivx]+|\d+\w*", word)]
+
+
+def _edits(a: str, b: str) -> int:
+    """The least number of letters to add, drop or change (Levenshtein 1966)."""
+    row = list(range(len(b) + 1))
+    for i, left in enumerate(a, 1):
+        diagonal, row[0] = row[0], i
+        for j, right in enumerate(b, 1):
+            diagonal, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, diagonal + (left != right))
+    return row[-1]
+
+
+_KNOWN: Final = {name: _normalised(name) for name in CAESAR_LANDMARKS}
+
+
+def _rows(text: str, path: Path) -> Iterator[tuple[int, tuple[float, ...], str]]:
+    """(line, x y z in millimetres, name as written) of every row that has both."""
+    lines = list(enumerate(text.splitlines(), 1))
+    begin = next((number for number, line in lines if _AUX.match(line)), None)
+    end = next((number for number, line in lines if begin and number > begin and _END.match(line)), None)
+    if begin is None or end is None:
+        lacking = "AUX =" if begin is None else "END ="
+        raise BadLandmarks(f"landmarks {path}: rows must stand between 'AUX =' and 'END =', found no {lacking!r}")
+    for number, line in lines[begin : end - 1]:
+        words = line.split()
+        count = next((index for index, word in enumerate(words) if not _is_number(word)), len(words))
+        if 3 <= count < len(words):
+            yield number, tuple(float(word) for word in words[count - 3 : count]), " ".join(words[count:])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_placeholder(point: tuple[float, ...]) -> bool:
+    return not any(point) or any(not math.isfinite(value) or value == _PLACEHOLDER_MM for value in point)
+
+
+def _text(path: Path) -> str:
+    try:
+        data = contents(path, path.suffix.lower() == ".gz", LARGEST_BYTES)
+    except (OSError, EOFError, zlib.error) as error:
+        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
+    if data is None:
+        raise BadLandmarks(f"landmarks {path}: a .lnd file may hold {LARGEST_BYTES >> 20} MiB, found more")
+    return data.decode("latin-1")

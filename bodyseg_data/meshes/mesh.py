@@ -1,0 +1,164 @@
+"""The frozen triangle mesh of one body, checked once when it is made.
+
+Body frame: x to the subject's left, y up, z to the front; metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.meshes.topology import components, find_edges
+from bodyseg_data.core.errors import BadMesh
+
+HEIGHT_RANGE_M: Final = (0.5, 2.5)
+"""A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
+
+
+_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A body's surface. vertices: float64 [V, 3], metres, body frame; faces: int32 [F, 3], outward by right hand.
+
+    Raises BadMesh, naming the mesh, for: no vertices or faces, coordinates that are not finite, indices outside the
+    vertices, a body not 0.5 to 2.5 m in its largest extent, faces that point inwards or disagree with their neighbours.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        vertices: NDArray[np.float64] = np.asarray(self.vertices, np.float64)
+        faces: NDArray[Any] = np.asarray(self.faces)
+        self._check(vertices, faces)
+        for field, array in (("vertices", vertices), ("faces", faces.astype(np.int32))):
+            frozen = np.ascontiguousarray(array).copy()
+            frozen.flags.writeable = False
+            object.__setattr__(self, field, frozen)
+        self._check_orientation()
+
+    def _check(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
+        where = f"mesh {self.name}"
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise BadMesh(f"{where}: vertices and faces must have three columns, found {vertices.shape}, {faces.shape}")
+        if len(vertices) == 0 or len(faces) == 0:
+            raise BadMesh(f"{where}: a body needs vertices and faces, found {len(vertices)} and {len(faces)}")
+        if not np.issubdtype(faces.dtype, np.integer):
+            raise BadMesh(f"{where}: faces must be whole numbers, found {faces.dtype}")
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        if len(bad):
+            raise BadMesh(f"{where}: coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
+        bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
+        if len(bad):
+            raise BadMesh(
+                f"{where}: faces must use vertices 0 to {len(vertices) - 1}, found {faces[bad[0]].tolist()} "
+                f"at face {bad[0]}"
+            )
+        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
+        low, high = HEIGHT_RANGE_M
+        if not low <= extent <= high:
+            raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
+
+    def _check_orientation(self) -> None:
+        """Outward means: neighbours agree, every closed piece encloses a positive volume, and so does the whole.
+
+        An open piece has no volume of its own: a mouth's cavity that was cut off would seem inside out.
+        """
+        clash = self._clashing_edge()
+        if clash is not None:
+            raise BadMesh(
+                f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
+                f"of vertices {clash[0]} and {clash[1]}"
+            )
+        whole, lowest = self.signed_volume(), self._lowest_closed_volume()
+        if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
+            raise BadMesh(
+                f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
+                "(inside out?)"
+            )
+
+    def _clashing_edge(self) -> tuple[int, int] | None:
+        """An edge that exactly two faces share and both go along in the same direction, if there is one."""
+        edges = find_edges(self.faces)
+        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
+        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
+        real = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
+        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & real)
+        return None if not len(bad) else (int(edges.ends[bad[0], 0]), int(edges.ends[bad[0], 1]))
+
+    def signed_volume(self) -> float:
+        """Volume enclosed, m3, about the middle of the vertices; negative if faces point inwards."""
+        return float(_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
+
+    def _lowest_closed_volume(self) -> float:
+        """Signed volume, m3, of the closed connected piece that has the least; infinite if no piece is closed."""
+        edges = find_edges(self.faces)
+        piece = self.pieces("checking a mesh")
+        closed = np.ones(piece.max() + 1, np.bool_)
+        closed[piece[edges.ends[edges.faces == 1, 0]]] = False
+        faces = self.faces[closed[piece[self.faces[:, 0]]]]
+        if not len(faces):
+            return np.inf
+        numbers, piece_of_face = np.unique(piece[faces[:, 0]], return_inverse=True)
+        # About one vertex of each piece: far from the piece, rounding would drown its volume.
+        origin = self.vertices[np.unique(piece, return_index=True)[1][numbers]]
+        corners = self.vertices[faces] - origin[piece_of_face][:, None]
+        return float(np.bincount(piece_of_face, weights=_volumes(corners)).min())
+
+    def pieces(self, feature: str) -> NDArray[np.int32]:
+        """Which connected piece of the surface each vertex belongs to, [V].
+
+        feature: what they are wanted for, for the message of the MissingLibrary that is raised without scipy.
+        """
+        return components(len(self.vertices), self.faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
+
+    @cached_property
+    def surface_vertices(self) -> NDArray[np.float64]:
+        """Those vertices [N, 3] that faces use."""
+        return self.vertices[np.unique(self.faces)]
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """Centre [3] of the bounding box of the surface."""
+        middle: NDArray[np.float64] = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
+        return middle
+
+    @cached_property
+    def normals(self) -> NDArray[np.float64]:
+        """Outward normals of all faces, [F, 3]; length twice the face's area, zero for a degenerate face."""
+        corners = self.vertices[self.faces]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Mean outward normal, by area, of the faces around each vertex, [V, 3], unit length; zero without a face."""
+        normals = np.zeros_like(self.vertices)
+        for corner in range(3):
+            np.add.at(normals, self.faces[:, corner], self.normals)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        np.divide(normals, length, out=normals, where=length > 0)
+        return normals
+
+    def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
+        a, b, c = np.moveaxis(self.vertices[self.faces[faces]], 1, 0)
+        ab, ac, ap = b - a, c - a, points - a
+        aa, bb, ab_ac = (np.einsum("ij,ij->i", x, y) for x, y in ((ab, ab), (ac, ac), (ab, ac)))
+        p_ab, p_ac = np.einsum("ij,ij->i", ap, ab), np.einsum("ij,ij->i", ap, ac)
+        area = aa * bb - ab_ac**2
+        area[area == 0] = 1  # a degenerate triangle: any corner is as good
+        v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
+        return np.stack([1 - v - w, v, w], axis=1)
+
+
+def _volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed volumes [F], m3, of the tetrahedra between the origin and triangles [F, 3, 3]."""
+    volumes: NDArray[np.float64] = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    return volumes

@@ -1,0 +1,1 @@
+"""Distances along the surface, and from them the part of every point."""

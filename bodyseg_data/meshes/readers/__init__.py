@@ -1,0 +1,1 @@
+"""Meshes from files, in the file's order."""

@@ -1,0 +1,173 @@
+"""Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
+
+Landmarks name vertices by number, so nothing may be merged, split at texture seams or left out. Libraries that read
+these formats for drawing do one or the other, or trust the counts in a header.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.core.files import contents
+from bodyseg_data.meshes.readers.ply import fan, read_ply
+
+Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
+"""What a mesh file's name ends in, in any case; of several forms of one mesh, the first in this order is read."""
+
+LARGEST_BYTES: Final = 1 << 28
+"""No file may be larger, also after unpacking: a scan of a million triangles has a tenth of that."""
+
+_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
+
+
+def read_mesh(path: Path) -> Surface:
+    """Vertices float64 [V, 3] and triangles int32 [F, 3], both in the file's order and in its units and axes.
+
+    Polygons become fans about their first corner. Colours, normals, textures and the like are passed over.
+    Raises BadMesh, naming the file and, for text, the line: for what cannot be read, is cut short, is larger than
+    `LARGEST_BYTES`, has no vertices or faces, has corners that are no vertices, or uses vertices that are not finite.
+    """
+    suffix = mesh_suffix(path.name)
+    if suffix is None:
+        raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
+    data = _contents(path, packed=suffix.endswith(".gz"))
+    form = suffix.removesuffix(".gz")[1:]
+    try:
+        vertices, faces = {"ply": read_ply, "obj": _read_obj, "off": _read_off}[form](data)
+        return _checked(vertices, faces)
+    except BadMesh as error:
+        raise BadMesh(f"{path}: {error}") from None
+
+
+def mesh_suffix(name: str) -> str | None:
+    """Which of `MESH_SUFFIXES` a file name ends in; None if it does in none."""
+    return next((suffix for suffix in MESH_SUFFIXES if name.lower().endswith(suffix)), None)
+
+
+def mesh_stem(name: str) -> str:
+    """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"."""
+    return name[: len(name) - len(mesh_suffix(name) or "")]
+
+
+def preferred(names: Sequence[str]) -> str:
+    """Of several files of one mesh the one to read, by the order of `MESH_SUFFIXES`."""
+    return min(names, key=lambda name: (MESH_SUFFIXES.index(mesh_suffix(name) or ""), name))
+
+
+def _contents(path: Path, packed: bool) -> bytes:
+    try:
+        data = contents(path, packed, LARGEST_BYTES)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise BadMesh(f"{path} is not a whole gzip file: {error}") from error
+    except OSError as error:
+        raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
+    if data is None:
+        raise BadMesh(f"{path}: a mesh file may hold {LARGEST_BYTES >> 20} MiB, found more")
+    return data
+
+
+def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
+    if not len(vertices) or not len(faces):
+        raise BadMesh(f"a mesh needs vertices and faces, found {len(vertices)} and {len(faces)}")
+    outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
+    if len(outside):
+        raise BadMesh(
+            f"corners must be vertices 0 to {len(vertices) - 1}, found {faces[outside[0]].tolist()} in triangle "
+            f"{outside[0]}"
+        )
+    used = np.zeros(len(vertices), np.bool_)
+    used[faces] = True
+    bad = np.flatnonzero(used & ~np.isfinite(vertices).all(axis=1))  # what no face uses may be anything
+    if len(bad):
+        raise BadMesh(f"coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
+    return vertices, faces.astype(np.int32)
+
+
+def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), counted from 1, or back from -1."""
+    vertices: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    text = data.decode("latin-1")
+    if "\\" in text:  # a line that goes on in the next; its number is that of the last
+        text = re.sub(r"\\[ \t]*\r?\n", " ", text)
+    for number, line in enumerate(text.split("\n"), 1):
+        kind, *words = line.split() or ("",)
+        if kind not in ("v", "f"):
+            continue
+        try:
+            if len(words) < 3:
+                raise ValueError(f"three numbers must follow {kind!r}, found {len(words)}")
+            if kind == "v":
+                vertices.append([float(words[0]), float(words[1]), float(words[2])])
+            else:
+                faces += fan([_from_one(int(word.partition("/")[0]), len(vertices)) for word in words])
+        except ValueError as error:
+            raise BadMesh(f"line {number} is not OBJ: {error}") from error
+    return _arrays(vertices, faces)
+
+
+def _from_one(index: int, count: int) -> int:
+    """A corner counted from 0. One that counts back from the last vertex so far must find one."""
+    if index > 0:
+        return index - 1
+    if not 0 < -index <= count:
+        raise ValueError(f"a corner must be a vertex, found {index} after {count} vertices")
+    return count + index
+
+
+def _read_off(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Object File Format in text: a header, counts, a vertex a line, a polygon a line; # begins a comment."""
+    lines = [
+        (number, line)
+        for number, full in enumerate(data.decode("latin-1").split("\n"), 1)
+        if (line := full.partition("#")[0].strip())
+    ]
+    header = _OFF_HEADER.match(lines[0][1]) if lines else None
+    if header is None:
+        raise BadMesh(f"an OFF file must begin with OFF, found {lines[0][1][:20]!r}" if lines else "the file is empty")
+    rest = lines[0][1][header.end() :].strip()
+    lines = [(lines[0][0], rest), *lines[1:]] if rest else lines[1:]
+    number, counts = lines[0] if lines else (1, "")
+    if not re.fullmatch(r"\d{1,15}\s+\d{1,15}(\s+\d+)?", counts):
+        raise BadMesh(f"line {number}: the counts of vertices and faces must follow OFF, found {counts[:20]!r}")
+    vertex_count, face_count = map(int, counts.split()[:2])
+    if vertex_count + face_count > len(lines) - 1:
+        raise BadMesh(
+            f"the header announces {vertex_count} vertices and {face_count} faces, found {len(lines) - 1} lines"
+        )
+    vertices: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for row, (number, line) in enumerate(lines[1 : 1 + vertex_count + face_count]):
+        words = line.split()
+        try:
+            if row < vertex_count:
+                x, y, z = words[:3]
+                vertices.append([float(x), float(y), float(z)])
+                continue
+            corners = [int(word) for word in words[1 : 1 + int(words[0])]]
+            if int(words[0]) < 3 or len(corners) < int(words[0]):
+                raise ValueError(f"a face needs three corners and as many as it says, found {line[:40]!r}")
+            faces += fan(corners)
+        except ValueError as error:
+            raise BadMesh(f"line {number} is not OFF: {error}") from error
+    return _arrays(vertices, faces)
+
+
+def _arrays(
+    vertices: list[list[float]], faces: list[tuple[int, int, int]]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    try:
+        return np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3)
+    except OverflowError as error:
+        raise BadMesh(f"a corner is no vertex: {error}") from error

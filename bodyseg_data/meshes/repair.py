@@ -1,0 +1,113 @@
+"""Making a raw scan usable as a surface, with pymeshlab. Nothing else in the project imports pymeshlab.
+
+A scan comes as loose triangles, with faces doubled, of no area or turned inside out, and with edges that three faces
+share. None of that stops a renderer, but all of it stops or misleads geodesics, normals and the checks of `Mesh`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.meshes.topology import components
+from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.core.system_libraries import missing_library, require_libraries
+
+SAME_POINT_M: Final = 1e-6
+"""Vertices closer than this, in metres, are one vertex: far below what a scanner resolves, above rounding in files."""
+
+_FEATURE: Final = "mesh repair"
+
+
+def repair(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices [V, 3] and faces [F, 3] of the same surface, as `Mesh` and geodesics want it.
+
+    name: the mesh's, for messages. vertices: float [V, 3], metres. faces: whole numbers [F, 3].
+    In this order: vertices in the same place become one; faces without area and doubled faces go; of the faces at an
+    edge that more than two share, the smallest go; pieces that meet in a point only are parted there; neighbouring
+    faces get the same orientation and each connected piece an outward one; vertices that no face uses go.
+    Holes stay holes: what a scanner did not see is not made up.
+
+    The numbers of vertices and faces change: landmarks given by vertex index no longer fit, those given by
+    coordinates do. Raises BadMesh for what cannot be repaired (nothing left, coordinates that are not finite, faces
+    without vertices, a surface with one side only), MissingLibrary without pymeshlab or the libraries it loads.
+    """
+    vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
+    pymeshlab = load_pymeshlab(_FEATURE)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
+    try:
+        meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(SAME_POINT_M))
+        meshes.meshing_remove_null_faces()
+        meshes.meshing_remove_duplicate_faces()
+        if meshes.current_mesh().face_number() == 0:
+            raise BadMesh(f"mesh {name} cannot be repaired: no face has an area")
+        meshes.meshing_repair_non_manifold_edges(method="Remove Faces")
+        meshes.meshing_repair_non_manifold_vertices(vertdispratio=0.0)
+        meshes.meshing_re_orient_faces_coherently()
+        meshes.meshing_remove_unreferenced_vertices()
+    except pymeshlab.PyMeshLabException as error:
+        raise BadMesh(f"mesh {name} cannot be repaired: {' '.join(str(error).split())}") from error
+    whole = meshes.current_mesh()
+    vertices = np.asarray(whole.vertex_matrix(), np.float64)
+    faces = np.asarray(whole.face_matrix(), np.int32)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
+    if clashes:
+        raise BadMesh(f"mesh {name} cannot be repaired: it has one side only, found {clashes} edges where faces clash")
+    return vertices, _outward(vertices, faces)
+
+
+def load_pymeshlab(feature: str) -> Any:
+    """The package, imported on first use: it takes a third of a second and loads system libraries.
+
+    feature: what it is wanted for, for the message of the MissingLibrary that is raised without it.
+    """
+    try:
+        # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
+        require_libraries(feature, ("GL", "OpenGL"))
+        import pymeshlab
+    except (ImportError, OSError, AttributeError) as error:
+        raise missing_library(feature, error) from error
+    return pymeshlab
+
+
+def _used_part(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Only what faces use: a scan's stray vertices may be anything. Checked, since pymeshlab trusts its input."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise BadMesh(
+            f"mesh {name}: vertices and faces must have three columns and a row, found {vertices.shape}, {faces.shape}"
+        )
+    if not np.issubdtype(faces.dtype, np.integer) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise BadMesh(
+            f"mesh {name}: faces must be whole numbers from 0 to {len(vertices) - 1}, found {faces.min()} to "
+            f"{faces.max()} ({faces.dtype})"
+        )
+    used, renumbered = np.unique(faces, return_inverse=True)
+    if not np.isfinite(vertices[used]).all():
+        bad = used[~np.isfinite(vertices[used]).all(axis=1)][0]
+        raise BadMesh(f"mesh {name}: coordinates must be finite, found {vertices[bad].tolist()} at vertex {bad}")
+    return vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
+
+
+def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The faces, turned round in every connected piece that encloses a negative volume."""
+    # Two edges of a triangle connect its three vertices.
+    piece_of_vertex = components(len(vertices), faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    count = int(piece_of_vertex.max()) + 1
+    piece = piece_of_vertex[faces[:, 0]]
+    # About a point of the piece itself, so that the sign is right also for one with small holes.
+    size = np.bincount(piece_of_vertex, minlength=count)
+    middle = np.stack([np.bincount(piece_of_vertex, axis, count) for axis in vertices.T], axis=1) / size[:, None]
+    corners = vertices[faces] - middle[piece][:, None]
+    volume = np.bincount(piece, np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])), count)
+    inside_out = volume[piece] < 0
+    turned = faces.copy()
+    turned[inside_out] = turned[inside_out][:, ::-1]
+    return turned

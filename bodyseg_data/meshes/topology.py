@@ -1,0 +1,54 @@
+"""How the triangles of a surface hang together: its edges, and its connected components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.system_libraries import missing_library
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The edges of a triangle mesh, each once. ends: int64 [E, 2], the lower vertex first. faces: int64 [E], how many
+    faces have the edge. of_side: int64 [F, 3], the edge of side k of each face, which leads from corner k to k + 1.
+    """
+
+    ends: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    of_side: NDArray[np.int64]
+
+    def lengths(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of all edges, [E], metres."""
+        length: NDArray[np.float64] = np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
+        return length
+
+    def two_sides(self) -> NDArray[np.int64]:
+        """The sides, as 3 * face + k, of all edges with two faces, [N, 2], edge by edge."""
+        side = self.of_side.ravel()
+        two = np.flatnonzero(self.faces[side] == 2)
+        return two[np.argsort(side[two], kind="stable")].reshape(-1, 2)
+
+
+def find_edges(faces: NDArray[Any]) -> Edges:
+    """The edges of `faces` [F, 3]. A face with one vertex twice has an edge from that vertex to itself."""
+    start, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
+    stride = int(faces.max(initial=0)) + 1
+    keys = (np.minimum(start, end) * stride + np.maximum(start, end)).ravel()
+    keys, of_side, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return Edges(np.stack(np.divmod(keys, stride), axis=1), count, of_side.reshape(-1, 3))
+
+
+def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+    """Which of the components that `pairs` [N, 2] of `count` things make each thing belongs to, [count]."""
+    try:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    component: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    return component

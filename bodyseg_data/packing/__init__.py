@@ -1,0 +1,1 @@
+"""Packing: bodies are rendered into shards."""

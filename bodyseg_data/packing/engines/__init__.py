@@ -1,0 +1,1 @@
+"""Engines that a packing runs on: processes of this machine, or a Dask cluster."""

@@ -1,0 +1,202 @@
+"""A running Dask cluster.
+
+Jobs and results cross Dask's connections and nothing else does: a job is a packing, a body's name and views; a result
+is encoded samples. Dask runs a job again when its worker dies, and jobs give the same bytes wherever they run, so
+which workers there were does not show in a set.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future, InvalidStateError, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import Any, Final
+
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.packing.engines.engine import Engine
+from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.packing.pack import Packing
+
+_PATIENCE_S: Final = 5.0
+"""How long a scheduler may take to answer, and a first worker to appear."""
+
+
+@contextmanager
+def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> Iterator[Engine]:
+    """The cluster of the scheduler at (host, port); see `open_engine`. Leaving it drops what is queued there."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingLibrary(
+            f"packing on a Dask cluster needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
+        ) from error
+    place = f"{address[0]}:{address[1]}"
+    with _quiet():
+        wanted = expected(packing)
+        client = _connect(distributed, address)
+        try:
+            threads = _workers(client, place)
+            _check_workers(client, wanted, place, list(threads))
+            executor = _Cluster(client, wanted, place)
+            try:
+                yield Engine(executor, workers or len(threads), _note(threads))
+            finally:
+                executor.shutdown(cancel_futures=True)
+        finally:
+            with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
+                client.close(_PATIENCE_S)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Dask and asyncio log what this module says in one line."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"distributed|tornado|asyncio")
+            yield
+    finally:
+        logging.disable(before)
+
+
+def _connect(distributed: Any, address: tuple[str, int]) -> Any:
+    host, port = address
+    try:
+        # Dask tries for as long as it may, whatever the reason; a plain connection says it at once.
+        socket.create_connection((host.strip("[]"), port), _PATIENCE_S).close()
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise BadConfig(f"no Dask scheduler at {host}:{port}: {reason}; start one with: dask scheduler") from error
+    try:
+        with ThreadPoolExecutor(1) as thread:  # in this one a loop may run already, as in a notebook
+            kind = thread.submit(asyncio.run, _identify(distributed, f"tcp://{host}:{port}")).result()
+        if kind == "Scheduler":
+            return distributed.Client(f"tcp://{host}:{port}", timeout=_PATIENCE_S, set_as_default=False)
+    except Exception as error:  # whatever the other side's bytes lead to
+        kind = type(error).__name__
+    raise BadConfig(f"what answers at {host}:{port} is no Dask scheduler ({kind})")
+
+
+async def _identify(distributed: Any, address: str) -> str:
+    """What kind of Dask server this is. A client itself would wait without end for one that says nothing."""
+    async with distributed.rpc(address, timeout=_PATIENCE_S) as server:
+        identity = await asyncio.wait_for(server.identity(), _PATIENCE_S)
+    return str(identity["type"])
+
+
+def _workers(client: Any, place: str) -> dict[str, int]:
+    """Address -> threads of every worker there is."""
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE_S)
+        threads: dict[str, int] = client.nthreads()
+    except Exception as error:
+        raise BadConfig(
+            f"the scheduler at {place} has no workers; start some with: dask worker {place} --nthreads 1"
+        ) from error
+    return threads
+
+
+def _check_workers(client: Any, wanted: Expected, place: str, workers: list[str]) -> None:
+    try:
+        client.run_on_scheduler(installed)
+    except Exception as error:
+        raise BadConfig(
+            f"the scheduler at {place} cannot load bodyseg of this version, which jobs pass through: install it there, "
+            f"too ({error})"
+        ) from error
+    # A source may fill a cache on first use, which the workers of one machine, or of one shared folder, would all do.
+    machines = {worker.rpartition(":")[0]: worker for worker in workers}
+    for group in (workers[:1], list(machines.values()), workers):
+        try:
+            answers = client.run(check, wanted, workers=group, on_error="return")
+        except Exception as error:
+            raise _lost(place) from error
+        for worker, answer in sorted(answers.items()):
+            if isinstance(answer, Exception):
+                answer = f"cannot load bodyseg of this version: install the same versions on both ({answer})"
+            if answer is not None:
+                raise BadConfig(f"worker {worker} {answer}")
+
+
+def _note(threads: dict[str, int]) -> str | None:
+    many = sorted(worker for worker, count in threads.items() if count > 1)
+    if not many:
+        return None
+    return (
+        f"{len(many)} of {len(threads)} workers have several threads and use one of them "
+        f"({many[0]} has {threads[many[0]]}): start one worker a core, with --nthreads 1"
+    )
+
+
+def _lost(place: str) -> BadConfig:
+    return BadConfig(f"the scheduler at {place} was lost: the same command carries on, there or with other workers")
+
+
+class _Cluster(Executor):
+    """Dask's executor, whose futures also end when the scheduler is lost, and whose errors are one line."""
+
+    def __init__(self, client: Any, wanted: Expected, place: str) -> None:
+        self._client, self._wanted, self._place = client, wanted, place
+        self._inner = client.get_executor(pure=False)
+        self._waiting: set[Future[Any]] = set()
+        self._over = threading.Event()
+        self._watch = threading.Thread(target=self._watch_scheduler, daemon=True)
+        self._watch.start()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if self._over.is_set():
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        if self._client.status != "running":
+            raise _lost(self._place)
+        body = next((argument.mesh for argument in args if isinstance(argument, BodyRef)), "?")
+        # Dask's future ends with the one here, and so do the worker's memory and this one's: nothing else holds it.
+        answer: Future[Any] = Future()
+        answer.set_running_or_notify_cancel()
+        self._waiting.add(answer)
+        inner = self._inner.submit(job, self._wanted, fn, args, **kwargs)
+        inner.add_done_callback(lambda done: self._answer(answer, done, body))
+        return answer
+
+    def _answer(self, answer: Future[Any], done: Future[Any], body: str) -> None:
+        try:
+            result = done.result()
+        except BaseException as error:
+            result = self._as_one_line(error, body)
+        self._waiting.discard(answer)
+        with suppress(InvalidStateError):  # the scheduler was lost before
+            if isinstance(result, BaseException):
+                answer.set_exception(result)
+            else:
+                answer.set_result(result)
+
+    def _as_one_line(self, error: BaseException, body: str) -> BaseException:
+        from distributed import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            return BadConfig(f"mesh {body}: every worker that rendered it was killed (out of memory?)")
+        if isinstance(error, CancelledError):
+            return _lost(self._place)
+        if isinstance(error, OSError):
+            return BadConfig(f"the cluster at {self._place} could not give mesh {body}: {error}")
+        return error
+
+    def _watch_scheduler(self) -> None:
+        # Dask forgets whoever waits for a result that is on its way when the scheduler goes.
+        while not self._over.wait(0.5):
+            if self._client.status != "running":
+                for answer in self._waiting.copy():
+                    self._waiting.discard(answer)
+                    with suppress(InvalidStateError):
+                        answer.set_exception(_lost(self._place))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._over.set()
+        self._watch.join()
+        self._inner.shutdown(wait=wait and not cancel_futures)

@@ -1,0 +1,81 @@
+"""Processes of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from bodyseg_data.packing.engines.engine import Engine
+from bodyseg_data.core.machine import processors
+
+
+@contextmanager
+def processes(workers: int | None) -> Iterator[Engine]:
+    """`workers` processes, or one a processor; after an error they are killed instead of waited for."""
+    count = processors() if workers is None else workers
+    # One thread of linear algebra a worker: with one worker a processor, more only get in each other's way.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
+    try:
+        yield Engine(executor, count)
+    except BaseException:
+        # Nothing of what the workers are at will be used: the user need not wait for it.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.kill()
+        raise
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+class _Workers(ProcessPoolExecutor):
+    """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
+        # came between starting one and telling it what it is would leave it behind, with a traceback of its own.
+        with _signals_held():
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Put off what SIGINT and SIGTERM do until the context ends."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, action in before.items():
+            signal.signal(number, action)
+        for late in came:
+            signal.raise_signal(late)
+
+
+def _end_with_parent() -> None:
+    """Make a worker end when the process that started it is gone, however it went."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

@@ -1,0 +1,143 @@
+"""What runs on a worker of a cluster: a job, and before it whether the worker would give the same bytes."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import importlib.metadata
+import platform
+import socket
+import threading
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.packing.pack import PACKING_VERSION, Packing, forget_sources, spread
+
+_SHAPE_BYTES: Final = (
+    "bodyseg",
+    "anny",
+    "embreex",
+    "llvmlite",
+    "numba",
+    "numpy",
+    "pillow",
+    "potpourri3d",
+    "pygeodesic",
+    "pymeshlab",
+    "pyrender",
+    "rtree",
+    "scipy",
+    "torch",
+    "trimesh",
+    "zstandard",
+)
+"""The packages that a sample's bytes can depend on."""
+
+_SEEN_BODIES: Final = 8
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a worker must have in common with the process that packs, for the same bytes to come out.
+
+    installed: (name, version) pairs. seen: digest of the source's bodies as that process sees them. built: digest of
+    the first of them as its processor makes it. token: tells this packing from an earlier one with the same options,
+    whose files may have changed since.
+    """
+
+    packing: Packing
+    installed: tuple[tuple[str, str], ...]
+    seen: str
+    built: str
+    token: str
+
+
+def expected(packing: Packing) -> Expected:
+    """What this process has. Raises BodysegError as opening the source and building a body do."""
+    with _one_at_a_time:
+        forget_sources()
+        return Expected(packing, installed(), _seen(packing), _built(packing), uuid.uuid4().hex)
+
+
+@lru_cache(maxsize=1)
+def installed() -> tuple[tuple[str, str], ...]:
+    """(name, version or "none") of everything here that bytes can depend on."""
+    found = [
+        ("packing version", str(PACKING_VERSION)),
+        ("processor", platform.machine()),
+        ("python", ".".join(platform.python_version_tuple()[:2])),
+    ]
+    for name in _SHAPE_BYTES:
+        try:
+            version = importlib.metadata.version(name).partition("+")[0]  # which build of torch makes no difference
+        except importlib.metadata.PackageNotFoundError:
+            version = "none"
+        found.append((name, version))
+    return tuple(found)
+
+
+def _seen(packing: Packing) -> str:
+    """All names, and all that shapes a few of the bodies: enough to tell another folder, and read in no time."""
+    bodies = packing.bodies()
+    few = spread(bodies, min(_SEEN_BODIES, len(bodies)))
+    return hashlib.sha256(repr((bodies, packing.opened().fingerprint(few))).encode()).hexdigest()
+
+
+def _built(packing: Packing) -> str:
+    """All of the first body: libraries choose their instructions by processor, and last bits differ with them."""
+    body = packing.opened().build(packing.bodies()[0])
+    arrays = (body.mesh.vertices, body.mesh.faces, body.landmarks)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
+# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
+_one_at_a_time = threading.RLock()
+
+
+def fault(wanted: Expected) -> str | None:
+    """Runs on a worker: why it would not give the same bytes, or None."""
+    with _one_at_a_time:
+        return _fault(wanted)
+
+
+@lru_cache(maxsize=64)
+def _fault(wanted: Expected) -> str | None:
+    for (name, there), (_, here) in zip(wanted.installed, installed(), strict=True):
+        if there != here:
+            return f"has {name} {here}, this machine has {there}: install the same versions on both"
+    forget_sources()
+    packing = wanted.packing
+    try:
+        if _seen(packing) != wanted.seen:
+            if packing.path is None:
+                return f"sees other bodies of the source {packing.source} than this machine: install the same on both"
+            return f"sees other bodies in {packing.path} than this machine: share one folder with the workers"
+        if _built(packing) != wanted.built:
+            return (
+                f"builds {packing.bodies()[0].mesh} with other bits than this machine: "
+                "use workers with the same kind of processor"
+            )
+    except BodysegError as error:
+        return str(error)
+    return None
+
+
+async def check(wanted: Expected) -> str | None:
+    """`fault` in a thread, so that a worker stays in touch with its scheduler while it is at it."""
+    return await asyncio.to_thread(fault, wanted)
+
+
+def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """Runs on a worker: what `function` gives, or the BodysegError it raises, as a value: no log holds a traceback."""
+    with _one_at_a_time:
+        problem = fault(wanted)  # known already, unless this worker came late
+        if problem is not None:
+            return BadConfig(f"worker {socket.gethostname()} {problem}")
+        try:
+            return function(*arguments)
+        except BodysegError as error:
+            return error

@@ -1,0 +1,256 @@
+"""No more triangles than the sensor can see: a coarser mesh whose ranges, seen from the rig, stay within a tolerance.
+
+Edges are collapsed where that moves the surface least (Garland and Heckbert, Surface simplification using quadric
+error metrics, SIGGRAPH 1997; pymeshlab), some of them at a time, and every stage is judged by what the
+tolerance speaks of: ranges that the rig's camera sees, by casting rays at the coarse mesh and at the whole one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.source import Body
+from bodyseg_data.meshes.topology import find_edges
+from bodyseg_data.core.errors import BadConfig, BadMesh
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.core.rig import PlacedCamera, Rig
+from bodyseg_data.core.views import View
+
+TOLERANCE_M: Final = 2e-4
+"""An independent error of 0.2 mm makes a sensor's uncertainty of 1 mm one of 1.02 mm."""
+
+PAYS_FROM: Final = 150_000
+"""Triangles from which reducing a mesh, smooth or noisy, costs less than it saves over 54 views
+(docs/mesh_resolution.md)."""
+
+WITHIN: Final = 95
+"""Per cent of the pixels whose range must be right to the tolerance. What is left lies beside edges that hide
+something: the slightest change of the edge shows the surface behind it, however far that is."""
+
+_FEATURE: Final = "reducing a mesh (--tolerance-mm 0 keeps meshes whole)"
+_STEP: Final = 0.6  # of the triangles stay at least, each time: gentle steps end with a better mesh than one leap
+_STEEPEST: Final = 2.0  # the error of scans grows as a power of the count that is seldom higher; too far costs double
+_LITTLE: Final = 0.85  # a step that leaves more than that of the triangles saves less than sorting all edges costs
+_AIM: Final = 0.95  # of the tolerance, where a step is worked out from errors before it
+_TRIES: Final = 2  # between a mesh that is fine enough and one that is not
+_COARSER_PIXELS: Final = 4  # a side: every sixteenth ray measures the same error
+_AZIMUTHS_DEG: Final = (0, 90, 180, 270)
+_REST: Final = {
+    "targetperc": 0.0,
+    "qualitythr": 0.3,
+    "boundaryweight": 1.0,
+    "planarquadric": False,
+    "planarweight": 0.001,
+    "qualityweight": False,
+    "autoclean": True,
+}
+"""The filter's defaults. What a call leaves out it takes from the call before, so nothing may be left out."""
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A coarser mesh. landmarks: int64 [33], the vertices at the places of the landmarks. error_m: its `range_error`.
+
+    note: one line on what was done, or on why nothing could be; None for a mesh that is as coarse as it may be.
+    """
+
+    mesh: Mesh
+    landmarks: NDArray[np.int64]
+    error_m: float
+    note: str | None = None
+
+
+def check_tolerance(tolerance_mm: float | None) -> None:
+    """Raise BadConfig unless `reduced_body` can take it."""
+    if tolerance_mm is not None and not (math.isfinite(tolerance_mm) and tolerance_mm >= 0):
+        raise BadConfig(f"the tolerance of a mesh's ranges must be 0 mm or more, found {tolerance_mm:g} mm")
+
+
+def reduced_body(body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: int) -> Body:
+    """`body` with a mesh as coarse as asked for, and a note if that changed it.
+
+    tolerance_mm: of `reduce`; None: `TOLERANCE_M`, for meshes of `PAYS_FROM` triangles and more; 0: no mesh is reduced.
+    """
+    if tolerance_mm == 0 or (tolerance_mm is None and len(body.mesh.faces) < PAYS_FROM):
+        return body
+    tolerance_m = TOLERANCE_M if tolerance_mm is None else tolerance_mm / 1000
+    reduction = reduce(body.mesh, body.landmarks, tolerance_m, rig, distance_cm)
+    notes = body.notes if reduction.note is None else (*body.notes, reduction.note)
+    return replace(body, mesh=reduction.mesh, landmarks=reduction.landmarks, notes=notes)
+
+
+def reduce(mesh: Mesh, landmarks: NDArray[np.int64], tolerance_m: float, rig: Rig, distance_cm: int = 215) -> Reduction:
+    """A mesh of few triangles whose ranges are those of `mesh` within the tolerance.
+
+    landmarks: int64 [33], vertices of `mesh`. tolerance_m: metres, positive; `range_error` of the result is at most
+    that, as the rig's camera sees it from four sides, `distance_cm` away. The triangles round landmarks and at
+    open edges stay as they are, and so does the bounding box, by which views are placed. No piece goes, none is joined
+    to another. The same mesh gives the same bits each time.
+
+    A mesh that cannot be reduced is returned whole with a note that says why. Raises BadConfig for a tolerance that is
+    not positive, MissingLibrary without pymeshlab or embreex.
+    """
+    if not (math.isfinite(tolerance_m) and tolerance_m > 0):
+        raise BadConfig(f"a mesh is reduced to a positive tolerance, found {tolerance_m * 1000:g} mm")
+    best = Reduction(mesh, landmarks, 0.0)
+    cameras = probe_cameras(mesh, rig, distance_cm)
+    wanted = seen_ranges(mesh, cameras)
+    if not any(image.any() for image in wanted):
+        return replace(best, note=f"left whole: the rig sees nothing of it at {distance_cm} cm")
+    best, coarser = _descended(best, tolerance_m, cameras, wanted)
+    for _ in range(_TRIES):
+        share = _share_between(best, coarser, tolerance_m)
+        if share > _LITTLE:
+            break
+        between = _coarser(best, share, cameras, wanted)
+        if between.error_m <= tolerance_m:
+            best = between
+            break
+        coarser = between
+    if best.mesh is mesh:
+        return replace(best, note=coarser.note)
+    within = f"{WITHIN} % of pixels within {best.error_m * 1000:.2f} mm"
+    return replace(best, note=f"reduced from {len(mesh.faces)} to {len(best.mesh.faces)} triangles, {within}")
+
+
+def probe_cameras(mesh: Mesh, rig: Rig, distance_cm: int) -> tuple[PlacedCamera, ...]:
+    """The rig's camera on four sides of a mesh, with fewer, larger pixels."""
+    camera, pixel = rig.camera, _COARSER_PIXELS
+    small = replace(
+        camera,
+        rows=math.ceil(camera.rows / pixel),
+        columns=math.ceil(camera.columns / pixel),
+        focal_px=camera.focal_px / pixel,
+        centre_px=(camera.centre_px[0] / pixel, camera.centre_px[1] / pixel),
+    )
+    few = replace(rig, camera=small)
+    return tuple(few.placed(mesh.centre, View(distance_cm, azimuth))[0] for azimuth in _AZIMUTHS_DEG)
+
+
+def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.float32]]:
+    """What cameras see of a mesh by casting rays: ranges float32 [H, W], metres, 0 where there is no body."""
+    renderer = open_renderer("embree", mesh)
+    try:
+        return [renderer.see(camera).range for camera in cameras]
+    finally:
+        renderer.close()
+
+
+def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[np.float32]]) -> float:
+    """The 95th percentile (`WITHIN`), over all pixels where either is not 0, of the difference of two ranges; metres.
+
+    A pixel that only one of them sees counts with its whole range: 5 % of those break any tolerance.
+    """
+    apart = [np.abs(a - b)[(a > 0) | (b > 0)] for a, b in zip(ranges, wanted, strict=True)]
+    return float(np.percentile(np.concatenate(apart), WITHIN))
+
+
+def _descended(
+    best: Reduction, tolerance_m: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
+) -> tuple[Reduction, Reduction]:
+    """Stage by stage to the coarsest mesh found within the tolerance, and the first beyond it, or the same again."""
+    while (share := max(_STEP, (best.error_m / (_AIM * tolerance_m)) ** (1 / _STEEPEST))) < _LITTLE:
+        coarser = _coarser(best, share, cameras, wanted)
+        if coarser.error_m > tolerance_m:
+            return best, coarser
+        if len(coarser.mesh.faces) > _LITTLE * len(best.mesh.faces):
+            return coarser, coarser  # nothing is left that could go
+        best = coarser
+    return best, best
+
+
+def _coarser(
+    before: Reduction, share: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
+) -> Reduction:
+    """About `share` of the triangles of `before`; with an infinite error and a note if that makes no sound mesh."""
+    try:
+        mesh, landmarks = edges_collapsed(before.mesh, before.landmarks, round(len(before.mesh.faces) * share))
+    except BadMesh as error:
+        return replace(before, error_m=math.inf, note=f"left whole: {error}")
+    return Reduction(mesh, landmarks, range_error(seen_ranges(mesh, cameras), wanted))
+
+
+def _share_between(finer: Reduction, coarser: Reduction, tolerance_m: float) -> float:
+    """The share of `finer`'s triangles with which the error should just be the tolerance; 1 if `coarser` is no help.
+
+    By the straight line through both in logarithms of count and error, since on a smooth surface the error goes as a
+    power of the count; half way from a mesh without error.
+    """
+    if finer is coarser or coarser.error_m == math.inf:
+        return 1.0
+    way = 0.5
+    if finer.error_m > 0:
+        low, high, aim = (math.log(error) for error in (finer.error_m, coarser.error_m, _AIM * tolerance_m))
+        way = min(max((aim - low) / (high - low), 0.1), 0.9)
+    return float((len(coarser.mesh.faces) / len(finer.mesh.faces)) ** way)
+
+
+def edges_collapsed(
+    mesh: Mesh, landmarks: NDArray[np.int64], count: int, optimal: bool = True
+) -> tuple[Mesh, NDArray[np.int64]]:
+    """`mesh` with edges collapsed until about `count` triangles are left, and its landmarks' vertices there.
+
+    optimal: put what an edge becomes where the error is least; else at one of its ends, so that every vertex left is
+    one of the mesh's. Raises BadMesh if what comes out is no body, MissingLibrary without pymeshlab.
+    """
+    pymeshlab = load_pymeshlab(_FEATURE)
+    low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
+    held = np.zeros(len(mesh.vertices), np.bool_)
+    held[np.concatenate([landmarks, _outermost(mesh), _edged(mesh)])] = True
+    fixed = held[mesh.faces].any(axis=1)
+    if fixed.all():
+        return mesh, landmarks
+    meshes = pymeshlab.MeshSet()
+    number = np.arange(len(mesh.vertices), dtype=np.float64)  # goes along with each vertex
+    meshes.add_mesh(
+        pymeshlab.Mesh(mesh.vertices, mesh.faces, v_scalar_array=number, f_scalar_array=(~fixed).astype(np.float64))
+    )
+    try:
+        meshes.compute_selection_by_condition_per_face(condselect="fq > 0.5")
+        meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=max(count - int(fixed.sum()), 1),  # counts selected faces only
+            preservenormal=True,
+            preservetopology=True,
+            preserveboundary=True,
+            optimalplacement=optimal,
+            selected=True,
+            **_REST,
+        )
+    except pymeshlab.PyMeshLabException as error:
+        raise BadMesh(f"edges could not be collapsed: {' '.join(str(error).split())}") from error
+    return _taken_back(meshes.current_mesh(), mesh, landmarks, low, high)
+
+
+def _taken_back(
+    coarse: Any, mesh: Mesh, landmarks: NDArray[np.int64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[Mesh, NDArray[np.int64]]:
+    """What pymeshlab made, as one of our meshes, within the box of `mesh`, and where the landmarks are in it."""
+    number = np.asarray(coarse.vertex_scalar_array())
+    order = np.argsort(number, kind="stable")
+    places = order[np.minimum(np.searchsorted(number[order], landmarks), len(order) - 1)]
+    vertices = np.clip(np.asarray(coarse.vertex_matrix(), np.float64), low, high)
+    if not np.array_equal(vertices[places], mesh.vertices[landmarks]):
+        raise BadMesh("collapsing edges moved a landmark")
+    return Mesh(mesh.name, vertices, np.asarray(coarse.face_matrix(), np.int32)), places.astype(np.int64)
+
+
+def _edged(mesh: Mesh) -> NDArray[np.int64]:
+    """Vertices at edges without two faces: rims of holes, and seams, whose two sides would part if they moved."""
+    edges = find_edges(mesh.faces)
+    return np.unique(edges.ends[edges.faces != 2])
+
+
+def _outermost(mesh: Mesh) -> NDArray[np.int64]:
+    """Six vertices that hold the bounding box where it is."""
+    used = np.flatnonzero(np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)))
+    places = mesh.vertices[used]
+    outermost: NDArray[np.int64] = used[np.concatenate([places.argmin(axis=0), places.argmax(axis=0)])]
+    return outermost

@@ -1,0 +1,83 @@
+"""What the projector's range image holds: only what can shade a pixel that the camera sees.
+
+The shadow test (`artifacts/occlusion.py`) reads four texels for each camera pixel whose surface faces the projector;
+the projector is asked for those only. If none of the four lies in front of the point by more than the gap that the test
+allows, the test answers "lit" whether they are there or empty. So a texel is kept only if a pixel reads it that has
+such a texel among its four; the test then gives the same bits as from a whole image. What is kept is rounded as far
+as no answer changes (`coarsening.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.occlusion import FARTHEST, GAP_STEPS, Floats, ShadowTest, framed
+from bodyseg_data.packing.coarsening import coarsened
+from bodyseg_data.core.rig import Rig
+
+# The test interpolates in single precision; one step is far more than it can be off by.
+_SURELY_LIT: Final = GAP_STEPS - np.float32(1)
+
+Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
+"""Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
+
+
+@lru_cache(maxsize=2)
+def shadow_test(rig: Rig) -> ShadowTest:
+    """The shadow test of a rig, made once a process."""
+    return ShadowTest(rig)
+
+
+def shading_range(
+    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
+) -> NDArray[np.uint16]:
+    """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in
+    steps. The shadow test gives the same bits from it as from the whole exact image. Arguments as `exact_range`'s.
+    """
+    return coarsened(*exact_range(test, camera_range, faces_projector, ranges))
+
+
+def exact_range(
+    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
+) -> tuple[NDArray[np.uint16], Floats, Floats, Floats]:
+    """The projector's exact range where it can shade, 0 elsewhere, and the points that it is about (`reached`).
+
+    camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: asked once, for
+    the texels that the shadow test reads.
+    """
+    projector = test.rig.projector
+    image = np.zeros((projector.rows, projector.columns), np.uint16)
+    _, x, y, away = test.project(camera_range, np.flatnonzero(faces_projector))
+    width = projector.columns + 2
+    start = (np.floor(y).astype(np.int32) + 1) * np.int32(width) + np.floor(x).astype(np.int32) + np.int32(1)
+    start = start.astype(np.intp)
+    read = np.flatnonzero(_footprint(start, image.shape))
+    image.ravel()[read] = ranges(read)
+
+    texels = framed(image).ravel()
+    nearest = texels.take(start)
+    for shift in (1, width, width + 1):
+        np.minimum(nearest, texels[shift:].take(start), out=nearest)
+    behind = np.minimum(away - np.float32(1), FARTHEST) - nearest
+    image[~_footprint(start[behind > _SURELY_LIT], image.shape)] = 0
+    return image, x, y, away
+
+
+def _footprint(start: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The texels that points read, bool [Hp, Wp]; start: upper left ones, as flat indices into the framed image."""
+    rows, columns = shape
+    read = np.zeros((rows + 2, columns + 2), np.bool_)
+    read.ravel()[start] = True
+    read[:, 1:] |= read[:, :-1]
+    read[1:] |= read[:-1]
+    # The frame repeats the image's border.
+    read[1] |= read[0]
+    read[-2] |= read[-1]
+    read[:, 1] |= read[:, 0]
+    read[:, -2] |= read[:, -1]
+    return read[1:-1, 1:-1]

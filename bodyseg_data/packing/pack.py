@@ -1,0 +1,300 @@
+"""From bodies to shards, over any `concurrent.futures.Executor`; restartable; the same bytes however it is run.
+
+Work goes out mesh by mesh and comes back as encoded samples; one process writes all shards in their fixed order. So
+the bytes depend on neither the number of workers nor what was finished before a restart, and workers need no shared
+disk. While a packing runs, `OUT/.packing/` holds its plan, a lock, the shard being written and a record of every
+finished one. The manifest is written last; then the folder goes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import shutil
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.bodies.source import BodyRef, BodySource
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.names import collapsed
+from bodyseg_data.shards.sample_codec import CodecName, check_codec, encode_sample
+from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
+from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
+from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
+from bodyseg_data.packing.state import claimed, finished_shards, record_shard
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.shards.tar import ShardWriter
+from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.views import View, ViewGrid
+
+PACKING_VERSION: Final = 3
+"""Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
+
+Progress = Callable[[int, int], None]
+"""Called with (samples done, samples in all) after every mesh."""
+
+
+@dataclass(frozen=True)
+class Packing:
+    """What to pack. Everything here shapes the bytes; how many workers do it does not.
+
+    source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
+    from every subset; all if None. views: distances and azimuths. renderer, codec: by name. shard_samples: samples a
+    shard. geodesics: how distances along the surface are measured (`geodesics.nearest_sources`). tolerance_mm:
+    how coarse meshes may be (`reduced_body`).
+    """
+
+    source: str
+    path: Path | None = None
+    meshes: int | None = None
+    views: ViewGrid = field(default_factory=ViewGrid)
+    rig: Rig = field(default_factory=load_rig)
+    renderer: RendererName = "raster"
+    codec: CodecName = "bsi"
+    shard_samples: int = 1080
+    landmarks: Path | None = None
+    units: Units = "auto"
+    up: UpAxis = "auto"
+    geodesics: Geodesics = "exact"
+    tolerance_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.meshes is not None and self.meshes < 1:
+            raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
+        if self.shard_samples < 1:
+            raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
+        check_method(self.geodesics)
+        check_tolerance(self.tolerance_mm)
+        check_renderer(self.renderer)
+        check_codec(self.codec)
+
+    def bodies(self) -> list[BodyRef]:
+        """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""
+        return spread(self.opened().bodies(), self.meshes)
+
+    def opened(self, plan: str = "") -> BodySource:
+        """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
+        if self.path is None:
+            return _source(self.source, None, self.landmarks, self.units, self.up)
+        return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
+
+
+def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
+    """`count` of `bodies` in their order, shared out evenly over subsets, in each the middles of stretches."""
+    if count is None:
+        return list(bodies)
+    if count > len(bodies):
+        raise BadConfig(f"{count} meshes asked for, the source has {len(bodies)}")
+    groups: dict[str, list[BodyRef]] = {}
+    for body in bodies:
+        groups.setdefault(body.subset, []).append(body)
+    shares = dict.fromkeys(groups, 0)
+    for _ in range(count):
+        open_groups = [name for name in groups if shares[name] < len(groups[name])]
+        shares[min(open_groups, key=lambda name: shares[name])] += 1
+    chosen = {
+        group[(2 * index + 1) * len(group) // (2 * shares[name])].mesh
+        for name, group in groups.items()
+        for index in range(shares[name])
+    }
+    return [body for body in bodies if body.mesh in chosen]
+
+
+def plan(packing: Packing) -> dict[str, Any]:
+    """Counts per subset and split, without reading or rendering any mesh; plain JSON.
+
+    "missing" is there if the source is not complete: what a complete one would have, runs of names in one.
+    """
+    bodies = packing.bodies()
+    views = len(packing.views)
+    subsets: dict[str, dict[str, int]] = {}
+    for body in bodies:
+        subset = subsets.setdefault(body.subset, {"meshes": 0, "views": 0, **dict.fromkeys(SPLITS, 0)})
+        subset["meshes"] += 1
+        subset["views"] += views
+        subset[body.split] += views
+    totals = {name: sum(subset[name] for subset in subsets.values()) for name in ("meshes", "views", *SPLITS)}
+    counts = {"source": packing.source, **totals, "views_per_mesh": views, "subsets": subsets}
+    missing = collapsed(packing.opened().missing())
+    return {**counts, "missing": missing} if missing else counts
+
+
+@dataclass(frozen=True)
+class _Shard:
+    """A shard to be written: its samples in order, as runs of views of one body."""
+
+    name: str
+    split: Split
+    runs: tuple[tuple[BodyRef, tuple[View, ...]], ...]
+
+    def __len__(self) -> int:
+        return sum(len(views) for _, views in self.runs)
+
+
+def _cut(packing: Packing) -> list[_Shard]:
+    shards = []
+    bodies = packing.bodies()
+    for split in SPLITS:
+        entries = ((body, view) for body in bodies if body.split == split for view in packing.views)
+        for number in itertools.count():
+            part = list(itertools.islice(entries, packing.shard_samples))
+            if not part:
+                break
+            runs = tuple(
+                (body, tuple(view for _, view in run))
+                for body, run in itertools.groupby(part, key=lambda entry: entry[0])
+            )
+            shards.append(_Shard(f"{split}-{number:05d}.tar", split, runs))
+    return shards
+
+
+def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
+    """Everything that shapes the bytes, as plain JSON."""
+    bodies = packing.bodies()
+    described = {
+        "format": MANIFEST_FORMAT,
+        "version": PACKING_VERSION,
+        "source": packing.source,
+        "meshes": [asdict(body) for body in bodies],
+        "fingerprint": packing.opened().fingerprint(bodies),
+        "units": packing.units,
+        "up": packing.up,
+        "geodesics": packing.geodesics,
+        "tolerance_mm": packing.tolerance_mm,
+        "views": [view.name for view in packing.views],
+        "rig": packing.rig.to_json(),
+        "renderer": packing.renderer,
+        "codec": packing.codec,
+        "shards": [shard.name for shard in shards],
+        "shard_samples": packing.shard_samples,
+    }
+    tree: dict[str, Any] = json.loads(json.dumps(described))  # tuples as lists, to compare with what was stored
+    return tree
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What comes back of a run. samples: key and members (extension -> bytes). notes: what was noted of the body."""
+
+    samples: list[tuple[str, dict[str, bytes]]]
+    notes: tuple[str, ...]
+
+
+def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: str = "") -> Rendered:
+    """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views.
+
+    plan: digest of what is packed, files included: a process that outlives a packing reads changed files again.
+    """
+    source = packing.opened(plan)
+    nearest_cm = min(packing.views.distances_cm)
+    built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm)
+    parts = partition(built.mesh, built.landmarks, packing.geodesics)
+    renderer = open_renderer(packing.renderer, built.mesh)
+    try:
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body)
+        samples = (sampler.take(view) for view in views)
+        notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
+        return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
+    finally:
+        renderer.close()
+
+
+@lru_cache(maxsize=4)
+def _source(name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
+    """A process opens its source once: loading a body model takes seconds."""
+    return open_source(name, path, landmarks, units, up)
+
+
+@lru_cache(maxsize=4)  # several packings may share a worker
+def _read_source(name: str, path: Path, landmarks: Path | None, units: Units, up: UpAxis, plan: str) -> BodySource:
+    return open_source(name, path, landmarks, units, up)
+
+
+def forget_sources() -> None:
+    """Have files read again that may have changed since a source was opened; body models stay loaded."""
+    _read_source.cache_clear()
+
+
+def pack(
+    packing: Packing, out: Path, executor: Executor, workers: int, progress: Progress = lambda done, total: None
+) -> Manifest:
+    """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
+
+    executor: runs `render_run`; workers: how many of its workers to keep busy. Raises BadConfig if `out` holds
+    something else or another packing is at work there, BadMesh, BadLandmarks or BadSample for a body that cannot be
+    packed. After an error, finished shards stay and the same call carries on from them; what the executor was handed
+    and has not begun is its owner's to cancel. In a finished set, shards that are missing or altered are made again.
+    """
+    forget_sources()
+    shards = _cut(packing)
+    description = _describe(packing, shards)
+    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+    total = sum(len(shard) for shard in shards)
+    first_view = next(iter(packing.views))
+    try:
+        with claimed(out, description, digest) as state:
+            records = finished_shards(out, state, [shard.name for shard in shards])
+            done = sum(len(record) for record in records.values())
+            progress(done, total)
+            todo = [shard for shard in shards if shard.name not in records]
+            results = _results(packing, todo, executor, workers, digest)
+            for shard in todo:
+                with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
+                    for body, views in shard.runs:
+                        rendered = next(results)
+                        for key, members in rendered.samples:
+                            writer.write(key, members)
+                            done += 1
+                        if views[0] == first_view:  # a body that goes on in the next shard is noted where it begins
+                            writer.note(body.mesh, rendered.notes)
+                        progress(done, total)
+                if writer.record is None:
+                    raise BadShard(f"{shard.name} was not written")
+                records[shard.name] = writer.record
+                record_shard(state, writer.record)
+            manifest = Manifest(
+                rig=packing.rig,
+                codec=packing.codec,
+                source=packing.source,
+                renderer=packing.renderer,
+                plan=digest,
+                shards=tuple(records[shard.name] for shard in shards),
+            )
+            if not (out / MANIFEST_NAME).exists():
+                write_manifest(manifest, out)
+            shutil.rmtree(state)
+    except BrokenExecutor as error:
+        raise BadConfig(
+            f"a worker process was killed (out of memory?) while packing {out}: the same command carries on"
+        ) from error
+    except OSError as error:
+        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
+    return manifest
+
+
+def _results(
+    packing: Packing, shards: Sequence[_Shard], executor: Executor, workers: int, plan: str
+) -> Generator[Rendered, None, None]:
+    """The results of all runs in order, with a bounded number under way, so that memory stays flat."""
+    runs = iter([(body, views) for shard in shards for body, views in shard.runs])
+    waiting: deque[Future[Rendered]] = deque()
+    # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
+    for body, views in itertools.islice(runs, 1):
+        yield executor.submit(render_run, packing, body, views, plan).result()
+    for body, views in runs:
+        waiting.append(executor.submit(render_run, packing, body, views, plan))
+        if len(waiting) > 2 * max(workers, 1):
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

@@ -1,0 +1,122 @@
+"""From what two cameras see of a labelled body to a stored sample; the same code for every renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.packing.occluder_range import shading_range, shadow_test
+from bodyseg_data.core.rig import PlacedCamera, Rig
+from bodyseg_data.core.sample import Sample, SampleInfo, steps
+from bodyseg_data.core.views import View
+
+_SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
+_SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
+
+
+def sample_key(source: str, body: BodyRef, view: View) -> str:
+    """The identity of a sample: it names the body and the view, nothing that depends on how shards are cut."""
+    return f"{source}-{body.subject}-{body.mesh}-{view.name}"
+
+
+class Sampler:
+    """Takes samples of one body with one rig; what does not depend on the view is worked out once."""
+
+    def __init__(self, renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef) -> None:
+        self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
+        self._source, self._body = source, body
+        self._test = shadow_test(rig)
+        corners = parts.labels[mesh.faces]
+        whole = (corners == corners[:, :1]).all(axis=1)
+        self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
+        self._normals, self._offsets = (
+            mesh.normals,
+            np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces[:, 0]]),
+        )
+        self._sure = _SURE_M * np.linalg.norm(mesh.normals, axis=1)
+
+    def take(self, view: View) -> Sample:
+        """Render one view and label it. Raises BadSample."""
+        body, key = self._body, sample_key(self._source, self._body, view)
+        camera, projector = self._rig.placed(self._mesh.centre, view)
+        seen = self._renderer.see(camera)
+        pixels = np.flatnonzero(seen.face >= 0)
+        faces = seen.face.take(pixels)
+        points = _Points(seen, camera, pixels)
+
+        range_image = np.zeros(seen.face.shape, np.uint16)
+        range_image.ravel()[pixels] = steps(seen.range.take(pixels), key)
+        labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[pixels] = self._labels(faces, points)
+        facing = np.zeros(seen.face.shape, np.bool_)
+        facing.ravel()[pixels] = self._facing(faces, points, projector.position)
+        shading = shading_range(
+            self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), key)
+        )
+        info = SampleInfo(
+            self._source,
+            body.subset,
+            body.subject,
+            body.mesh,
+            body.pose,
+            view.distance_cm,
+            view.azimuth_deg,
+            body.split,
+        )
+        sample = Sample(key, range_image, shading, labels, facing, info)
+        sample.check()
+        return sample
+
+    def _labels(self, faces: NDArray[np.int32], points: _Points) -> NDArray[np.uint8]:
+        labels: NDArray[np.uint8] = self._part_of_face.take(faces)
+        shared = np.flatnonzero(labels == _SHARED)
+        labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points.take(shared))
+        return labels
+
+    def _facing(self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """`faces_towards`, asked a triangle at a time wherever rounding of its points cannot change the answer."""
+        towards = self._normals @ source - self._offsets
+        answer: NDArray[np.bool_] = (towards > 0).take(faces)
+        unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
+        answer[unsure] = faces_towards(self._mesh, faces[unsure], points.take(unsure), source)
+        return answer
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points that pixels see, worked out when asked for: few are."""
+
+    seen: Surface
+    camera: PlacedCamera
+    pixels: NDArray[np.intp]
+
+    def take(self, chosen: NDArray[np.intp]) -> NDArray[np.float64]:
+        rows, columns = np.divmod(self.pixels[chosen], self.camera.camera.columns)
+        return surface_points(self.seen, self.camera, rows, columns)
+
+
+def surface_points(
+    seen: Surface, camera: PlacedCamera, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """The points [N, 3] of the body's frame that the given pixels see."""
+    rays = np.ones((len(rows), 3))
+    rays[:, 0] = (columns + 0.5 - camera.camera.centre_px[0]) / camera.camera.focal_px
+    rays[:, 1] = (rows + 0.5 - camera.camera.centre_px[1]) / camera.camera.focal_px
+    return camera.to_body(rays * seen.range[rows, columns, None])
+
+
+def faces_towards(
+    mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64], source: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether the triangles seen at `points` [N, 3] turn their outside to a light at `source` [3], bool [N]."""
+    normals = mesh.normals[faces]
+    towards: NDArray[np.bool_] = np.einsum("ij,ij->i", normals, source - points) > 0
+    return towards

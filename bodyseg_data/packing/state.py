@@ -1,0 +1,103 @@
+"""What a packing leaves in `OUT/.packing/` while it runs, so that it can carry on where it was cut short.
+
+plan.json           everything that shapes the bytes; another plan may not carry on here
+lock                held while a packing is at work
+NAME.tar.part       the shard being written
+NAME.tar.json       the record of a finished shard
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.core.files import write_atomically
+from bodyseg_data.shards.manifest import MANIFEST_NAME, ShardRecord, read_manifest, record_from_json, record_to_json
+
+STATE_NAME: Final = ".packing"
+
+
+@contextlib.contextmanager
+def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Path]:
+    """The state folder of a packing into `out`, held against any other process for as long as the context lasts.
+
+    Raises BadConfig if another packing is at work, or if what `out` holds was packed with other options.
+    """
+    if out.exists() and not out.is_dir():
+        raise BadConfig(f"shards go into a folder, {out} is a file")
+    state = out / STATE_NAME
+    if (out / MANIFEST_NAME).exists():
+        if read_manifest(out).plan != digest:
+            raise BadConfig(
+                f"{out} already holds a set of shards packed with other options or from other files: "
+                "choose another folder, or delete it"
+            )
+    elif not state.exists() and out.exists() and any(out.glob("*.tar")):
+        raise BadConfig(f"{out} holds tars that no packing here knows of: choose another folder")
+    state.mkdir(parents=True, exist_ok=True)
+    lock = os.open(state / "lock", os.O_CREAT | os.O_RDWR, 0o644)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BadConfig(f"another packing is at work in {out}") from None
+        _check_plan(state / "plan.json", description, out)
+        yield state
+    finally:
+        os.close(lock)
+
+
+def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
+    try:
+        stored = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        write_atomically(path, json.dumps(description, indent=1).encode())
+        return
+    except (ValueError, RecursionError):
+        stored = None
+    if stored != description:
+        raise BadConfig(
+            f"{out} holds an unfinished packing with other options or of other files: "
+            "finish it with those, or delete the folder"
+        )
+
+
+def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, ShardRecord]:
+    """Records of the shards that an earlier run finished and that are still what it wrote, byte for byte.
+
+    If `out` has a manifest and not all of its shards are intact, the manifest goes: the set is no longer complete.
+    """
+    known: dict[str, ShardRecord] = {}
+    complete = (out / MANIFEST_NAME).exists()
+    if complete:
+        known = {record.name: record for record in read_manifest(out).shards}
+    else:
+        for name in names:
+            with contextlib.suppress(OSError, ValueError, RecursionError, BadShard):
+                known[name] = record_from_json(json.loads((state / f"{name}.json").read_bytes()), str(state))
+    records = {name: known[name] for name in names if name in known and _intact(out / name, known[name])}
+    if complete and len(records) < len(names):
+        for record in records.values():
+            record_shard(state, record)
+        (out / MANIFEST_NAME).unlink()
+    return records
+
+
+def _intact(path: Path, record: ShardRecord) -> bool:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == record.sha256
+    except OSError:
+        return False
+
+
+def record_shard(state: Path, record: ShardRecord) -> None:
+    """Note that a shard is finished and in place."""
+    write_atomically(state / f"{record.name}.json", json.dumps(record_to_json(record)).encode())

@@ -1,0 +1,1 @@
+"""Shards from elsewhere, kept in a bounded folder."""

@@ -1,0 +1,219 @@
+"""The manifest: the one file that says what a set of shards holds. Written last, so a set that has one is complete."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.shards.sample_codec import CODECS
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.core.files import write_atomically
+from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.core.rig import Rig, rig_from_json
+from bodyseg_data.core.sample import RANGE_STEP_M, check_key
+from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.shards.stores.store import TIMES, Store, store_at
+
+MANIFEST_NAME: Final = "manifest.json"
+MANIFEST_FORMAT: Final = "bodyseg shards 3"
+
+_FIELDS: Final = {"format", "range_step_m", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
+_SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_BLOCK: Final = 512
+_LARGEST_SAMPLE: Final = 1 << 30
+_LARGEST_SHARD: Final = 1 << 40
+_LARGEST_MANIFEST: Final = 1 << 28
+
+
+@dataclass(frozen=True)
+class ShardRecord:
+    """What one shard holds; all lists but the notes run over its samples in order.
+
+    keys: sample keys. offsets: where a sample's first tar header starts, bytes. lengths: bytes up to the end of its
+    last member's padding. crc32: of exactly those bytes. notes: lines "MESH: what was noted" of the meshes whose first
+    view is in this shard: what had to be done to a mesh, or how its parts were found if not in the usual way.
+    """
+
+    name: str
+    split: Split
+    size: int
+    sha256: str
+    keys: tuple[str, ...]
+    offsets: tuple[int, ...]
+    lengths: tuple[int, ...]
+    crc32: tuple[int, ...]
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Rig, codec, how the set was made, and every shard. `plan` is a digest of everything the packing was asked for."""
+
+    rig: Rig
+    codec: str
+    source: str
+    renderer: str
+    plan: str
+    shards: tuple[ShardRecord, ...]
+
+    def notes(self) -> list[str]:
+        """What was noted of meshes, in the order of the shards."""
+        return [note for shard in self.shards for note in shard.notes]
+
+    def samples(self, split: Split | None = None) -> int:
+        """How many samples there are, in one split or in all."""
+        return sum(len(shard) for shard in self.shards if split in (None, shard.split))
+
+    def to_json(self) -> dict[str, Any]:
+        """The manifest as plain JSON, with a digest over everything else in it."""
+        tree: dict[str, Any] = {
+            "format": MANIFEST_FORMAT,
+            "range_step_m": RANGE_STEP_M,
+            "parts": list(LANDMARKS),
+            "rig": self.rig.to_json(),
+            "codec": self.codec,
+            "source": self.source,
+            "renderer": self.renderer,
+            "plan": self.plan,
+            "shards": [record_to_json(shard) for shard in self.shards],
+        }
+        return {**tree, "digest": _digest(tree)}
+
+
+def _digest(tree: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def record_to_json(record: ShardRecord) -> dict[str, Any]:
+    """A shard's record as plain JSON."""
+    return {"samples": len(record), **asdict(record)}
+
+
+def record_from_json(tree: Any, where: str) -> ShardRecord:
+    """Check and read a shard's record. Raises BadShard, naming `where` and the rule."""
+    columns = ("keys", "offsets", "lengths", "crc32")
+    if not isinstance(tree, dict) or set(tree) != {"samples", "name", "split", "size", "sha256", "notes", *columns}:
+        raise BadShard(f"{where}: a shard's record has not the fields of format {MANIFEST_FORMAT!r}")
+    name = tree["name"]
+    if not isinstance(name, str) or not _SHARD_NAME.fullmatch(name):
+        raise BadShard(f"{where}: a shard's name must be like train-00000.tar, found {name!r}")
+    where = f"{where}: {name}"
+    if tree["split"] not in SPLITS or not name.startswith(f"{tree['split']}-"):
+        raise BadShard(
+            f"{where}: the split must be one of {', '.join(SPLITS)} and start the name, found {tree['split']!r}"
+        )
+    if not isinstance(tree["sha256"], str) or not _SHA256.fullmatch(tree["sha256"]):
+        raise BadShard(f"{where}: 'sha256' must be 64 hexadecimal digits")
+    for column in columns:
+        values = tree[column]
+        if not isinstance(values, list) or len(values) != tree["samples"]:
+            raise BadShard(f"{where}: {column!r} must have one entry a sample")
+        kind = str if column == "keys" else int
+        if not all(type(value) is kind for value in values):
+            raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
+    notes = tree["notes"]
+    if not isinstance(notes, list) or not all(isinstance(note, str) and note.isprintable() for note in notes):
+        raise BadShard(f"{where}: 'notes' must be a list of text that can be printed")
+    if type(tree["size"]) is not int or not 0 <= tree["size"] <= _LARGEST_SHARD:
+        raise BadShard(f"{where}: 'size' must be a number of bytes, at most {_LARGEST_SHARD}")
+    if not tree["keys"]:
+        raise BadShard(f"{where}: a shard holds at least one sample")
+    end = 0
+    for key, offset, length in zip(tree["keys"], tree["offsets"], tree["lengths"], strict=True):
+        try:
+            check_key(key)
+        except BadSample as error:
+            raise BadShard(f"{where}: {error}") from error
+        if offset != end or not 0 < length <= _LARGEST_SAMPLE or length % _BLOCK:
+            raise BadShard(
+                f"{where}: {key}: samples must follow each other in whole blocks of {_BLOCK} bytes, each of at most "
+                f"{_LARGEST_SAMPLE}"
+            )
+        end = offset + length
+    if end > tree["size"]:
+        raise BadShard(f"{where}: samples end at byte {end}, the shard at {tree['size']}")
+    lists = (tuple(tree[column]) for column in (*columns, "notes"))
+    return ShardRecord(name, tree["split"], tree["size"], tree["sha256"], *lists)
+
+
+def write_manifest(manifest: Manifest, folder: Path) -> None:
+    """Write `folder`/manifest.json at once or not at all."""
+    write_atomically(
+        folder / MANIFEST_NAME, json.dumps(manifest.to_json(), indent=None, sort_keys=True).encode() + b"\n"
+    )
+
+
+def read_manifest(where: Path | Store) -> Manifest:
+    """Read and check the manifest of a set. Raises BadShard with the file and the rule broken, or Unreachable."""
+    store = store_at(where)
+    path = f"{store.name}/{MANIFEST_NAME}"
+    for attempt in range(1, TIMES + 1):
+        data = _contents(store, path)
+        try:
+            return _manifest(_tree(data, path), path)
+        except BadShard:
+            if attempt == TIMES or not store.doubt(MANIFEST_NAME):
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _contents(store: Store, path: str) -> bytes:
+    try:
+        data = store.whole(MANIFEST_NAME, _LARGEST_MANIFEST)
+    except OSError as error:
+        raise BadShard(f"{path} cannot be read: {error}") from error
+    if data is None:
+        raise BadShard(f"{store.name} holds no {MANIFEST_NAME}: not a set of shards, or its packing has not ended")
+    return data
+
+
+def _tree(data: bytes, path: str) -> dict[str, Any]:
+    """What the file says, as it was written."""
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise BadShard(f"{path} cannot be read: {error}") from error
+    if not isinstance(tree, dict) or tree.get("format") != MANIFEST_FORMAT:
+        found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
+        raise BadShard(f"{path}: 'format' must be {MANIFEST_FORMAT!r}, found {found!r}")
+    stored = tree.pop("digest", None)
+    try:
+        computed = _digest(tree)
+    except RecursionError as error:  # brackets nested as deeply as can just be read
+        raise BadShard(f"{path} cannot be read: {error}") from error
+    if stored != computed:
+        raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")
+    return tree
+
+
+def _manifest(tree: dict[str, Any], path: str) -> Manifest:
+    for field, expected in (("parts", list(LANDMARKS)), ("range_step_m", RANGE_STEP_M)):
+        if tree.get(field) != expected:
+            raise BadShard(f"{path}: {field!r} are not those of format {MANIFEST_FORMAT!r}")
+    if set(tree) != _FIELDS:
+        raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
+    texts = {field: tree.get(field) for field in ("codec", "source", "renderer", "plan")}
+    for field, value in texts.items():
+        if not isinstance(value, str):
+            raise BadShard(f"{path}: {field!r} must be text, found {value!r}")
+    if texts["codec"] not in CODECS:
+        raise BadShard(f"{path}: 'codec' must be one of {', '.join(CODECS)}, found {texts['codec']!r}")
+    if not isinstance(tree.get("shards"), list) or not tree["shards"]:
+        raise BadShard(f"{path}: 'shards' must be a list of at least one")
+    try:
+        rig = rig_from_json(tree.get("rig"))
+    except BadConfig as error:
+        raise BadShard(f"{path}: {error}") from error
+    shards = tuple(record_from_json(record, path) for record in tree["shards"])
+    keys = [key for shard in shards for key in shard.keys]
+    if len(set(keys)) != len(keys) or len({shard.name for shard in shards}) != len(shards):
+        raise BadShard(f"{path}: sample keys and shard names must be unique")
+    return Manifest(rig=rig, shards=shards, **{field: str(value) for field, value in texts.items()})

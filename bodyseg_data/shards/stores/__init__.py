@@ -1,0 +1,1 @@
+"""Stores: a folder of this machine, or an address."""

@@ -1,0 +1,284 @@
+"""Shards: plain tars that WebDataset opens, written atomically, read by offset, checked on reading."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tarfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final
+
+from bodyseg_data.shards.sample_codec import Into, decode_sample
+from bodyseg_data.core.errors import BadSample, BadShard, Unreachable, one_line
+from bodyseg_data.core.files import sync_folder
+from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.core.sample import Sample, check_key
+from bodyseg_data.core.splits import Split
+from bodyseg_data.shards.stores.store import TIMES, Store, open_file, store_at
+
+_BLOCK: Final = 512
+
+
+class ShardWriter:
+    """Writes one shard aside and renames it into place when closed without an error; after an error nothing is left.
+
+    Owners, modes and times in the tar are fixed, so the same samples give the same bytes.
+    """
+
+    def __init__(self, path: Path, aside: Path, split: Split) -> None:
+        self._path, self._aside, self._split = path, aside, split
+        self._sha256 = hashlib.sha256()
+        self._size = 0
+        self._keys: list[str] = []
+        self._offsets: list[int] = []
+        self._lengths: list[int] = []
+        self._crc32: list[int] = []
+        self._notes: list[str] = []
+        self.record: ShardRecord | None = None
+
+    def __enter__(self) -> ShardWriter:
+        self._file: IO[bytes] = self._aside.open("wb")
+        return self
+
+    def write(self, key: str, members: Mapping[str, bytes]) -> None:
+        """Append one sample: extension -> bytes. Raises BadSample for a key that cannot name members."""
+        check_key(key)
+        data = _sample_bytes(key, members)
+        self._keys.append(key)
+        self._offsets.append(self._size)
+        self._lengths.append(len(data))
+        self._crc32.append(zlib.crc32(data))
+        self._append(data)
+
+    def note(self, mesh: str, notes: Sequence[str]) -> None:
+        """Have the shard's record say what was noted of a mesh; see `ShardRecord.notes`."""
+        self._notes.extend(one_line(f"{mesh}: {note}") for note in notes)
+
+    def _append(self, data: bytes) -> None:
+        self._file.write(data)
+        self._sha256.update(data)
+        self._size += len(data)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                # Two empty blocks end an archive, which is then filled up to whole records.
+                self._append(
+                    bytes(-(-(self._size + 2 * _BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
+                )
+                self._file.flush()
+                os.fsync(self._file.fileno())
+                self._file.close()
+                self._aside.replace(self._path)
+                sync_folder(self._path.parent)
+                self.record = ShardRecord(
+                    name=self._path.name,
+                    split=self._split,
+                    size=self._size,
+                    sha256=self._sha256.hexdigest(),
+                    keys=tuple(self._keys),
+                    offsets=tuple(self._offsets),
+                    lengths=tuple(self._lengths),
+                    crc32=tuple(self._crc32),
+                    notes=tuple(self._notes),
+                )
+        finally:
+            if self.record is None:
+                # Closing flushes, which fails again on a full disk; the part file goes either way.
+                with contextlib.suppress(OSError):
+                    self._file.close()
+                self._aside.unlink(missing_ok=True)
+
+
+def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
+    return b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
+
+
+def _member(name: str, data: bytes) -> bytes:
+    """One tar member, padded to whole blocks."""
+    return _header(name, len(data)) + data + bytes(-len(data) % _BLOCK)
+
+
+def _header(name: str, size: int) -> bytes:
+    """A tar header with nothing in it that depends on when or by whom it is written."""
+    header = tarfile.TarInfo(name)
+    header.size, header.mode, header.mtime = size, 0o644, 0
+    return header.tobuf(tarfile.USTAR_FORMAT)
+
+
+_NAMELESS: Final = _header("", 0)
+_REST: Final = int(_NAMELESS[148:154], 8) - sum(b"0" * 11)
+"""What the checksum is made of besides the name and the digits of the size."""
+
+
+def _read_header(block: bytes) -> tuple[str, bytes, int]:
+    """Name, type and size from a tar header. Raises tarfile.HeaderError or UnicodeDecodeError."""
+    name, digits = block[:100].rstrip(b"\0"), block[124:135]
+    own = b"".join(
+        (
+            name.ljust(100, b"\0"),
+            _NAMELESS[100:124],
+            digits,
+            _NAMELESS[135:148],
+            b"%06o" % (_REST + sum(name) + sum(digits)),
+            _NAMELESS[154:],
+        )
+    )
+    # What `_header` writes, to the last bit: tarfile would take a fifth as long as all of decoding to say the same.
+    if own == block and name.isascii() and b"\0" not in name and not digits.strip(b"01234567"):
+        return name.decode("ascii"), tarfile.REGTYPE, int(digits, 8)
+    header = tarfile.TarInfo.frombuf(block, "utf-8", "strict")
+    return header.name, header.type, header.size
+
+
+class ShardReader:
+    """Reads single samples of a set by their place in its manifest, each one checked against its CRC.
+
+    Holds no open file, so it may be forked, pickled and used by several threads; opening costs a hundredth of decoding.
+    """
+
+    def __init__(self, where: Path | Store, manifest: Manifest) -> None:
+        self._store, self._manifest = store_at(where), manifest
+
+    def read(self, shard: int, index: int, projector: bool = True, into: Into | None = None) -> Sample:
+        """Sample `index` of shard number `shard`, its projector's range only if asked for; into: see `decode_sample`.
+
+        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or not a sample of the set's
+        rig, and Unreachable if a remote set cannot be reached.
+        """
+        record = self._manifest.shards[shard]
+        where = place(record, index)
+        for attempt in range(1, TIMES + 1):
+            try:
+                data = self._store.read(record.name, record.offsets[index], record.lengths[index])
+            except OSError as error:
+                raise BadShard(f"{where}: cannot be read: {error.strerror or error}") from error
+            try:
+                check_bytes(data, record, index)
+                break
+            except BadShard:
+                if attempt == TIMES or not self._store.doubt(record.name):
+                    raise
+        key = record.keys[index]
+        try:
+            sample = decode_sample(key, parse_members(key, data), projector, into)
+            _check_sizes(self._manifest, sample)
+        except BadSample as error:
+            raise BadShard(f"{where}: {error}") from error
+        return sample
+
+
+def place(record: ShardRecord, index: int) -> str:
+    """Shard, key and offset of a sample, for messages."""
+    return f"{record.name}: {record.keys[index]}: offset {record.offsets[index]}"
+
+
+def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
+    """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is what was written."""
+    where = place(record, index)
+    if len(data) != record.lengths[index]:
+        raise BadShard(f"{where}: cut short: {record.lengths[index]} bytes expected, found {len(data)}")
+    found = zlib.crc32(data)
+    if found != record.crc32[index]:
+        raise BadShard(f"{where}: altered: CRC-32 {record.crc32[index]:08x} expected, found {found:08x}")
+
+
+def parse_members(key: str, data: bytes) -> dict[str, bytes]:
+    """The tar members of one sample: extension -> bytes.
+
+    Raises BadSample for anything but plain files whose names start with `key`.
+    """
+    members: dict[str, bytes] = {}
+    position = 0
+    while position < len(data):
+        try:
+            name, kind, size = _read_header(data[position : position + _BLOCK])
+        except (tarfile.HeaderError, UnicodeDecodeError) as error:
+            raise BadSample(f"{key}: no tar header at byte {position} of the sample: {error}") from error
+        stem, _, extension = name.partition(".")
+        # Not `isreg`, for which sparse files are regular, too.
+        if kind != tarfile.REGTYPE or stem != key or not extension or extension in members:
+            raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {name!r}")
+        start = position + _BLOCK
+        if not 0 <= size <= len(data) - start:
+            raise BadSample(f"{key}: {name} claims {size} bytes, the sample ends before")
+        members[extension] = data[start : start + size]
+        position = start + -(-size // _BLOCK) * _BLOCK
+    return members
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with a set of shards: which shard, which sample ("-" if none is concerned), where, what."""
+
+    shard: str
+    key: str
+    offset: int
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
+
+
+def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
+    """Everything wrong with one shard: its size, every sample's bytes and content, its hash.
+
+    A fault inside a sample is reported at that sample; one elsewhere at the end of the archive.
+    """
+    sha256 = hashlib.sha256()
+    sound = True
+    end = size = 0
+    try:
+        with open_file(store_at(where), shard.name) as file:
+            for index, key in enumerate(shard.keys):
+                data = file.read(shard.lengths[index])
+                end += len(data)
+                sha256.update(data)
+                try:
+                    check_bytes(data, shard, index)
+                    _check_content(manifest, shard, key, data)
+                except (BadShard, BadSample) as error:
+                    sound = False
+                    problem = str(error).removeprefix(f"{place(shard, index)}: ").removeprefix(f"{key}: ")
+                    yield Fault(shard.name, key, shard.offsets[index], problem)
+            size = end
+            while rest := file.read(1 << 20):
+                sha256.update(rest)
+                size += len(rest)
+    except OSError as error:
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
+        return
+    except Unreachable as error:
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error}")
+        return
+    if size != shard.size:
+        yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")
+    elif sound and sha256.hexdigest() != shard.sha256:
+        found = sha256.hexdigest()
+        yield Fault(shard.name, "-", end, f"end of archive altered: SHA-256 {shard.sha256} expected, found {found}")
+
+
+def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes) -> None:
+    sample = decode_sample(key, parse_members(key, data))
+    sample.check()
+    if sample.info.split != shard.split:
+        raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
+    _check_sizes(manifest, sample)
+
+
+def _check_sizes(manifest: Manifest, sample: Sample) -> None:
+    camera, projector = manifest.rig.camera, manifest.rig.projector
+    devices = {"range": camera, "labels": camera, "faces_projector": camera, "projector_range": projector}
+    for field, device in devices.items():
+        image = getattr(sample, field)
+        if image is not None and image.shape != (device.rows, device.columns):
+            raise BadSample(
+                f"{sample.key}: {field} must be {device.rows} x {device.columns} as in the rig, found {image.shape}"
+            )

@@ -1,0 +1,252 @@
+"""Charts of what an evaluation found, drawn from its JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.parts import PART_COUNT, PARTS
+from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_model.evaluation.report import PAPERS_THRESHOLD
+from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+
+Tree = dict[str, Any]
+
+_DARK: Final = "#1f4fa8"
+_PALE: Final = "#a9c4ea"
+_GRID: Final = "#e2e2e2"
+_LEAST_SHARE: Final = 0.001  # of pixels, for a bin's accuracy to say anything
+_KIND_STYLES: Final = {
+    "other": ("any other part", "#d3dbe6", ""),
+    "left_right": ("left for right", "#6f9bd8", ""),
+    "front_back": ("front for back", "#e0a13c", "////"),
+    "both": ("both at once", "#222222", ""),
+}
+"""Kind -> name, colour, hatching: told apart in grey, too."""
+
+
+def draw_figures(figures: Tree, folder: Path) -> list[Path]:
+    """Write the charts that `figures`, as of `report`, has numbers for, into `folder`; returns the files.
+
+    Raises MissingLibrary without matplotlib, BadConfig if a file cannot be written.
+    """
+    charts: dict[str, Callable[[Tree], Any]] = {"parts": draw_parts, "confusion": draw_confusion}
+    if "reliability" in figures:
+        charts["confidence"] = draw_confidence
+    if "border_distance_px" in figures:
+        charts["border_distance"] = draw_border_distance
+    written = []
+    for name, draw in charts.items():
+        written.append(folder / f"{name}.png")
+        save_chart(draw(figures), written[-1], dpi=110)
+    return written
+
+
+def draw_parts(figures: Tree) -> Any:
+    """Average per-class accuracy of the set and its subsets, and accuracy part by part: the paper's Fig. 6."""
+    groups = {"all": figures, **figures["subsets"]}
+    figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + PART_COUNT))
+    upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, PART_COUNT + 0.6), sharex=True)
+    _bars(
+        upper,
+        [f"{name}  (images: {_thousands(group['images'])})" for name, group in groups.items()],
+        [group["average_per_class_accuracy"] for group in groups.values()],
+        [(group["over_images"]["mean"], group["over_images"]["sd"]) for group in groups.values()],
+    )
+    upper.set_title("Average per-class accuracy: all images, and by subset", loc="left", fontsize=11)
+    parts = figures["parts"]
+    _bars(
+        lower,
+        [f"{part['landmark']}  {part['label']:>2}" for part in parts],
+        [part["accuracy"] for part in parts],
+        [(part["mean_over_images"], part["sd_over_images"]) for part in parts],
+    )
+    lower.axvline(figures["average_per_class_accuracy"] or 0, color="black", linewidth=0.9, linestyle="--", zorder=4)
+    lower.set_title("Accuracy of each part over all images; dashed: their average", loc="left", fontsize=11)
+    lower.set_xlabel(
+        "bar and number: right pixels among all of the part's pixels;\n"
+        "dot and line: mean and standard deviation over images, each image counting once",
+        fontsize=9,
+    )
+    return figure
+
+
+def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list[tuple[Any, Any]]) -> None:
+    places = np.arange(len(names))
+    axis.barh(places, [value or 0 for value in values], color=_PALE, edgecolor=_DARK, linewidth=0.6, height=0.74)
+    for place, value, (mean, deviation) in zip(places, values, spreads, strict=True):
+        axis.text(1.015, place, "not shown" if value is None else f"{100 * value:.1f} %", va="center", fontsize=9)
+        if mean is not None:
+            spread = deviation or 0
+            axis.plot([max(mean - spread, 0), min(mean + spread, 1)], [place, place], color="black", linewidth=1.1)
+            axis.plot(mean, place, "o", color="black", markersize=3.6)
+    axis.set_yticks(places, names, fontsize=9)
+    axis.set_ylim(len(names) - 0.4, -0.6)
+    axis.set_xlim(0, 1)
+    axis.set_xticks(np.arange(0, 1.01, 0.1), [f"{tick} %" for tick in range(0, 101, 10)], fontsize=9)
+    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="x", labelbottom=True)
+    _plain(axis, "x")
+
+
+def draw_confusion(figures: Tree) -> Any:
+    """Which part is taken for which: each row is what became of one true part's pixels."""
+    from matplotlib.colors import PowerNorm
+    from matplotlib.lines import Line2D
+
+    counts = np.array(figures["confusion"], np.float64)
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    figure = new_chart(12.6, 11.6)
+    axis = figure.subplots()
+    drawn = axis.imshow(shares, cmap="Greys", norm=PowerNorm(0.45, 0, 1))
+    for row, column in np.argwhere(shares >= 0.01):
+        colour = "white" if shares[row, column] > 0.3 else "black"
+        axis.text(column, row, f"{100 * shares[row, column]:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    sides: Tree = {"color": _DARK, "linewidth": 1.4}
+    faces: Tree = {"color": "#b06f00", "linewidth": 1.6, "linestyle": (0, (4, 2))}
+    _outline(axis, np.isin(KIND_OF, [KINDS.index("front/back"), KINDS.index("both")]), faces)
+    _outline(axis, np.isin(KIND_OF, KINDS.index("left/right")), sides)
+    axis.set_xticks(range(PART_COUNT), [f"{part.label}  {part.landmark}" for part in PARTS], fontsize=8, rotation=90)
+    axis.set_yticks(range(PART_COUNT), [f"{part.landmark}  {part.label}" for part in PARTS], fontsize=8)
+    axis.set_xlabel("predicted part", fontsize=10)
+    axis.set_ylabel("true part", fontsize=10)
+    axis.set_title("Of a true part's pixels, how many per cent are given to which part (1 and more)", fontsize=12)
+    bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
+    bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
+    swaps = figures["swaps"]
+    face = f"front for back: {_percent(swaps['front_back'])}, and left for right as well: {_percent(swaps['both'])}"
+    handles = [
+        Line2D([], [], label=f"left for right: {_percent(swaps['left_right'])} of all pixels", **sides),
+        Line2D([], [], label=face, **faces),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
+    return figure
+
+
+def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:
+    """Draw a line around each area of cells."""
+    padded = np.pad(mask, 1)
+    for row, column in np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1]):
+        axis.plot([column - 0.5, column + 0.5], [row - 0.5, row - 0.5], zorder=4, **style)
+    for row, column in np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1]):
+        axis.plot([column - 0.5, column - 0.5], [row - 0.5, row + 0.5], zorder=4, **style)
+
+
+def draw_confidence(figures: Tree) -> Any:
+    """What dropping unsure pixels buys, and whether confidences mean what they say."""
+    figure = new_chart(12, 5.6)
+    left, right = figure.subplots(1, 2)
+    _risk_coverage(left, figures)
+    _reliability(right, figures)
+    return figure
+
+
+def _risk_coverage(axis: Any, figures: Tree) -> None:
+    curve, kept = figures["risk_coverage"], figures["confidence"]["above_70_percent"]
+    risk = np.array(curve["risk"], np.float64)  # NaN for null
+    axis.plot(curve["coverage"], risk, color=_DARK, linewidth=2)
+    axis.fill_between(curve["coverage"], risk, color=_PALE, alpha=0.45, linewidth=0)
+    wrong = 1 - (figures["pixel_accuracy"] or 0)
+    top = max(1.35 * wrong, 0.01)
+    if kept["pixel_accuracy"] is not None:
+        place = kept["share_of_pixels"], 1 - kept["pixel_accuracy"]
+        axis.plot(*place, "o", color="black", markersize=8)
+        axis.annotate(
+            f"confidence above {100 * PAPERS_THRESHOLD:.0f} %:\n"
+            f"{_percent(1 - place[0])} of pixels dropped,\n{_percent(place[1])} of the rest wrong\n"
+            f"average per-class accuracy\n{_percent(figures['average_per_class_accuracy'])} → "
+            f"{_percent(kept['average_per_class_accuracy'])}",
+            place,
+            (0.05, 0.62),
+            textcoords="axes fraction",
+            fontsize=10,
+            arrowprops={"arrowstyle": "-", "color": "black", "linewidth": 0.8, "shrinkB": 5},
+        )
+    axis.set_xlim(0, 1)
+    axis.set_ylim(0, top)
+    axis.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+    axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
+    axis.set_xlabel("coverage: pixels kept, the surest first", fontsize=10)
+    axis.set_ylabel("risk: kept pixels that are wrong", fontsize=10)
+    axis.set_title(f"Risk and coverage: area {figures['confidence']['aurc']}", loc="left", fontsize=11)
+    _plain(axis, "both")
+
+
+def _reliability(axis: Any, figures: Tree) -> None:
+    pixels = max(figures["pixels"], 1)
+    rows = [row for row in figures["reliability"] if row["pixels"] >= _LEAST_SHARE * pixels and row["pixels"]]
+    axis.plot([0, 1], [0, 1], color="black", linewidth=0.9, linestyle="--", zorder=2)
+    for row in rows:
+        width = row["up_to"] - row["confidence_above"]
+        axis.bar(row["confidence_above"] + width / 2, row["pixels"] / pixels, 0.86 * width, color="#dcdcdc", zorder=1)
+        axis.plot([row["confidence"]] * 2, [row["confidence"], row["accuracy"]], color=_DARK, linewidth=1.2, zorder=3)
+    axis.plot(
+        [row["confidence"] for row in rows],
+        [row["accuracy"] for row in rows],
+        "o-",
+        color=_DARK,
+        linewidth=1.6,
+        markersize=6,
+        zorder=4,
+        label="accuracy where the network is so sure",
+    )
+    axis.bar(0, 0, color="#dcdcdc", label="share of all pixels")
+    axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="as sure as right")
+    axis.set_xlim(0, 1)
+    axis.set_ylim(0, 1)
+    for which in (axis.xaxis, axis.yaxis):
+        which.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+    axis.set_xlabel("confidence, in 15 bins; those with a thousandth of the pixels or more", fontsize=10)
+    axis.set_title(
+        f"Reliability: expected calibration error {_percent(figures['confidence']['ece'])}", loc="left", fontsize=11
+    )
+    axis.legend(loc="upper left", fontsize=9.5, framealpha=1, edgecolor="none")
+    _plain(axis, "both")
+
+
+def draw_border_distance(figures: Tree) -> Any:
+    """How many pixels are wrong at each distance from the border of their part, and in which way."""
+    rows = figures["border_distance_px"]
+    pixels = max(sum(row["pixels"] for row in rows), 1)
+    figure = new_chart(8.6, 5.4)
+    axis = figure.subplots()
+    places = np.arange(len(rows))
+    bottom = np.zeros(len(rows))
+    for kind, (name, colour, hatch) in _KIND_STYLES.items():
+        heights = np.array([row[kind] or 0 for row in rows])
+        axis.bar(
+            places, heights, 0.74, bottom, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=name
+        )
+        bottom += heights
+    for place, row in zip(places, rows, strict=True):
+        text = "no pixel" if row["wrong"] is None else _percent(row["wrong"])
+        axis.annotate(text, (place, bottom[place]), (0, 4), textcoords="offset points", ha="center", fontsize=10)
+    axis.set_xticks(
+        places, [f"{row['distance']} px\n{_percent(row['pixels'] / pixels)} of pixels" for row in rows], fontsize=9.5
+    )
+    axis.set_ylim(0, max(1.16 * float(bottom.max(initial=0)), 0.01))
+    axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
+    axis.set_xlabel("distance to the nearest pixel of another part", fontsize=10)
+    axis.set_ylabel("wrong pixels among those at this distance", fontsize=10)
+    axis.set_title("Where mistakes lie", loc="left", fontsize=11)
+    axis.legend(fontsize=9.5, framealpha=1, edgecolor="none", reverse=True)
+    _plain(axis, "y")
+    return figure
+
+
+def _plain(axis: Any, grid: str) -> None:
+    axis.grid(axis=grid, color=_GRID, linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.1f} %"
+
+
+def _thousands(number: int) -> str:
+    return f"{number:,}".replace(",", " ")

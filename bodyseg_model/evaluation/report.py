@@ -1,0 +1,153 @@
+"""Scores as plain JSON. Shares are fractions of 1 rounded to five places; what cannot be told is null."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from bodyseg_data.core.parts import PARTS
+from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
+from bodyseg_model.evaluation.calibration import Confidences, Kept
+from bodyseg_model.evaluation.evaluation import Evaluation, Scores
+from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds
+
+Tree = dict[str, Any]
+
+PAPERS_THRESHOLD: Final = 0.7
+"""Confidence below which the paper drops pixels (section 4.1)."""
+
+PAPERS_SUBSETS: Final = ("A", "B", "C", "people")
+
+_THRESHOLDS: Final = (0.0, 0.5, 0.6, PAPERS_THRESHOLD, 0.8, 0.9)
+_CURVE_POINTS: Final = 100
+_PLACES: Final = 5
+
+
+def report(evaluation: Evaluation) -> Tree:
+    """Everything about all images together, what matters of every subset, and the images that went worst."""
+    total = evaluation.total()
+    details: Tree = {"parts": _parts(total), "confusion": total.confusion.counts.tolist()}
+    if total.confidences is not None:
+        details |= _confidences(total.confidences)
+    if total.borders is not None:
+        details["border_distance_px"] = _borders(total.borders)
+    return {
+        **summary(total),
+        "subsets": {name: summary(evaluation.subsets[name]) for name in sorted(evaluation.subsets, key=subset_order)},
+        "worst_images": [
+            {"key": key, "average_per_class_accuracy": _share(accuracy)} for accuracy, key in evaluation.worst
+        ],
+        **details,
+    }
+
+
+def summary(scores: Scores) -> Tree:
+    """The scores of a group of images in a few numbers."""
+    matrix, pixels = scores.confusion, scores.confusion.pixels
+    kinds = count_kinds(matrix.counts)
+    found: Tree = {
+        "images": scores.images,
+        "pixels": pixels,
+        "average_per_class_accuracy": _share(matrix.average_per_class_accuracy()),
+        "over_images": {
+            "mean": _share(float(scores.spread.mean()[-1])),
+            "sd": _share(float(scores.spread.deviation()[-1])),
+        },
+        "pixel_accuracy": _share(matrix.pixel_accuracy()),
+        "mean_iou": _share(matrix.mean_iou()),
+        "swaps": {_key(kind): _share(kinds[kind] / pixels if pixels else math.nan) for kind in SWAPS},
+    }
+    if scores.confidences is not None:
+        found["confidence"] = {
+            "mean": _share(scores.confidences.mean()),
+            "ece": _share(scores.confidences.ece()),
+            "aurc": _share(scores.confidences.aurc()),
+            "above_70_percent": _kept(scores.confidences.above(PAPERS_THRESHOLD)),
+        }
+    return found
+
+
+def _parts(scores: Scores) -> list[Tree]:
+    """Part by part: accuracy over all pixels, and mean and standard deviation over the images that show the part."""
+    accuracy, iou = scores.confusion.per_class_accuracy(), scores.confusion.intersection_over_union()
+    mean, deviation = scores.spread.mean(), scores.spread.deviation()
+    return [
+        {
+            "label": part.label,
+            "landmark": part.landmark,
+            "pixels": int(scores.confusion.counts[part.label].sum()),
+            "accuracy": _share(float(accuracy[part.label])),
+            "iou": _share(float(iou[part.label])),
+            "images": int(scores.spread.images[part.label]),
+            "mean_over_images": _share(float(mean[part.label])),
+            "sd_over_images": _share(float(deviation[part.label])),
+        }
+        for part in PARTS
+    ]
+
+
+def _confidences(confidences: Confidences) -> Tree:
+    coverage, risk = confidences.curve()
+    places = np.linspace(1 / _CURVE_POINTS, 1, _CURVE_POINTS)
+    risks = np.interp(places, coverage, risk) if coverage.size else np.full(_CURVE_POINTS, np.nan)
+    return {
+        "thresholds": [
+            {"confidence_above": threshold, **_kept(confidences.above(threshold))} for threshold in _THRESHOLDS
+        ],
+        "risk_coverage": {
+            "coverage": [round(float(place), _PLACES) for place in places],
+            "risk": [_share(float(value)) for value in risks],
+        },
+        "reliability": [
+            {
+                "confidence_above": round(row.above, _PLACES),
+                "up_to": round(row.up_to, _PLACES),
+                "pixels": row.pixels,
+                "confidence": _share(row.confidence),
+                "accuracy": _share(row.accuracy),
+            }
+            for row in confidences.reliability()
+        ],
+    }
+
+
+def _borders(borders: BorderErrors) -> list[Tree]:
+    """Bin by bin: pixels, and which share of them is wrong, in all and by kind."""
+    rows = []
+    for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
+        pixels = sum(counts)
+        shares = [count / pixels if pixels else math.nan for count in counts]
+        kinds = {_key(kind): _share(share) for kind, share in zip(KINDS[1:], shares[1:], strict=True)}
+        rows.append({"distance": name, "pixels": pixels, "wrong": _share(1 - shares[0]), **kinds})
+    return rows
+
+
+def _kept(kept: Kept) -> Tree:
+    return {
+        "share_of_pixels": _share(kept.share),
+        "pixel_accuracy": _share(kept.pixel_accuracy),
+        "average_per_class_accuracy": _share(kept.average_per_class_accuracy),
+    }
+
+
+def subset_order(subset: str) -> tuple[bool, str]:
+    """The paper's subsets first, in its order, which is also that of the alphabet."""
+    return subset not in PAPERS_SUBSETS, subset
+
+
+def _key(kind: str) -> str:
+    return kind.replace("/", "_")
+
+
+def _share(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, _PLACES)
+
+
+def over_seeds(values: Sequence[float], places: int = 5) -> Tree:
+    """Mean, standard deviation (divisor n - 1; None for one seed) and every seed's value."""
+    spread = round(statistics.stdev(values), places) if len(values) > 1 else None
+    return {"mean": round(statistics.mean(values), places), "sd": spread, "seeds": [round(v, places) for v in values]}

@@ -1,0 +1,130 @@
+"""Networks in files: weights as safetensors, everything else as JSON beside them. No pickle, nothing is run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as parse_tensors
+from safetensors.torch import save as tensor_bytes
+from torch import nn
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_result
+from bodyseg_model.networks.registry import build, settings_of
+
+FORMAT: Final = "bodyseg network 1"
+NETWORK: Final = "network.safetensors"
+"""The trained network in a run's folder; its card is the .json beside it."""
+
+SHIPPED: Final = Path(__file__).parent / "weights" / "compact.safetensors"
+
+_LARGEST_FILE: Final = 1 << 31
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A network in evaluation mode, and its card: which network with which settings, how and on what it was trained."""
+
+    network: nn.Module
+    card: dict[str, Any]
+
+
+def save_network(path: Path, network: nn.Module, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
+    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
+
+    half: filters in 16 bits, for half the bytes; scales, biases and statistics stay in 32.
+    """
+    card = {"format": FORMAT, "network": name, "settings": settings_of(network), **facts}
+    weights = network.state_dict()
+    write_tensors(path, {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()})
+    write_json(path.with_suffix(".json"), card)
+
+
+def load_network(path: Path) -> Trained:
+    """The network in a run's folder, or in a .safetensors file with its .json beside it, on the processor.
+
+    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card.
+    """
+    file = path / NETWORK if path.is_dir() else path
+    if file.suffix != ".safetensors":
+        raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
+    card = read_json(file.with_suffix(".json"))
+    if card.get("format") != FORMAT:
+        raise BadConfig(f"{file.with_suffix('.json')}: the format must be {FORMAT!r}, found {card.get('format')!r}")
+    settings = card.get("settings")
+    if not isinstance(card.get("network"), str) or not isinstance(settings, dict):
+        raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
+    network = build(card["network"], settings)
+    fill(network, read_tensors(file), file)
+    return Trained(network.eval(), card)
+
+
+def shipped_network() -> Trained:
+    """The compact network that ships with the package."""
+    return load_network(SHIPPED)
+
+
+def fill(network: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) -> None:
+    """Put weights read from `file` into a network. Raises BadConfig where a name, shape or kind does not fit."""
+    expected = network.state_dict()
+    for name in sorted(expected.keys() ^ tensors.keys()):
+        raise BadConfig(f"{file} {'lacks' if name in expected else 'has no use for'} the weights {name!r}")
+    for name, weight in expected.items():
+        found = tensors[name]
+        halved = found.dtype == torch.float16 and weight.dtype == torch.float32
+        if found.shape != weight.shape or not (halved or found.dtype == weight.dtype):
+            raise BadConfig(
+                f"{file}: {name!r} must be {weight.dtype} {list(weight.shape)}, found {found.dtype} {list(found.shape)}"
+            )
+        if not torch.isfinite(found).all():
+            raise BadConfig(f"{file}: {name!r} holds numbers that are not finite")
+    network.load_state_dict(dict(tensors))
+
+
+def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
+    """Write tensors as safetensors, at once or not at all; returns the SHA-256 of the file. Raises BadConfig."""
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    data = tensor_bytes(plain)
+    write_result(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_tensors(path: Path) -> dict[str, torch.Tensor]:
+    """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
+    try:
+        return parse_tensors(read_bytes(path))
+    except SafetensorError as error:
+        raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON at once or not at all. Raises BadConfig."""
+    write_result(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file. Raises BadConfig, naming it."""
+    try:
+        content = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise BadConfig(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise BadConfig(f"{path} must hold a JSON object, found {type(content).__name__}")
+    return content
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file. Raises BadConfig, naming it, if it is missing or too large."""
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise BadConfig(f"{path} is larger than {_LARGEST_FILE} bytes")
+        return path.read_bytes()
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error

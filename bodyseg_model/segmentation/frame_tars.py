@@ -1,0 +1,67 @@
+"""What a tar holds and where, from its headers alone; nothing is extracted."""
+
+from __future__ import annotations
+
+import tarfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Final, cast
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import refuse_special
+
+_LARGEST_HEADER: Final = 1 << 14
+
+
+@dataclass(frozen=True)
+class Member:
+    """One entry. offset, size: its bytes' place in the tar. plain: whether these are a file's bytes as they are."""
+
+    name: str
+    offset: int
+    size: int
+    plain: bool
+
+
+def list_tar(path: Path) -> list[Member]:
+    """The entries of an uncompressed tar but its folders, in its order.
+
+    Raises BadConfig, naming the tar, if it is not one, is damaged, or ends without the mark of its end: `tarfile` takes
+    a header that is cut off or altered for the end.
+    """
+    members: list[Member] = []
+    try:
+        refuse_special(path)
+        size = path.stat().st_size
+        with path.open("rb") as file, tarfile.open(fileobj=cast(Any, _Headers(file, path)), mode="r:") as tar:
+            last = -1
+            for entry in tar:
+                if not last < entry.offset <= entry.offset_data + max(entry.size, 0) <= size or entry.size < 0:
+                    raise BadConfig(
+                        f"a tar's entries must lie behind one another and within it: {path}, {entry.name!r}"
+                    )
+                last = entry.offset
+                plain = entry.isreg() and not entry.issparse()
+                if not entry.isdir():
+                    members.append(Member(entry.name, entry.offset_data, entry.size, plain))
+            file.seek(tar.offset)
+            if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
+                raise BadConfig(f"a tar must be whole, found it cut off or damaged at byte {tar.offset}: {path}")
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+    except (tarfile.TarError, UnicodeError, ValueError, RecursionError) as error:
+        raise BadConfig(f"{path} must be an uncompressed tar: {error}") from error
+    return members
+
+
+class _Headers:
+    """A tar's file as far as headers go: `tarfile` reads long names into memory by the size that they claim."""
+
+    def __init__(self, file: BinaryIO, path: Path) -> None:
+        self._file, self._path = file, path
+        self.seek, self.tell = file.seek, file.tell
+
+    def read(self, size: int) -> bytes:
+        if not 0 <= size <= _LARGEST_HEADER:
+            raise BadConfig(f"a tar's header must have at most {_LARGEST_HEADER} bytes, found {size}: {self._path}")
+        return self._file.read(size)

@@ -1,0 +1,143 @@
+"""Frames of a range sensor: 16-bit grey PNGs in files, in folders or in tars, where they are read in place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import refuse_special
+from bodyseg_model.segmentation.frame_png import parse_frame
+from bodyseg_model.segmentation.frame_tars import Member, list_tar
+
+_LARGEST_FILE: Final = 1 << 28
+_NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
+_UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
+_METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_STEPS_M: Final = (1e-6, 0.1)
+_SATURATED: Final = 65535
+
+
+@dataclass(frozen=True)
+class FrameFile:
+    """Where one frame is: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
+
+    name: what its results are called. where: what messages call it.
+    """
+
+    name: str
+    where: str
+    path: Path
+    offset: int
+    size: int
+
+    def read(self) -> NDArray[np.uint16]:
+        """The frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
+        try:
+            with self.path.open("rb") as file:
+                file.seek(self.offset)
+                data = file.read(self.size)
+        except OSError as error:
+            raise BadConfig(f"cannot read {self.where}: {error.strerror or error}") from error
+        if len(data) != self.size:
+            raise BadConfig(f"{self.where} must still have the {self.size} bytes it had, found {len(data)}")
+        return parse_frame(data, self.where)
+
+
+def find_frames(paths: Sequence[Path]) -> list[FrameFile]:
+    """The frames that `paths` name: PNG files, folders of them and tars (.tar) of them.
+
+    First the files that are named themselves, then folders and tars one after another; within each, in natural order
+    (2 before 10). What does not end in .png in a folder or tar is left alone, and so are hidden files. Raises BadConfig
+    for what cannot be read, holds no frame, or would give two results one name.
+    """
+    files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar"]
+    groups = [[_file(path) for path in files]]
+    groups += [_folder(path) if path.is_dir() else _tar(path) for path in paths if path not in files]
+    frames = [frame for group in groups for frame in sorted(group, key=lambda frame: _natural(frame.name))]
+    known: dict[str, FrameFile] = {}
+    for frame in frames:
+        if not _NAME.fullmatch(frame.name):
+            raise BadConfig(
+                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
+                f"begin with a dot or space, found {frame.where}"
+            )
+        if (other := known.setdefault(frame.name, frame)) is not frame:
+            raise BadConfig(f"two frames must not have one name, as their results would: {other.where}, {frame.where}")
+    return frames
+
+
+def metres_a_step(unit: str) -> float:
+    """Metres of one step of a frame, from text like "mm", "0.1mm" or "1 cm". Raises BadConfig."""
+    match = _UNIT.fullmatch(unit)
+    step = float(match[1] or 1) * _METRES[match[2]] if match else 0.0
+    if not _STEPS_M[0] <= step <= _STEPS_M[1]:
+        raise BadConfig(f"a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found {unit!r}")
+    return step
+
+
+def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
+    """Ranges in metres, float32 [H, W]; 0, nothing measured, where a frame has 0 or 65535, which is saturation."""
+    ranges = frame.astype(np.float32) * np.float32(step_m)
+    ranges[frame == _SATURATED] = 0
+    return ranges
+
+
+def _file(path: Path) -> FrameFile:
+    try:
+        refuse_special(path)
+        size = path.stat().st_size
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+    return _checked(FrameFile(path.stem, str(path), path, 0, size))
+
+
+def _folder(path: Path) -> list[FrameFile]:
+    try:
+        files = [file for file in path.iterdir() if _is_frame(file.name) and not file.is_dir()]
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+    if not files:
+        raise BadConfig(f"a folder of frames must hold .png files, found none in {path}")
+    return [_file(file) for file in files]
+
+
+def _tar(path: Path) -> list[FrameFile]:
+    members = [member for member in list_tar(path) if _is_frame(PurePosixPath(member.name).name)]
+    if not members:
+        raise BadConfig(f"a tar of frames must hold .png files, found none in {path}")
+    return [_member(path, member) for member in members]
+
+
+def _member(path: Path, member: Member) -> FrameFile:
+    where = f"{path}: {member.name}"
+    if not member.plain:
+        raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
+    # Only the last part of the name is used, and no file is made of it, so what stands before it does not matter.
+    return _checked(FrameFile(PurePosixPath(member.name).stem, where, path, member.offset, member.size))
+
+
+def _checked(frame: FrameFile) -> FrameFile:
+    if frame.size > _LARGEST_FILE:
+        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {frame.size} in {frame.where}")
+    return frame
+
+
+def _is_frame(name: str) -> bool:
+    return name.lower().endswith(".png") and not name.startswith(".")
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts numbers in names by value: digits become their count without leading zeros, then themselves."""
+    parts = re.split(r"([0-9]+)", name)
+    key = []
+    for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True):
+        plain = digits.lstrip("0")
+        key += [(0, text), (len(plain), plain)]
+    return [*key, (0, name)]

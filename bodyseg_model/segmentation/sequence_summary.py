@@ -1,0 +1,123 @@
+"""What a labelled sequence comes to: bodies, confidence, time and flicker, frame by frame and in all; plain JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
+from bodyseg_model.segmentation.segmenter import STAGES as SEGMENTER_STAGES
+from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation
+
+STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
+
+
+class SequenceSummary:
+    """Takes the frames of a sequence one by one, in order. Of their images it keeps the last one's."""
+
+    def __init__(self) -> None:
+        self._frames: list[dict[str, Any]] = []
+        self._flicker = Flicker()
+        self._last: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None
+
+    def add(
+        self,
+        name: str,
+        where: str,
+        range_m: NDArray[np.float32],
+        segmentation: Segmentation,
+        milliseconds: Mapping[str, float],
+    ) -> None:
+        """One frame, float32 [H, W], metres. milliseconds: of all `STAGES`."""
+        labels, bodies = segmentation.labels, segmentation.bodies
+        change = None
+        if self._last is not None:
+            change = flicker(self._last[0], labels, self._last[1], range_m)
+            self._flicker += change
+        self._last = labels, range_m
+        self._frames.append(
+            {
+                "name": name,
+                "file": where,
+                "people": len(bodies),
+                "pixels": segmentation.pixels,
+                "labelled": int(np.count_nonzero(labels != BACKGROUND)),
+                "mean_confidence": _rounded(segmentation.mean_confidence),
+                "bodies": [_body(body, range_m.shape[1]) for body in bodies],
+                "flicker": None if change is None else change.to_json(),
+                "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
+            }
+        )
+
+    @property
+    def people(self) -> int:
+        """Bodies in all frames together."""
+        return sum(frame["people"] for frame in self._frames)
+
+    @property
+    def mean_confidence(self) -> float | None:
+        """Over all pixels that show a body; None if none does."""
+        with_people = [frame for frame in self._frames if frame["pixels"]]
+        total = sum(frame["pixels"] for frame in with_people)
+        return sum(frame["mean_confidence"] * frame["pixels"] for frame in with_people) / total if total else None
+
+    @property
+    def milliseconds(self) -> dict[str, dict[str, float]]:
+        """Mean, standard deviation and 95th percentile of every stage and of all together ("frame").
+
+        The first frame is left out where there are others: libraries load their parts while it waits.
+        """
+        counted = [frame["ms"] for frame in self._frames[1:] or self._frames]
+        stages = {stage: [frame[stage] for frame in counted] for stage in STAGES}
+        return {
+            stage: _spread(values)
+            for stage, values in {**stages, "frame": [sum(frame.values()) for frame in counted]}.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it. `pixels` show a body; `labelled` of them have a label."""
+        return {
+            "frames": len(self._frames),
+            "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
+            "people": self.people,
+            "pixels": sum(frame["pixels"] for frame in self._frames),
+            "labelled": sum(frame["labelled"] for frame in self._frames),
+            "mean_confidence": _rounded(self.mean_confidence),
+            "ms": {"first_frame_counted": len(self._frames) == 1, **self.milliseconds},
+            "flicker": {
+                "of": "pixels with a label in two frames that follow each other; nothing compensates for motion",
+                "still": f"those whose range changed by less than {STILL_M:g} m",
+                **self._flicker.to_json(),
+            },
+            "each": self._frames,
+        }
+
+
+def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
+    rows, places = np.divmod(body.pixels, columns)
+    return {
+        "pixels": len(body.pixels),
+        "box": [int(rows.min()), int(places.min()), int(rows.max()) + 1, int(places.max()) + 1],
+        "range_m": round(body.middle_m, 4),
+        "turn_deg": round(math.degrees(body.turn_rad), 2),
+        "scale": round(body.scale, 4),
+        "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),
+    }
+
+
+def _rounded(share: float | None) -> float | None:
+    return None if share is None else round(share, 4)
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    measured = np.asarray(values)
+    return {
+        "mean": round(float(measured.mean()), 2),
+        "sd": round(float(measured.std()), 2),
+        "p95": round(float(np.quantile(measured, 0.95)), 2),
+    }

@@ -1,0 +1,1 @@
+"""Training: shards and a recipe give a network."""

@@ -1,0 +1,134 @@
+"""How a network is trained: one frozen recipe, and a preset for each network."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.training.geometric_augmentation import Placements
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything but data, network and seed that shapes a training.
+
+    steps: how often weights change. batch: images that go through the network together, over all processes.
+    accumulate: such batches a step. optimiser: "sgd" (with `momentum`) or "adamw". rate: of the last layer. graded:
+    the deepest layer's rate as a share of the last's; those between rise geometrically. warmup: share of the steps
+    over which the rate rises from 0; cosine: whether it then falls to 0, else it stays. clip: largest norm of a
+    gradient, 0 for no limit. crop: whether batches are cut to the bodies in them, with the network's margin. mirror:
+    whether half of the images are shown as in a mirror, left and right parts exchanged. balance: parts weigh their
+    share of all pixels to the power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16.
+    every: of each square of so many pixels a side, the loss looks at one; more where a network's scores are coarser.
+    placements: how bodies are moved in the image plane.
+    """
+
+    steps: int
+    batch: int
+    accumulate: int
+    optimiser: Literal["sgd", "adamw"]
+    rate: float
+    graded: float
+    momentum: float
+    decay: float
+    warmup: float
+    cosine: bool
+    clip: float
+    crop: bool
+    mirror: bool
+    balance: float
+    bf16: bool
+    every: int
+    placements: Placements = field(default_factory=Placements)
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "accumulate", "every"):
+            if not 1 <= getattr(self, name) <= 10**9:
+                raise BadConfig(f"{name} must be at least 1, found {getattr(self, name)!r}")
+        if self.optimiser not in ("sgd", "adamw"):
+            raise BadConfig(f"the optimiser must be sgd or adamw, found {self.optimiser!r}")
+        for name, least, most in _BOUNDS:
+            if not least <= getattr(self, name) <= most:  # also refuses NaN
+                raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
+
+    @staticmethod
+    def from_json(content: Mapping[str, Any]) -> Recipe:
+        """A recipe as `dataclasses.asdict` gave it to a run's folder. Raises TypeError or KeyError for another."""
+        return Recipe(**{**content, "placements": Placements(**content["placements"])})
+
+    def rate_at(self, step: int) -> float:
+        """The last layer's rate in step `step`, counted from 0."""
+        rising = math.ceil(self.warmup * self.steps)
+        if step < rising:
+            return self.rate * (step + 1) / (rising + 1)
+        if not self.cosine:
+            return self.rate
+        return self.rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
+
+    def layer_rates(self, layers: int) -> list[float]:
+        """The share of the rate that each of `layers` layers has, deepest first."""
+        return [self.graded ** (1 - at / max(1, layers - 1)) for at in range(layers)]
+
+
+_BOUNDS: Final = (
+    ("rate", 1e-9, 10),
+    ("graded", 1e-6, 1),
+    ("momentum", 0, 0.9999),
+    ("decay", 0, 1),
+    ("warmup", 0, 1),
+    ("clip", 0, 1e6),
+    ("balance", 0, 1),
+)
+
+PRESETS: Final[dict[str, Recipe]] = {
+    # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.
+    "fcn_alexnet": Recipe(
+        steps=70_000,
+        batch=1,
+        accumulate=20,
+        optimiser="sgd",
+        rate=1e-2,
+        graded=0.01,
+        momentum=0.99,
+        decay=5e-4,
+        warmup=0.0,
+        cosine=False,
+        clip=0.0,
+        crop=False,
+        mirror=False,
+        balance=0.0,
+        bf16=False,
+        every=1,
+    ),
+    "compact": Recipe(
+        steps=10_000,
+        batch=16,
+        accumulate=1,
+        optimiser="adamw",
+        rate=2e-3,
+        graded=1.0,
+        momentum=0.9,
+        decay=0.02,
+        warmup=0.05,
+        cosine=True,
+        clip=5.0,
+        crop=True,
+        mirror=True,
+        balance=0.5,
+        bf16=True,
+        every=4,
+        placements=Placements(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
+    ),
+}
+"""Recipe's name -> recipe. A network has the one of its own name, or else that of `compact`."""
+
+
+def recipe_for(name: str, **changes: Any) -> Recipe:
+    """A preset with some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
+    if name not in PRESETS:
+        raise BadConfig(f"the recipe must be one of {', '.join(PRESETS)}, found {name!r}")
+    return dataclasses.replace(PRESETS[name], **{field: value for field, value in changes.items() if value is not None})

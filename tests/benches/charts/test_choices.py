@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from chart_figures import BY_NAME, RENDERERS, SOURCE, figures_of, panels_of
+
+from benches.charts.choices import CHOICES, Choice
+from benches.charts.fields import Field, read_fields
+from benches.charts.report import described
+from bodyseg_data.core.errors import BadConfig
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+
+
+# What is read out of the benches' figures
+
+
+def test_every_choice_reads_its_points() -> None:
+    (renderer,) = panels_of("renderer")
+    assert [(point.x, point.y) for point in renderer.points] == [(10.0, 0.025), (40.0, 0.36)]
+    assert renderer.default == "bodyseg shard" and "0.003 %" in renderer.points[0].label
+
+    (shadow,) = panels_of("shadow_test")
+    assert [(point.x, point.y) for point in shadow.points] == [(200, 0.003), (600, 0.003), (150, 0.004), (700, 0.02)]
+    assert shadow.default == shadow.points[0].name and len({point.name for point in shadow.points}) == 4
+    assert [(limit.name, limit.x) for limit in shadow.limits] == [("stored mask", 90.0)]
+    assert [point.label for point in shadow.points] == ["four, 6 mm", "four, 6 mm, NumPy", "one, 20 mm, ×2",
+                                                        "one, 20 mm, NumPy"]  # fmt: skip
+
+    (partition,) = panels_of("partition")
+    assert {point.name: (point.x, point.y) for point in partition.points} == {
+        "exact": (250, 0), "edges": (80, 0.04), "heat": (260, 0.02),
+    }  # fmt: skip
+    assert partition.default == "exact" and partition.name == "open bodies (2)"
+
+    whole, scan = panels_of("mesh_resolution")
+    assert (whole.default, scan.default) == ("whole mesh", "within 0.2 mm")
+    assert {point.name: (point.x, point.y) for point in scan.points} == {
+        "whole mesh": (250, 0), "25 % of the triangles": (100, 0.1), "within 0.2 mm": (125, 0.2),
+    }  # fmt: skip
+    assert scan.name == "scan with 0.3 mm noise, 200 000 triangles"
+
+    (codec,) = panels_of("codec")
+    assert {point.name: (point.x, point.y) for point in codec.points} == {
+        "bsi, compiled": (0.25, 30_000), "PNG": (3, 60_000), "zstd 9": (0.14, 63_000),
+    }  # fmt: skip
+
+    none, two = panels_of("loader")
+    assert {point.name: (point.x, point.y) for point in two.points} == {
+        "ours_all": (2500, 33_000), "mds_raw": (1400, 630_000),
+    }  # fmt: skip
+    assert {limit.name: limit.x for limit in none.limits} == {"ours_none": 3000, "memory": 18_000}
+
+    cpu, gpu = panels_of("networks")
+    assert {point.name: (point.x, point.y, point.y_sd) for point in cpu.points} == {
+        "compact": (20, 0.87, 0.01), "compact-half": (10, 0.84, 0.01),
+        "fcn_alexnet": (450, 0.8, 0.01), "forest": (90, 0.55, 0.01),
+    }  # fmt: skip
+    assert cpu.default == "compact" and gpu.default is None and [point.name for point in gpu.points] == ["fcn_alexnet"]
+
+
+def test_a_second_group_of_bodies_has_its_own_panel() -> None:
+    mit = {"frames": ["a", "b", "c"], "methods": {"exact": {"partition_ms": 5.0, "wrong_surface": 0.0}}}
+    assert [panel.name for panel in panels_of("partition", mit=mit)] == ["open bodies (2)", "MIT frames (3)"]
+
+
+def test_renderers_alone_have_a_panel_of_their_own() -> None:
+    alone, files = panels_of("renderer", **RENDERERS)
+    assert {point.name: (point.x, point.y) for point in alone.points} == {
+        "raster": (5.0, 0.0001), "embree": (20.0, 0.0002),
+    }  # fmt: skip
+    assert (alone.default, files.default) == ("raster", "bodyseg shard")
+    assert "embree\n(silhouette off by 0.004 %)" in [point.label for point in alone.points]
+    with pytest.raises(BadConfig, match=r"^render.json: the default 'opengl' is not among: both images alone"):
+        panels_of("renderer", **RENDERERS | {"default_renderer": "opengl"})
+
+
+def test_where_pyrender_cannot_draw_only_renderers_are_left_to_compare() -> None:
+    without = {"range_error_mm": None, "plain_errors": None}
+    assert panels_of("renderer", **without) == ()
+    assert [panel.default for panel in panels_of("renderer", **without, **RENDERERS)] == ["raster"]
+
+
+@pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
+def test_the_stored_figures_can_be_charted(choice: Choice) -> None:
+    file = RESULTS / f"{choice.bench}.json"
+    if not file.exists():
+        pytest.skip(f"{file.name} has not been measured")
+    panels = choice.panels(read_fields(file))
+    assert all(len(panel.points) > 1 for panel in panels)
+    for panel in panels:
+        assert len({point.name for point in panel.points}) == len(panel.points)
+
+
+# What is wrong in a file
+
+
+def test_a_default_that_was_not_measured_is_refused() -> None:
+    with pytest.raises(BadConfig, match=r"^codec.json: the default 'zip' is not among: 60 samples"):
+        panels_of("codec", default="zip")
+
+
+@pytest.mark.parametrize("defaults", [0, 2])
+def test_one_network_is_the_default(defaults: int) -> None:
+    networks = figures_of("architectures")["networks"]
+    for number, network in enumerate(networks.values()):
+        network["default"] = number < defaults
+    with pytest.raises(
+        BadConfig, match=f"^architectures.json: one of the networks must be the default, found {defaults}$"
+    ):
+        panels_of("networks", networks=networks)
+
+
+def test_fields_name_themselves() -> None:
+    field = Field({"a": {"b": [1, {"c": "x"}]}, "t": True, "n": None}, Path("f.json"))
+    assert field["a"]["b"].rows()[0].number() == 1.0 and field["a"]["b"].rows()[1]["c"].text() == "x"
+    assert field["t"].flag() and field.get("n") is None and field.get("a", "z") is None and field.get("t", "z") is None
+    wrong: list[tuple[Callable[[], Any], str]] = [
+        (lambda: field["a"]["z"], "the field 'a.z' is missing"),
+        (lambda: field["t"]["z"], "the field 't' must be an object, found true"),
+        (lambda: field["a"].rows(), "the field 'a' must be a list, found {"),
+        (lambda: field["a"]["b"].rows()[1]["c"].number(), "the field 'a.b.1.c' must be a number of at least 0, found"),
+        (lambda: field["t"].number(), "the field 't' must be a number of at least 0, found true"),
+        (lambda: field["n"].text(), "the field 'n' must be text, found null"),
+        (lambda: field["n"].flag(), "the field 'n' must be true or false, found null"),
+    ]
+    for read, message in wrong:
+        with pytest.raises(BadConfig) as error:
+            read()
+        assert str(error.value).startswith(f"f.json: {message}")
+
+
+@pytest.mark.parametrize("value", [-1, math.nan, math.inf, 10**400, "1", None, [], True])
+def test_a_number_is_finite_and_not_negative(value: Any) -> None:
+    with pytest.raises(BadConfig, match="'x' must be a number of at least 0, found"):
+        Field({"x": value}, Path("f.json"))["x"].number()
+    with pytest.raises(BadConfig, match="'x' must be a number above 0, found 0"):
+        Field({"x": 0}, Path("f.json"))["x"].number(above=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("{", "is not JSON"), ("[1]", "must hold a JSON object, found list"), ("[" * 9**5, "not JSON")],
+)
+def test_a_damaged_file_is_named(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "codec.json"
+    file.write_text(text)
+    with pytest.raises(BadConfig, match=f"codec.json {message}" if message != "not JSON" else message):
+        read_fields(file)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "codec.json").mkdir()
+    with pytest.raises(BadConfig, match=r"^cannot read .*codec.json: Is a directory$"):
+        read_fields(tmp_path / "codec.json")
+    (tmp_path / "loader.json").write_text('{"a": "long"}')
+    monkeypatch.setattr("benches.charts.fields._LARGEST", 5)
+    with pytest.raises(BadConfig, match=r"loader.json is larger than 5 bytes$"):
+        read_fields(tmp_path / "loader.json")
+
+
+# What stands in charts.json
+
+
+def test_a_description_holds_points_front_and_what_beats_the_default() -> None:
+    choice = BY_NAME["mesh_resolution"]
+    told = json.loads(json.dumps(described(choice, panels_of("mesh_resolution"), SOURCE)))
+    whole, scan = told["panels"]
+    assert told["source"] == SOURCE and told["x"]["better"] == "less"
+    assert (whole["default"], whole["default_on_front"], whole["default_beaten_by"]) == ("whole mesh", True, [])
+    assert (scan["default_on_front"], scan["front"]) == (False, ["25 % of the triangles", "whole mesh"])
+    assert scan["default_beaten_by"] == [
+        {"name": "25 % of the triangles", "x_better_by_share": 0.2, "y_better_by_share": 0.5}
+    ]
+    assert scan["points"][2] == {
+        "name": "within 0.2 mm", "label": "0.2 mm", "x": 125.0, "y": 0.2, "on_front": False,
+    }  # fmt: skip
+
+
+def test_a_description_has_spreads_limits_and_panels_without_a_default() -> None:
+    cpu, gpu = described(BY_NAME["networks"], panels_of("networks"), SOURCE)["panels"]
+    assert cpu["points"][0]["y_sd"] == 0.01 and cpu["front"] == ["compact-half", "compact"]
+    assert (gpu["default"], gpu["default_on_front"], gpu["default_beaten_by"]) == (None, None, [])
+    (none, _) = described(BY_NAME["loader"], panels_of("loader"), SOURCE)["panels"]
+    assert none["limits"] == [{"name": "ours_none", "x": 3000.0}, {"name": "memory", "x": 18_000.0}]

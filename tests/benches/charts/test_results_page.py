@@ -1,0 +1,70 @@
+"""The page of results that is committed: its numbers, its figures, its charts."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from benches.charts.choices import CHOICES, Choice
+from benches.charts.fields import read_fields
+from benches.charts.page import render_page, sources_of
+from benches.charts.report import described
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+PAGE = RESULTS / "index.md"
+TEMPLATE = RESULTS / "index.md.in"
+CHARTS = RESULTS / "charts"
+
+
+def pictures() -> list[str]:
+    return re.findall(r"!\[[^\]]*\]\(([^)]+)\)", PAGE.read_text(encoding="utf-8"))
+
+
+def test_the_numbers_of_the_page_are_those_of_the_json() -> None:
+    made = render_page(TEMPLATE.read_text(encoding="utf-8"), RESULTS)
+    assert PAGE.read_text(encoding="utf-8") == made, "make page writes it anew"
+
+
+def test_no_number_of_ours_is_typed_by_hand() -> None:
+    """What stands in the template itself are words, the paper's numbers and sizes of things that are no results."""
+    typed = re.sub(r"\{\{.+?\}\}", "", TEMPLATE.read_text(encoding="utf-8"))
+    assert not re.findall(r"\d\.\d+ ?(?:ms|%|points|times)", typed.replace("81.3 %", ""))
+
+
+@pytest.mark.parametrize("picture", pictures())
+def test_every_figure_has_its_json(picture: str) -> None:
+    path = RESULTS / picture
+    assert path.is_file()
+    if path.parent == CHARTS:
+        told = json.loads((CHARTS / "charts.json").read_text())["charts"][path.stem]
+        assert path.with_suffix(".png").is_file() and path.with_suffix(".svg").is_file()
+        source = RESULTS / told["source"]["file"]
+    else:
+        source = next(file for file in RESULTS.glob("*.json") if path.stem.startswith(file.stem))
+    content = json.loads(source.read_text())
+    assert content["command"] and content["commit"] and content["hardware"]
+
+
+def test_every_link_leads_somewhere() -> None:
+    for link in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", PAGE.read_text(encoding="utf-8")):
+        assert "://" in link or (RESULTS / link).exists(), link
+
+
+@pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
+def test_the_charts_are_of_the_figures_beside_them(choice: Choice) -> None:
+
+    fields = read_fields(RESULTS / f"{choice.bench}.json")
+    source = {name: fields[name].text() for name in ("command", "commit", "hardware")}
+    made = described(choice, choice.panels(fields), {"file": fields.file.name, **source})
+    told = json.loads((CHARTS / "charts.json").read_text())
+    assert told["charts"][choice.name] == json.loads(json.dumps(made))
+    assert told["left_out"] == []
+
+
+def test_the_page_reads_every_kind_of_result() -> None:
+    read = set(sources_of(TEMPLATE.read_text(encoding="utf-8")))
+    assert {f"{choice.bench}.json" for choice in CHOICES} <= read | {"reduction.json", "partition.json"}
+    assert {"stability.json", "ablation.json", "failures.json", "compact.json", "compact_hard.json"} <= read

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bodyseg_data.core import kernels
+from benches.data.codec import bench
+from benches.data.codec.bench import DEFAULT, bench_codec
+from benches.data.codec.figure import draw_codec
+from benches.data.codec.baselines import Rival, rivals
+from bodyseg_data.core.errors import BadConfig
+
+pytest.importorskip("imagecodecs")
+pytest.importorskip("numba")
+
+
+@pytest.fixture(scope="module")
+def figures() -> dict[str, Any]:
+    return bench_codec(views=2)
+
+
+def test_no_views_are_refused() -> None:
+    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
+        bench_codec(views=0)
+
+
+@pytest.mark.parametrize("rival", rivals(), ids=lambda rival: rival.name)
+def test_every_rival_gives_back_any_image(rival: Rival) -> None:
+    """Else its bytes would say nothing."""
+    generator = np.random.default_rng(0)
+    slope = (21_000 + np.add.outer(np.arange(40) * 7, np.arange(33) * 3)).astype(np.uint16)
+    framed = np.zeros((64, 51), np.uint16)
+    framed[9:49, 5:38] = slope
+    noise = generator.integers(0, 65536, (33, 17)).astype(np.uint16)
+    labels = np.where(framed > 0, framed // 700, 255).astype(np.uint8)
+    for image, background in ((framed, 0), (noise, 0), (labels, 255)):
+        decoded = rival.decode(rival.encode(image, background))
+        assert decoded.dtype == image.dtype and np.array_equal(decoded, image)
+
+
+def test_the_default_is_on_the_front_and_small_enough(figures: dict[str, Any]) -> None:
+    rows = figures["codecs"]
+    assert figures["default"] == DEFAULT and {"PNG", "JPEG-LS", "LERC", "bsi, NumPy", DEFAULT} < set(rows)
+    for row in rows.values():
+        assert set(row) == {"bytes", "encode_ms", "decode_ms", "decode_ms_without_projector", "images"}
+        assert row["bytes"] == sum(image["bytes"] for image in row["images"].values()) and row["decode_ms"] > 0
+    assert rows[DEFAULT]["bytes"] == rows["bsi, NumPy"]["bytes"] < 50_000
+    assert rows[DEFAULT]["bytes"] < min(rows[name]["bytes"] for name in ("PNG", "JPEG-LS", "two-way, bytes, zstd 1"))
+    assert figures["png_sets"]["times_smaller"] > 6
+    assert figures["projector"]["pixels_in_another_light"] == 0 and figures["projector"]["bytes_saved"] > 0
+
+
+def test_a_front_holds_what_nothing_beats_in_both() -> None:
+    rows = {
+        "small": {"bytes": 1, "decode_ms": 3.0},
+        "both": {"bytes": 2, "decode_ms": 2.0},
+        "beaten": {"bytes": 3, "decode_ms": 2.5},
+        "quick": {"bytes": 9, "decode_ms": 1.0},
+    }
+    assert bench._front(rows) == ["small", "both", "quick"]
+
+
+def test_a_codec_that_loses_anything_stops_the_bench(monkeypatch: pytest.MonkeyPatch) -> None:
+    lossy = Rival("lossy", lambda image, background: b"", lambda data: np.zeros((640, 329), np.uint16))
+    monkeypatch.setattr(bench, "rivals", lambda: [lossy])
+    with pytest.raises(AssertionError, match="lossy is not lossless"):
+        bench_codec(views=1)
+
+
+def test_the_environment_is_as_it_was(figures: dict[str, Any]) -> None:
+    before = os.environ.get(kernels.VARIABLE)
+    with bench._computed_by("numpy"):
+        assert not kernels.use_compiled()
+    assert os.environ.get(kernels.VARIABLE) == before
+
+
+def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    draw_codec(figures, tmp_path / "codec.png")
+    with Image.open(tmp_path / "codec.png") as picture:
+        assert min(picture.size) > 500
+    with pytest.raises(BadConfig, match="cannot write"):
+        draw_codec(figures, tmp_path / "nowhere" / "codec.png")

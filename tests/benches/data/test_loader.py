@@ -1,0 +1,267 @@
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from bodyseg_data.commands import cli
+from benches.data.loader import bench
+from benches.data.loader import limits as loader_limits, litdata as loader_litdata, mds as loader_mds
+from benches.data.loader.figure import _TITLES, draw_loader
+from benches.data.loader.limits import limits, ratio
+from benches.data.loader.passes import Passes, _check, _Open, _run, checksum_of
+from benches.data.loader.processes import private_mb, processor_seconds
+from benches.data.loader.baselines import Premade, folder_bytes
+from bodyseg_data.core.errors import BadConfig, BadSample
+from bodyseg_data.loading.range_images import Batch, RangeImages
+
+# webdataset leaves the tars it has read to the garbage collector.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
+
+NAMES = [f"ours_{variant}" for variant in ("none", "occ", "noise", "md", "all")] + list(bench.rivals())
+
+
+def absent(*_: Any) -> Any:
+    raise ImportError("no such package")
+
+
+def locks() -> set[str]:
+    return {path.name for path in Path(tempfile.gettempdir()).glob("*_filelock")}
+
+
+@pytest.fixture(scope="module")
+def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A whole measurement, where some opponents are not installed."""
+    ticks: list[tuple[int, int]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loader_mds, "streaming", absent)
+        patch.setattr(bench, "LitData", loader_mds.Mds)
+        patch.setattr(loader_limits, "_PNG_SAMPLES", 2)
+        patch.setattr(bench, "_PACKAGES", ("torch", "no-such-package"))
+        found = bench.measure(
+            figures_set,
+            tmp_path_factory.mktemp("sets"),
+            batch=3,
+            rounds=2,
+            progress=lambda done, total: ticks.append((done, total)),
+        )
+    done, totals = zip(*ticks, strict=True)
+    assert list(done) == sorted(done) and done[0] == 1 and {done[-1]} == set(totals)
+    return found
+
+
+def test_every_contender_is_measured_or_null(figures: dict[str, Any]) -> None:
+    assert figures["missing"] == ["mds_raw", "mds_zstd", "litdata"]
+    for table in ("samples_per_second", "processor_ms_per_sample", "worker_mb", "spread", "rounds_of"):
+        assert list(figures[table]) == NAMES
+        for name, found in figures[table].items():
+            if name in figures["missing"]:
+                assert found == {"0": None, "2": None}
+            elif table == "worker_mb":
+                assert found["0"] is None and found["2"] > 0
+            elif table == "rounds_of":
+                assert all(len(rates) == 2 and min(rates) > 0 for rates in found.values())
+            else:
+                assert min(found.values()) >= 0
+    assert figures["bytes_per_sample"]["mds_raw"] is None
+    assert figures["versions"]["torch"] and figures["versions"]["no-such-package"] is None
+    assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 2)
+
+
+def test_bytes_are_those_on_disk(figures: dict[str, Any], figures_set: Path) -> None:
+    sizes = figures["bytes_per_sample"]
+    assert sizes["ours_all"] == sizes["ours_none"] == round(folder_bytes(figures_set) / 24)
+    assert sizes["memory"] == 640 * 329 * 5
+    assert sizes["png_files"] < sizes["webdataset_png"] < sizes["png_files"] + 12_000, "tars are padded"
+    assert figures["five_png_bytes_per_sample"] > 2.5 * sizes["png_files"], "other variants have less noise in them"
+    assert figures["kept_bytes_per_sample"] == sizes
+
+
+def test_threads_are_given_back() -> None:
+    before = torch.get_num_threads()
+    with bench._threads(1) as threads:
+        assert threads == torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before
+    with bench._threads(before + 3) as threads:
+        assert threads == before
+
+
+def test_the_absent_are_named_in_one_line(
+    figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(loader_mds, "streaming", absent)
+    images = Premade(RangeImages(figures_set))
+    assert bench._written("mds_raw", loader_mds.Mds(), images, tmp_path / "mds") is None
+    assert capsys.readouterr().err == "mds_raw: not installed: tools/install_rivals (no such package)\n"
+
+
+@pytest.mark.parametrize("name", bench.rivals())
+def test_opponents_deliver_what_was_stored(name: str, figures_set: Path, tmp_path: Path) -> None:
+    """Webdataset's own decoder, for one, would not: it leaves 8 of 16 bits."""
+    premade, rival = Premade(RangeImages(figures_set)), bench.rivals()[name]
+    try:
+        size = rival.write(premade, tmp_path)
+    except ImportError as error:
+        pytest.skip(f"{name} is not installed: {error}")
+    before = locks()
+    expected = {image.key: checksum_of(image) for image in premade}
+    for workers in (0, 2):
+        batches = rival.open(tmp_path, 5, workers)
+        _check(name, batches, expected)
+        for one in batches:
+            assert one["range"].dtype == torch.float32 and one["labels"].dtype == torch.uint8
+            assert one["range"].shape[1:] == (1, 640, 329) and one["labels"].shape[1:] == (640, 329)
+            assert len(one["range"]) == len(one["labels"]) == len(one["key"]) <= 5
+        del batches, one
+        rival.close()
+        assert locks() == before
+    if name == "mds_zstd":
+        assert folder_bytes(tmp_path) > 24 * 640 * 329 * 3 > 5 * size, "it keeps both forms"
+
+
+def test_an_unknown_image_is_not_premade(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    premade = Premade(images)
+    assert len(list(premade)) == len(premade) == 24
+    assert np.array_equal(premade[3].range, images.image(3, 0).range)
+    with pytest.raises(IndexError):
+        premade[24]
+
+
+def batch_of(images: list[Any]) -> Batch:
+    ranges = [torch.from_numpy(image.range[None].astype(np.float32) * np.float32(1e-4)) for image in images]
+    labels = [torch.from_numpy(image.labels.copy()) for image in images]
+    return {"range": torch.stack(ranges), "labels": torch.stack(labels), "key": [image.key for image in images]}
+
+
+def test_other_pixels_doubles_and_losses_are_seen(figures_set: Path) -> None:
+    images = list(Premade(RangeImages(figures_set)))[:3]
+    expected = {image.key: checksum_of(image) for image in images}
+    _check("x", [batch_of(images)], expected)
+    with pytest.raises(BadSample, match="x delivers 2 of 3 samples in a pass"):
+        _check("x", [batch_of(images[:2])], expected)
+    with pytest.raises(BadSample, match=f"x delivers {images[0].key} twice in a pass"):
+        _check("x", [batch_of([*images, images[0]])], expected)
+    for change in ("range", "labels"):
+        spoilt = batch_of(images)
+        spoilt[change][1].view(-1)[70_000] += 1  # type: ignore[literal-required]
+        with pytest.raises(BadSample, match=f"x delivers {images[1].key}: float32 .* not what was stored"):
+            _check("x", [spoilt], expected)
+
+
+def test_a_batch_that_is_used_again_too_soon_is_seen(figures_set: Path) -> None:
+    images = list(Premade(RangeImages(figures_set)))[:4]
+
+    def reusing() -> Iterator[Batch]:
+        one = batch_of(images[:2])
+        yield one
+        later = batch_of(images[2:])
+        one["range"].copy_(later["range"])
+        one["labels"].copy_(later["labels"])
+        yield {**one, "key": later["key"]}
+
+    with pytest.raises(BadSample, match=f"x has overwritten a batch that is in use: {images[0].key}"):
+        _check("x", reusing(), {image.key: checksum_of(image) for image in images})
+
+
+def test_only_a_bench_that_loads_takes_workers(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "render", "--workers", "2"]) == 2
+    assert "--workers is for bench loader, found it with bench render" in capsys.readouterr().err
+    assert cli.main(["bench", "loader", "--views", "18", "--workers", "0", "4"]) == 2
+    assert "at least 320 samples are needed with 4 workers, found 18" in capsys.readouterr().err
+
+
+class Slow:
+    """Five batches of two samples; the first one of each of two workers takes its time."""
+
+    def __iter__(self) -> Iterator[Any]:
+        for number in range(5):
+            time.sleep(0.2 if number < 2 else 0.001)
+            yield {"key": ["a", "b"]}
+
+
+def test_the_clock_starts_after_one_batch_of_each_worker() -> None:
+    found = Passes()
+    _run(_Open(Slow(), [os.getpid()]), 2, found)  # a rate that counted the first two would be below 25
+    assert len(found.rates) == 1 and 60 < found.rates[0] < 6_100
+    assert found.samples == 10 and found.seconds is not None and found.seconds >= 0
+
+
+def test_processes_are_measured_where_the_system_tells() -> None:
+    here = [os.getpid()]
+    before = processor_seconds(here)
+    while time.process_time() < 0.05:
+        pass
+    assert before is not None and 0.02 < before <= (processor_seconds(here) or 0.0) < 3_600
+    assert (private_mb(here) or 0.0) > 10
+    assert processor_seconds([]) == 0 and private_mb([]) is None
+    assert processor_seconds([2**22 + 1]) is None and private_mb([2**22 + 1]) is None
+
+
+def test_ratios_are_medians_over_rounds() -> None:
+    rounds = {"a": {"2": [10.0, 90.0, 30.0]}, "b": {"2": [10.0, 30.0, 20.0]}}
+    assert ratio(rounds, "2", "a", "b") == 1.5
+    assert ratio({**rounds, "b": {}}, "2", "a", "b") is None
+
+
+def test_limits_say_whether_they_hold() -> None:
+    rates = {"ours_all": 100.0, "ours_none": 136.0, "webdataset_png": 40.0, "mds_raw": 101.0, "memory": 133.0}
+    rounds = {name: {"0": [rate], "2": [rate]} for name, rate in rates.items()}
+    found = {limit["what"]: limit for limit in limits(rounds, {"ours_all": 50_001}, 300_006)}
+    assert {what: limit["holds"] for what, limit in found.items()} == {
+        "all / webdataset_png, 0 workers": True,
+        "all / webdataset_png, 2 workers": True,
+        "all / mds_raw, 2 workers": False,
+        "all / memory, 2 workers": True,
+        "time of all / time of none, 0 workers": False,
+        "time of all / time of none, 2 workers": False,
+        "bytes a sample": False,
+        "bytes / bytes of five PNG sets": True,
+    }
+    assert found["all / webdataset_png, 0 workers"]["measured"] == 2.5
+    rounds["mds_raw"] = {}
+    missing = {limit["what"]: limit for limit in limits(rounds, {"ours_all": 50_000}, 290_000)}
+    assert missing["all / mds_raw, 2 workers"]["measured"] is missing["all / mds_raw, 2 workers"]["holds"] is None
+    assert missing["bytes a sample"]["holds"] and not missing["bytes / bytes of five PNG sets"]["holds"]
+
+
+@pytest.mark.parametrize(
+    ("views", "workers", "message"),
+    [
+        (100, (0, 2), "at least 160 samples are needed with 2 workers, found 108"),
+        (0, (0,), "at least 80 samples are needed with 0 workers, found 0"),
+        (1080, (0, 16), "at least 1280 samples are needed with 16 workers, found 1080"),
+        (1080, (2, 2), "--workers takes different numbers of at least 0, found 2 2"),
+        (1080, (-1,), "--workers takes different numbers of at least 0, found -1"),
+    ],
+)
+def test_too_little_to_measure_is_refused(views: int, workers: tuple[int, ...], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        bench.bench_loader(views, workers)
+
+
+def test_a_figure_has_a_row_for_every_contender(figures: dict[str, Any], tmp_path: Path) -> None:
+    assert sorted(_TITLES) == sorted(NAMES)
+    draw_loader(figures, tmp_path / "chart.png")
+    with Image.open(tmp_path / "chart.png") as chart:
+        assert chart.width > 1000
+    with pytest.raises(BadConfig, match="cannot write"):
+        draw_loader(figures, tmp_path / "nowhere" / "chart.png")
+
+
+def test_litdata_leaves_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DATA_OPTIMIZER_CACHE_FOLDER", "mine")
+    monkeypatch.delenv("DATA_OPTIMIZER_DATA_CACHE_FOLDER", raising=False)
+    with loader_litdata._scratch():
+        place = Path(os.environ["DATA_OPTIMIZER_CACHE_FOLDER"]).parent
+        assert place.is_dir() and place == Path(os.environ["DATA_OPTIMIZER_DATA_CACHE_FOLDER"]).parent
+    assert os.environ["DATA_OPTIMIZER_CACHE_FOLDER"] == "mine" and not place.exists()
+    assert "DATA_OPTIMIZER_DATA_CACHE_FOLDER" not in os.environ

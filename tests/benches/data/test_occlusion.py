@@ -1,0 +1,196 @@
+"""The bench of shadow tests: its scenes, what it says must be stored, its rivals, what it counts and draws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import figure
+
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from benches.data.occlusion import bench
+from benches.data.occlusion.bench import bench_occlusion
+from benches.data.occlusion.figure import draw_occlusion
+from benches.data.occlusion.baselines import DEFAULT, methods, nearest, plane, votes
+from benches.data.occlusion.stored import Storage, exact_masks, facing_bytes
+from benches.data.occlusion.tallies import SCENES
+from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, projector_scaled, with_baseline
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.views import View
+
+
+@pytest.fixture(scope="module")
+def seen() -> ExactView:
+    mesh = figure()
+    landmarks = np.random.default_rng(0).choice(len(mesh.vertices), 33, replace=False).astype(np.int64)
+    parts = partition(mesh, landmarks)
+    ref = BodyRef("A", "A", mesh.name, "standing", "train")
+    body = Body(mesh, landmarks)
+    return exact_view(load_rig(), EmbreeRenderer(mesh), body, ref, View(255, 20), parts=parts, scales=(0.5, 1))
+
+
+@pytest.fixture(scope="module")
+def storage(seen: ExactView) -> Storage:
+    return Storage(seen, {scale: ShadowTest(projector_scaled(load_rig(), scale)) for scale in (0.5, 1)})
+
+
+def test_every_method_is_tried_once() -> None:
+    tried = methods()
+    assert tried[0] == DEFAULT
+    assert len(set(tried)) == len(tried) > 200
+    for family in {method.family for method in tried}:
+        for facing_bit in (True, False):
+            scales = {m.projector_scale for m in tried if (m.family, m.facing_bit) == (family, facing_bit)}
+            assert scales == {0.5, 1, 2, 3}
+
+
+def test_what_is_stored_gives_the_mask_of_the_whole_image(storage: Storage) -> None:
+    view, fewer = storage.view, 0
+    for method in methods():
+        if method.projector_scale in storage.tests:
+            test, whole, stored = storage.tests[method.projector_scale], storage.whole(method), storage.of(method)
+            expected = method.lit(test, (view.range, whole.image, view.facing))
+            np.testing.assert_array_equal(
+                method.lit(test, (view.range, stored.image, view.facing)), expected, method.name
+            )
+            assert (method.stored == "whole") == (stored is whole)
+            if method.stored == "coarse":
+                fewer += 1
+                assert len(np.unique(stored.image)) < len(np.unique(whole.image)) / 2
+    assert fewer > 20
+
+
+def test_less_is_stored_for_a_larger_bias_and_for_coarser_ranges(storage: Storage) -> None:
+    shading = replace(DEFAULT, stored="shading")
+    biases = [storage.of(replace(shading, bias_mm=bias)).cost()[0] for bias in (2.0, 6.0, 20.0)]
+    assert biases[0] > biases[1] > biases[2]
+    kinds = [storage.of(replace(DEFAULT, stored=stored)).cost()[0] for stored in ("whole", "shading", "coarse")]
+    assert kinds[0] > kinds[1] > 2 * kinds[2]
+    for step_mm in (1.0, 8.0):
+        rounded = storage.of(replace(shading, step_mm=step_mm)).image
+        kept = rounded > 0
+        assert kept.any() and (rounded % (step_mm * 10) == 0).all()
+        assert np.abs(rounded[kept].astype(int) - storage.view.projector_range[1][kept]).max() <= step_mm * 5
+        assert storage.of(replace(shading, step_mm=step_mm)).cost()[0] < kinds[1]
+
+
+def test_the_default_is_the_shadow_test_on_what_shards_hold(storage: Storage) -> None:
+    view, test = storage.view, storage.tests[1]
+    assert storage.of(DEFAULT).image is view.sample.projector_range
+    expected = test.lit(*view.images(1))
+    np.testing.assert_array_equal(DEFAULT.lit(test, (view.range, storage.of(DEFAULT).image, view.facing)), expected)
+
+
+def test_scenes_are_what_they_say(seen: ExactView) -> None:
+    assert seen.grazing.any() and seen.thin.any() and seen.thin_shadow.any()
+    for mask in (seen.grazing, seen.contact, seen.thin_shadow):
+        assert not (mask & ~(seen.facing & seen.inside)).any()
+    assert not (seen.contact & seen.lit).any()
+    dark = seen.inside & ~seen.lit
+    assert not (seen.thin_shadow & ~(grown(seen.lit, 2) & grown(dark, 2))).any()
+    assert seen.grazing.sum() < seen.facing.sum() / 3
+    thin_labels = set(np.unique(seen.sample.labels[seen.thin]))
+    assert thin_labels <= {19, 20, 21, 22, 29, 30, 31, 32}
+
+
+def test_rigs_of_other_images_and_baselines() -> None:
+    rig = load_rig()
+    for factor in (1, 2, 3):
+        assert projector_scaled(rig, factor) == rig.with_projector_scale(factor)
+    half = projector_scaled(rig, 0.5).projector
+    assert (half.rows, half.columns) == (320, 165)
+    assert half.focal_px == rig.projector.focal_px / 2
+    for baseline_m in (0.3, 0.75, 1.5):
+        other = with_baseline(rig, baseline_m)
+        assert other.baseline_m == pytest.approx(baseline_m)
+        assert other.camera == rig.camera and other.projector.aims_at_m == rig.projector.aims_at_m
+        assert other.projector.position_m[0] < 0
+
+
+def test_a_slope_is_no_shadow_to_those_who_know_it() -> None:
+    rows, columns = np.mgrid[:12, :15]
+    image = (20_000 + 90 * columns - 40 * rows).astype(np.uint16)
+    draws = np.random.default_rng(0)
+    x, y = draws.uniform(1, 13, 200).astype(np.float32), draws.uniform(1, 10, 200).astype(np.float32)
+    on_it = (20_000 + 90 * x - 40 * y).astype(np.float32)
+    assert plane(0.2)(image, x, y, on_it).all()
+    assert nearest(0.2, slope=0.5)(image, x, y, on_it).all()
+    assert votes(0.2, slope=1.0)(image, x, y, on_it).all()
+    assert not nearest(0.2)(image, x, y, on_it).all()
+    behind = on_it + np.float32(300)
+    for rule in (plane(0.2), nearest(0.2, slope=0.5), votes(0.2, slope=1.0), nearest(0.2)):
+        assert not rule(image, x, y, behind).any()
+        assert rule(np.zeros_like(image), x, y, behind).all()
+
+
+def test_the_exact_mask_is_stored_in_few_bytes(seen: ExactView) -> None:
+    costs = exact_masks(seen)
+    assert set(costs) == {"bit of the label byte", "image by the codec", "packed bits, zstd"}
+    assert all(size < 10_000 and 0 < seconds < 0.1 for size, seconds in costs.values())
+    assert abs(facing_bytes(seen)) < 10_000
+
+
+@pytest.fixture(scope="module")
+def figures() -> dict[str, Any]:
+    pytest.importorskip("anny")
+    biases = {"nearest texel": (10, 20), "votes of four texels": (20,), DEFAULT.family: (DEFAULT.bias_mm,)}
+    chosen = [
+        method
+        for method in methods()
+        if method.step_mm == 0.1 and not method.note and method.bias_mm in biases.get(method.family, (10,))
+        if method.projector_scale >= 1 and (method.facing_bit or method.projector_scale == 1)
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "methods", lambda: chosen)
+        patch.setattr(bench, "GROUPS", (GROUPS[0], GROUPS[1], GROUPS[4]))
+        seen: list[tuple[int, int]] = []
+        measured = bench_occlusion(2, lambda done, total: seen.append((done, total)))
+    assert seen == [(step, 4) for step in range(1, 5)]
+    return measured
+
+
+def test_the_bench_writes_what_it_promises(figures: dict[str, Any]) -> None:
+    json.dumps(figures)
+    assert figures["default"]["wrong_pixels"] < 0.01 and figures["default"]["us_per_view"] > 0
+    for row in figures["methods"]:
+        assert {"name", "bias", "projector_scale", "wrong_pixels", "us_per_view", "bytes", "facing_bit"} <= set(row)
+        assert 0 <= row["wrong_pixels"] < 0.1 and row["us_per_view"] > 0
+        assert row["wrong_pixels"] == pytest.approx(row["false_lit"] + row["false_shadow"], abs=2e-6)
+    *maps, mask = figures["methods"]
+    assert mask["wrong_pixels"] == 0 and 0 < mask["bytes"] < 10_000
+    for row in maps:
+        assert set(row["scenes"]) == set(SCENES)
+        assert row["scenes"]["ordinary views"] == row["wrong_pixels"]
+        assert row["differing_pixels"] == 0
+    finest = [row["wrong_pixels"] for row in maps if row["family"] == DEFAULT.family and row["facing_bit"]]
+    assert min(finest) < figures["default"]["wrong_pixels"]
+    assert figures["scenes"]["contact shadows, under 20 mm"]["pixels"] > 0
+    forms = {row["form"] for row in maps}
+    assert forms == ({"numpy", "compiled"} if find_spec("numba") else {"numpy"})
+    assert figures["default"]["form"] == ("compiled" if find_spec("numba") else "numpy")
+
+
+def test_the_bench_needs_a_view() -> None:
+    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
+        bench_occlusion(0)
+
+
+def test_chart_and_worst_errors_are_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
+    few = {**figures, "worst_crops": figures["worst_crops"][:1]}
+    draw_occlusion(few, tmp_path / "chart.png")
+    for name in ("chart.png", "chart_errors.png"):
+        with Image.open(tmp_path / name) as image:
+            grey = np.asarray(image.convert("L"))
+            assert grey.shape[1] > 1500 and 0.005 < (grey < 150).mean() < 0.5
+    with pytest.raises(BadConfig, match="cannot write .*: "):
+        draw_occlusion(few, tmp_path / "nowhere" / "chart.png")

@@ -1,0 +1,137 @@
+"""The bench of ways to measure distance, on small bodies: what it breaks, counts, draws and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import ball
+
+from benches.data.surface import partition as bench
+from benches.data.surface.broken_bodies import CASES, scan, sound
+from benches.data.surface.partition import METHODS, bench_partition, wrong_surface
+from benches.data.surface.partition_figure import draw_partition
+from bodyseg_data.bodies.source import Body, BodyRef
+from benches.bench import Options, run
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.partition.surface_parts import partition
+
+
+def round_body(subdivisions: int = 4) -> Body:
+    mesh = ball(subdivisions=subdivisions)
+    return Body(mesh, np.random.default_rng(0).choice(len(mesh.vertices), 33, replace=False).astype(np.int64))
+
+
+class Balls:
+    """A source of two balls."""
+
+    name = "balls"
+
+    def bodies(self) -> list[BodyRef]:
+        return [BodyRef("A", "A", f"ball-{size}", "standing", "train") for size in (3, 4)]
+
+    def build(self, body: BodyRef) -> Body:
+        return round_body(int(body.mesh[-1]))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_broken_body_is_a_body_whose_triangles_lie_in_the_sound_one(case: str) -> None:
+    whole = round_body()
+    step = CASES[case]
+    options = {"triangles": 12_000, "noise_m": 0.0} if step is scan else {}
+    broken = step(sound(whole), np.random.default_rng(3), **options)
+    again = step(sound(whole), np.random.default_rng(3), **options)
+    np.testing.assert_array_equal(broken.vertices, again.vertices)
+    np.testing.assert_array_equal(broken.faces, again.faces)
+    body = broken.body(case)
+    np.testing.assert_allclose(body.mesh.vertices[body.landmarks], whole.mesh.vertices[whole.landmarks])
+    inside = broken.parent >= 0
+    middles = body.mesh.vertices[body.mesh.faces[inside]].mean(axis=1)
+    weights = whole.mesh.barycentric(broken.parent[inside].astype(np.int32), middles)
+    assert weights.min() > -1e-6
+    normals = whole.mesh.normals[broken.parent[inside]]
+    corner = whole.mesh.vertices[whole.mesh.faces[broken.parent[inside], 0]]
+    assert np.abs(np.einsum("ni,ni->n", middles - corner, normals)).max() < 1e-9
+    if case.startswith("scan"):
+        assert len(broken.faces) == 12_000
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_labels_the_worst_body_with_the_parts_around_each_point(method: Any) -> None:
+    body = CASES["all of these"](sound(round_body()), np.random.default_rng(5)).body("worst")
+    parts = partition(body.mesh, body.landmarks, method)
+    assert parts.note is not None and "\n" not in parts.note
+    np.testing.assert_array_equal(parts.labels[body.landmarks], np.arange(33))
+    assert np.isfinite(parts.borders.distance).all() and parts.borders.distance.min() >= 0
+    faces = np.arange(len(body.mesh.faces)).repeat(3).astype(np.int32)
+    weights = np.random.default_rng(0).dirichlet([1, 1, 1], len(faces))
+    points = np.einsum("nc,ncd->nd", weights, body.mesh.vertices[body.mesh.faces[faces]])
+    labels = parts.labels_at(body.mesh, faces, points)
+    assert (labels[:, None] == parts.labels[body.mesh.faces[faces]]).any(axis=1).all()
+
+
+def test_wrong_surface_is_the_share_of_the_area() -> None:
+    body = round_body(3)
+    exact = partition(body.mesh, body.landmarks)
+    parent = np.arange(len(body.mesh.faces))
+    assert wrong_surface(body.mesh, exact, body.mesh, exact, parent) == 0
+    turned = partition(body.mesh, np.roll(body.landmarks, 1))  # the same parts, every one with another name
+    assert wrong_surface(body.mesh, turned, body.mesh, exact, parent) == 1
+    south = body.mesh.vertices[body.mesh.faces].mean(axis=1)[:, 1] < 0.9
+    near = wrong_surface(body.mesh, partition(body.mesh, body.landmarks, "edges"), body.mesh, exact, parent)
+    assert 0 < near < 0.1
+    assert wrong_surface(body.mesh, turned, body.mesh, exact, np.where(south, parent, -1)) == 1
+
+
+@pytest.fixture(scope="module")
+def figures() -> dict[str, Any]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "open_source", lambda *name: Balls())
+        patch.setattr(bench, "_OPEN_BODIES", 2)
+        patch.setattr(bench, "_MIT_FRAMES", 1)
+        patch.setattr(bench, "_REPEATS", 1)
+        cases = {"doubled faces": CASES["doubled faces"], "scan of 200 000 triangles": scan}
+        patch.setattr(scan, "__defaults__", (8000, 0.0003))
+        patch.setattr(bench, "CASES", cases)
+        seen: list[tuple[int, int]] = []
+        measured = bench_partition(Path("frames"), lambda done, total: seen.append((done, total)))
+        assert seen == [(step, 5) for step in range(1, 6)]
+        return measured
+
+
+def test_every_method_is_measured_on_every_body(figures: dict[str, Any]) -> None:
+    json.dumps(figures)
+    assert list(figures["methods"]) == list(METHODS)
+    assert figures["default"] == "exact"
+    assert figures["methods"]["exact"]["wrong_surface"] == 0
+    for name in METHODS[1:]:
+        for methods in (figures["methods"], figures["mit"]["methods"]):
+            assert 0 < methods[name]["wrong_surface"] < 0.2
+            assert methods[name]["ms"] > 0 and methods[name]["distance_error_mm"] > 0
+    doubled = figures["bodies"]["doubled faces"]["methods"]
+    assert doubled["exact"]["as_it_is"].startswith("the method 'exact' cannot answer: a face needs three")
+    assert doubled["exact"]["wrong_surface"] < 1e-3
+    assert "50 faces with no more than two places left out, 550 doubled faces" in doubled["exact"]["note"]
+    assert figures["bodies"]["scan of 200 000 triangles"]["methods"]["exact"]["wrong_surface"] == 0
+
+
+def test_the_chart_is_drawn_with_and_without_frames(figures: dict[str, Any], tmp_path: Path) -> None:
+    for name, mit in (("with.png", figures["mit"]), ("without.png", "not measured")):
+        draw_partition({**figures, "mit": mit}, tmp_path / name)
+        with Image.open(tmp_path / name) as image:
+            assert image.size == (1560, 1080)
+            grey = np.asarray(image.convert("L"))
+            assert 0.01 < (grey < 100).mean() < 0.3
+    with pytest.raises(BadConfig, match="cannot write .*: "):
+        draw_partition(figures, tmp_path / "nowhere" / "x.png")
+
+
+def test_options_of_other_benches_are_refused() -> None:
+    with pytest.raises(BadConfig, match="bench partition measures whole bodies: leave --views out"):
+        run(Options("partition", views=3))
+    with pytest.raises(BadConfig, match="--mit is for bench partition.*, found it with bench borders"):
+        run(Options("borders", mit=Path("x")))

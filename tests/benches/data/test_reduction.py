@@ -1,0 +1,98 @@
+"""`bench reduction` writes what it promises, and its chart can be drawn from that."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import figure
+
+from benches.data.surface import reduction as benches
+from benches.data.surface.reduction_figure import draw_reduction
+from bodyseg_data.bodies.source import Body
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.meshes.repair import load_pymeshlab
+
+BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
+
+
+@pytest.fixture(scope="module")
+def figures() -> dict[str, Any]:
+    try:
+        load_pymeshlab("these tests")
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+    steps: list[tuple[int, int]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(benches, "_open_bodies", lambda: [BODY])
+        patch.setattr(benches, "SHARES", (1.0, 0.5, 0.25))
+        patch.setattr(benches, "TOLERANCES_MM", (0.2, 1.0))
+        patch.setattr(benches, "_EDGE_MM", 40)
+        patch.setattr(benches, "_GROWN_MM", (45,))
+        patch.setattr(benches, "_SCAN", 9000)
+        patch.setattr(benches, "_HALF_A_SCAN", 8000)
+        made = benches.bench_reduction(1, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(done, 5) for done in range(1, 6)]
+    return made
+
+
+def test_every_kind_has_its_rows(figures: dict[str, Any]) -> None:
+    assert set(figures["kinds"]) == {"open", "smooth scan", "rough scan"}
+    for kind in figures["kinds"].values():
+        assert [row["share"] for row in kind["shares"]] == [1.0, 0.5, 0.25]
+        assert [row["tolerance_mm"] for row in kind["tolerances"]] == [0.2, 1.0]
+        for row in (*kind["shares"], *kind["tolerances"]):
+            assert row["views_per_second"] > 0
+            assert row["p95_mm"] <= row["max_mm"]
+
+
+def test_a_whole_mesh_has_no_error_and_coarser_ones_have_more(figures: dict[str, Any]) -> None:
+    for kind in figures["kinds"].values():
+        whole, half, quarter = kind["shares"]
+        for error in ("rms_mm", "p95_mm", "max_mm", "silhouette", "labels", "facing", "other_surface"):
+            assert whole[error] == 0
+        assert 0 < half["p95_mm"] < quarter["p95_mm"]
+        assert half["triangles"] < 0.6 * whole["triangles"]
+        assert whole["reduce_ms"] == 0 < half["reduce_ms"] < quarter["reduce_ms"]
+
+
+def test_tolerances_are_kept(figures: dict[str, Any]) -> None:
+    for kind in figures["kinds"].values():
+        for row in kind["tolerances"]:
+            assert row["p95_mm"] <= 1.3 * row["tolerance_mm"]  # probes and views are not the same pixels
+
+
+def test_it_is_shown_where_reducing_pays(figures: dict[str, Any]) -> None:
+    assert [row["kind"] for row in figures["pays"]] == [
+        "open",
+        "smooth scan",
+        "rough scan",
+        "smooth scan",
+        "rough scan",
+    ]
+    for row in figures["pays"]:
+        assert row["reduced_to"] <= row["triangles"]
+        assert set(row["views_per_second"]) == {"whole", "reduced"}
+
+
+def test_both_ways_to_label_are_there(figures: dict[str, Any]) -> None:
+    for kind in figures["kinds"].values():
+        for way in ("partitioned", "carried"):
+            assert 0 <= kind["labels"][way]["labels"] < 0.05
+
+
+def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    draw_reduction(figures, tmp_path / "chart.png")
+    with Image.open(tmp_path / "chart.png") as picture:
+        assert picture.width > picture.height > 500
+    with pytest.raises(BadConfig, match="cannot write"):
+        draw_reduction(figures, tmp_path / "nowhere" / "chart.png")
+
+
+def test_at_least_one_view_is_needed() -> None:
+    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
+        benches.bench_reduction(0)

@@ -1,0 +1,146 @@
+"""The pieces of `bench render`; the whole of it takes minutes and is run by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benches.data.render import bench as render, alone as render_alone
+from benches.data.render.bench import bench_render
+from benches.data.render.alone import PLAIN, measure_renderers, true_range
+from benches.data.render.figure import draw_render
+from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering.renderer import Renderer
+from bodyseg_data.core.rig import PlacedCamera, axes_at
+from bodyseg_data.core.views import ViewGrid
+
+PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
+VIEWS = list(PACKING.views)
+
+
+def test_no_views_are_refused() -> None:
+    with pytest.raises(BadConfig, match="at least one view must be measured, found 0"):
+        bench_render(views=0)
+
+
+def test_every_step_makes_the_same_images() -> None:
+    """They differ in time and in what is stored of the projector, not in what the camera sees."""
+    scene = _Scene(PACKING.rig, PACKING.opened(), PACKING.bodies()[0])
+    chain = _steps()
+    *rays, filled, packed = [step.images(scene, VIEWS[0]) for step in chain]
+    (range_image, _), (projector, _), (labels, _) = rays[0]
+    for number, ((ranges, _), (shading, _), (stored, _)) in enumerate(rays):
+        assert np.array_equal(ranges, range_image) and np.array_equal(stored, labels)
+        assert np.array_equal(shading, projector) == (number < 3)
+        assert (projector[shading > 0] > 0).all()
+    assert (filled[0][0] != range_image).sum() < 0.01 * (range_image > 0).sum()
+    assert (filled[2][0] != labels).sum() < 10
+    assert all(np.array_equal(one, other) for (one, _), (other, _) in zip(filled, packed, strict=True))
+    sizes = [step.store(packed) for step in chain]
+    assert sizes[0] == sizes[4] < sizes[5] == sizes[6] and sizes[7] < 0.8 * sizes[0]
+
+
+def test_steps_and_stages_are_measured() -> None:
+    chain = measure_steps(PACKING, PACKING.bodies(), VIEWS[:1])
+    assert [set(step) for step in chain] == [{"name", "ms_per_view", "bytes_per_view"}] * 8
+    assert all(step["ms_per_view"] > 0 for step in chain)
+    assert chain[3]["bytes_per_view"] < 0.85 * chain[0]["bytes_per_view"]
+    stages = measure_stages(PACKING, PACKING.bodies(), VIEWS)
+    assert list(stages) == list(STAGES) and all(ms > 0 for ms in stages.values())
+
+
+def test_the_plain_way_draws_the_same_body(tmp_path: Path) -> None:
+    if missing := render._why_no_pyrender():
+        pytest.skip(missing)
+    from benches.data.render.plain import PlainScenes, plain_run
+
+    body = PACKING.opened().build(PACKING.bodies()[0])
+    parts = partition(body.mesh, body.landmarks)
+    drawn = PlainScenes(PACKING.rig, body.mesh, parts.labels).take(VIEWS[0])
+    scene = _Scene(PACKING.rig, PACKING.opened(), PACKING.bodies()[0])
+    (ranges, _), (projector, _), (stored, _) = scene.by_pixel(VIEWS[0], scene.in_blocks)
+    for ours, plain in ((ranges, drawn["range"]), (projector, drawn["projector"])):
+        assert ((ours > 0) != (plain > 0)).sum() < 0.02 * (ours > 0).sum()
+        both = (ours > 0) & (plain > 0)
+        assert np.median(np.abs(ours.astype(int) - plain)[both]) < 15, "steps of 0.1 mm"
+    both = (ranges > 0) & (drawn["range"] > 0)
+    assert ((stored & 63) == drawn["labels"])[both].mean() > 0.8
+    size = plain_run(PACKING, PACKING.bodies()[0], tuple(VIEWS), tmp_path)
+    files = sorted(tmp_path.iterdir())
+    assert len(files) == 3 * len(VIEWS) and size == sum(file.stat().st_size for file in files)
+    key = "open-{0.subject}-{0.mesh}-{1}".format(PACKING.bodies()[0], VIEWS[0].name)
+    assert np.array_equal(np.asarray(Image.open(tmp_path / f"{key}.range.png")), drawn["range"])
+
+
+def test_the_true_range_is_that_of_a_box() -> None:
+    """A unit cube seen from the front: a square of one depth; from the corner: the depth of each ray's own face."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))])
+    cube, device = Mesh("cube", corners, faces), PACKING.rig.camera
+    front = true_range(cube, PlacedCamera(device, axes_at(0), np.array([0.0, 0.0, 2.5])))
+    rays = device.pixel_rays()
+    square = (np.abs(rays[..., :2]) * 2 < 0.5).all(axis=-1)
+    np.testing.assert_allclose(front, np.where(square, 2.0, 0.0), rtol=0, atol=1e-12)
+
+    placed = PlacedCamera(device, axes_at(30), axes_at(30).T @ np.array([0.0, 0.0, -2.5]))
+    ways, start = rays @ placed.axes, placed.position
+    ends = np.stack([(side - start) / ways for side in (-0.5, 0.5)])  # the slab between each pair of sides
+    enters, leaves = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    np.testing.assert_allclose(true_range(cube, placed), np.where(enters < leaves, enters, 0), rtol=0, atol=1e-12)
+
+
+def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_alone, "_ROUNDS", 1)
+    opened = render_alone.open_renderer
+    told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
+    assert told["default_renderer"] == "raster" and set(told["renderers"]) >= {"raster", "embree"}
+    for name, row in told["renderers"].items():
+        assert row["ms_per_view"] > 0 and row["worst_mm"] >= row["range_error_mm"] > 0
+        if name == PLAIN:
+            assert 0.1 < row["range_error_mm"] < 1 and 0.001 < row["silhouette_error"] < 0.02
+        else:
+            assert row["range_error_mm"] < 0.001 and row["silhouette_error"] < 0.001
+    assert set(told["renderers"]) | set(told["renderers_missing"]) == {"raster", "embree", "opengl", PLAIN}
+
+    def absent(name: str, mesh: Mesh) -> Renderer:
+        if name != "raster":
+            raise MissingLibrary(f"the {name} renderer needs a library")
+        return opened(name, mesh)
+
+    monkeypatch.setattr(render_alone, "open_renderer", absent)
+    told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
+    assert set(told["renderers"]) - {PLAIN} == {"raster"}
+    assert told["renderers_missing"]["embree"] == "the embree renderer needs a library"
+
+
+def test_without_opengl_the_reason_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str, mesh: object) -> None:
+        raise MissingLibrary("the opengl renderer needs libEGL")
+
+    monkeypatch.setattr(render, "open_renderer", absent)
+    assert render._why_no_pyrender() == "the opengl renderer needs libEGL"
+
+
+@pytest.mark.parametrize("plain", [7.5, None])
+def test_a_figure_is_drawn_with_and_without_the_plain_way(plain: float | None, tmp_path: Path) -> None:
+    figures = {
+        "views_per_second": {"ours": 30.0, "plain": plain},
+        "bytes_per_view": {"ours": 60_000, "plain": None if plain is None else 90_000},
+        "times_faster": None if plain is None else 4.0,
+        "workers": 2,
+        "stages": dict.fromkeys(STAGES, 2.0),
+        "steps": [{"name": name, "ms_per_view": ms, "bytes_per_view": 9e4} for name, ms in (("a", 30.0), ("b", 20.0))],
+    }
+    draw_render(figures, tmp_path / "chart.png")
+    with Image.open(tmp_path / "chart.png") as chart:
+        assert chart.width > 1000
+    with pytest.raises(BadConfig, match="cannot write"):
+        draw_render(figures, tmp_path / "nowhere" / "chart.png")

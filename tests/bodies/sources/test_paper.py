@@ -1,0 +1,167 @@
+"""The whole of the paper: 2329 names in three folders, counted without reading one; small trees through packing."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people_on_disk import PERSON, VERTICES, turn, write_by_vertex, write_lnd, write_mesh
+
+from bodyseg_data.commands import cli
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.sources.mit import MESHES as MIT_MESHES
+from bodyseg_data.bodies.sources.paper import PaperBodies
+from bodyseg_data.bodies.sources.scape import MESHES as SCAPE_MESHES
+from bodyseg_data.core.errors import BadConfig, BadLandmarks
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.packing.pack import Packing, plan
+from bodyseg_data.core.views import ViewGrid
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every file of the paper's three sources, with nothing in it. Tests must not change it."""
+    root = tmp_path_factory.mktemp("paper")
+    names = [f"SCAPE/{name}" for name in SCAPE_MESHES] + [f"mit/{name}" for name in MIT_MESHES]
+    names += [f"Caesar/csr{number:04d}a.{kind}" for number in range(1, 584) for kind in ("ply", "lnd")]
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    return root
+
+
+def small(root: Path) -> Path:
+    """One body of each subset, each held by its file in another way."""
+    write_mesh(root / "scape" / "mesh000.ply", PERSON.vertices @ turn("x", "z"))
+    write_by_vertex(root / "scape" / "landmarks.json")
+    for sequence in ("I_jumping", "D_march"):
+        write_mesh(root / "mit" / sequence / "meshes" / "mesh_0000.obj", PERSON.vertices @ turn("z", "y"))
+    for subject in "BC":
+        write_by_vertex(root / "mit" / f"landmarks_{subject}.json")
+    write_mesh(root / "caesar" / "csr0001a.ply", PERSON.vertices @ turn("-x", "z") * 1000)
+    write_lnd(root / "caesar" / "csr0001a.lnd", PERSON.vertices[list(VERTICES)] @ turn("-x", "z"))
+    return root
+
+
+def test_the_papers_counts_come_out_exactly(complete: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["shard", "--source", "paper", "--path", str(complete), "--plan"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert json.loads(captured.out) == {
+        "source": "paper",
+        "meshes": 2329,
+        "views": 125766,
+        "train": 97146,
+        "test": 28620,
+        "views_per_mesh": 54,
+        "subsets": {
+            "A": {"meshes": 71, "views": 71 * 54, "train": 57 * 54, "test": 14 * 54},
+            "B": {"meshes": 825, "views": 825 * 54, "train": 675 * 54, "test": 150 * 54},
+            "C": {"meshes": 850, "views": 850 * 54, "train": 600 * 54, "test": 250 * 54},
+            "people": {"meshes": 583, "views": 583 * 54, "train": 467 * 54, "test": 116 * 54},
+        },
+    }
+    source = open_source("paper", complete)
+    assert source.missing() == () and len({body.mesh for body in source.bodies()}) == 2329
+
+
+@pytest.mark.parametrize(("source", "meshes", "train"), [("SCAPE", 71, 57), ("mit", 1675, 1275), ("Caesar", 583, 467)])
+def test_each_part_counts_alone(complete: Path, source: str, meshes: int, train: int) -> None:
+    counts = plan(Packing(source.lower(), complete / source))
+    assert (counts["meshes"], counts["train"]) == (meshes, train * 54) and "missing" not in counts
+
+
+def test_what_is_missing_is_named_in_plan_and_warning(
+    complete: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "part"
+    shutil.copytree(complete / "mit", root / "MIT")
+    shutil.copytree(complete / "Caesar", root / "caesar")
+    for number in (7, 8, 9, 30):
+        (root / "MIT" / "D_squat" / "meshes" / f"mesh_{number:04d}.obj").unlink()
+    (root / "caesar" / "csr0583a.ply").unlink()
+    assert cli.main(["shard", "--source", "paper", "--path", str(root), "--plan"]) == 0
+    captured = capsys.readouterr()
+    counts = json.loads(captured.out)
+    assert counts["meshes"] == 2329 - 71 - 4 - 1
+    assert counts["missing"] == [
+        "scape/mesh000.ply to mesh050.ply",
+        "scape/mesh052.ply to mesh071.ply",
+        "mit/D_squat/meshes/mesh_0007.obj to mesh_0009.obj",
+        "mit/D_squat/meshes/mesh_0030.obj",
+        "caesar/subject 583",
+    ]
+    assert captured.err == (
+        "bodyseg shard: warning: the source paper is not complete, 76 missing: scape/mesh000.ply to mesh050.ply, "
+        "scape/mesh052.ply to mesh071.ply, mit/D_squat/meshes/mesh_0007.obj to mesh_0009.obj, and 2 more such "
+        "(--plan lists all)\n"
+    )
+
+
+def test_every_part_is_read_as_its_own_source_reads_it(tmp_path: Path) -> None:
+    source = PaperBodies(small(tmp_path))
+    assert [body.mesh for body in source.bodies()] == ["mesh000", "I_jumping_0000", "D_march_0000", "csr0001a"]
+    for ref in source.bodies():
+        body = source.build(ref)
+        np.testing.assert_allclose(body.mesh.vertices, PERSON.vertices, atol=1e-9)
+        assert body.landmarks.tolist() == list(VERTICES)
+    prints = {source.fingerprint([body]) for body in source.bodies()} | {source.fingerprint(source.bodies())}
+    assert len(prints) == 4, "the frames of B and C hold the same bytes; a packing's plan has their names too"
+    with pytest.raises(BadConfig, match="'paper' has no body 'mesh001'"):
+        source.build(BodyRef("A", "A", "mesh001", "posture", "train"))
+
+
+def test_landmarks_may_lie_in_a_folder_like_the_papers(tmp_path: Path) -> None:
+    root, marks = small(tmp_path / "paper"), tmp_path / "marks"
+    (root / "scape" / "landmarks.json").unlink()
+    with pytest.raises(BadLandmarks, match=r"put landmarks\.json there"):
+        PaperBodies(root).fingerprint(PaperBodies(root).bodies())
+    write_by_vertex(marks / "SCAPE" / "landmarks.json", VERTICES[::-1])
+    source = PaperBodies(root, marks)
+    assert source.build(source.bodies()[0]).landmarks.tolist() == list(VERTICES[::-1])
+    assert source.build(source.bodies()[3]).landmarks.tolist() == list(VERTICES)
+    with pytest.raises(BadConfig, match="landmarks of the source 'paper' are a folder like its own"):
+        PaperBodies(root, root / "mit" / "landmarks_B.json")
+    with pytest.raises(BadConfig, match="--landmarks must hold one of the sub-folders scape, mit, caesar: found none"):
+        PaperBodies(root, marks / "SCAPE")
+
+
+def test_a_folder_that_holds_none_of_it_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="'paper' needs the sub-folders scape, mit, caesar: found none in"):
+        PaperBodies(tmp_path)
+    (tmp_path / "scape").mkdir()
+    with pytest.raises(BadConfig, match="'scape' needs mesh000"):
+        PaperBodies(tmp_path)
+    (tmp_path / "SCAPE").mkdir()
+    with pytest.raises(BadConfig, match="must hold one folder scape, found SCAPE and scape"):
+        PaperBodies(tmp_path)
+
+
+def test_meshes_called_alike_are_refused(tmp_path: Path) -> None:
+    small(tmp_path)
+    (tmp_path / "caesar" / "mesh000.ply").touch()
+    with pytest.raises(BadConfig, match="meshes must have different names"):
+        PaperBodies(tmp_path)
+
+
+def test_a_part_packs_and_notes_what_was_mended(tmp_path: Path) -> None:
+    root = small(tmp_path / "paper")
+    faces = PERSON.faces.copy()
+    faces[::7] = faces[::7, ::-1]
+    write_mesh(root / "caesar" / "csr0001a.ply", PERSON.vertices @ turn("-x", "z") * 1000, faces)
+    out = tmp_path / "shards"
+    packing._source.cache_clear()
+    with ThreadPoolExecutor(1) as executor:
+        packing.pack(Packing("paper", root, views=ViewGrid(count=2)), out, executor, 1)
+    packing._source.cache_clear()
+    manifest = read_manifest(out)
+    assert manifest.samples() == 8 and manifest.source == "paper"
+    assert any(note.startswith("csr0001a: repaired: ") for shard in manifest.shards for note in shard.notes)
+    keys = [key for shard in manifest.shards for key in shard.keys]
+    assert len(set(keys)) == 8 and keys[0].startswith("paper-A-mesh000-d")

@@ -1,0 +1,343 @@
+"""Proposed landmarks: near to where they belong, whatever the numbering and facing; and the command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import ball, figure
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("anny")
+
+from bodyseg_data.bodies.landmark_fitting import search as proposal_module  # noqa: E402
+from benches.data.surface.proposal import measure, shuffled  # noqa: E402
+from bodyseg_data.bodies.source import Body
+from bodyseg_data.bodies.sources import open_source  # noqa: E402
+from bodyseg_data.bodies.anny.people import SUBJECT_A  # noqa: E402
+from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
+from bodyseg_data.commands.cli import main  # noqa: E402
+from bodyseg_data.core.errors import BadMesh  # noqa: E402
+from bodyseg_data.meshes.landmarks.files import load_landmark_file  # noqa: E402
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks  # noqa: E402
+from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
+from bodyseg_data.core.parts import LANDMARKS  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, remoteness, spread_over  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """As `propose` works: more threads only get into each other's way."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def body() -> FittingBody:
+    return fitting_body()
+
+
+@pytest.fixture(scope="module")
+def standing() -> Body:
+    source = open_source("open")
+    return source.build(source.bodies()[0])
+
+
+def about_y(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+
+
+def fit_of(body: FittingBody, pose: str, **changes: torch.Tensor) -> Fit:
+    zeros = {"move": 3, "bends": len(body.joints.spread), "shape": len(body.head_shapes)}
+    values = {name: torch.zeros(count).double() for name, count in zeros.items()} | {
+        "scale": torch.tensor(1.0).double()
+    }
+    return Fit(body.start(dict(POSTURES)[pose]), **(values | changes))
+
+
+def test_the_fitting_body_moves_as_the_open_body_does(body: FittingBody) -> None:
+    """Two poses of one person differ as those of the mean person do, but for the person's size and build."""
+    source = open_source("open")
+    refs = {ref.pose: ref for ref in reversed(source.bodies()) if ref.subset == "A"}
+    for pose in ("t_pose", "deep_squat", "fencing"):
+        built = source.build(refs[pose])
+        wanted = built.mesh.vertices[built.landmarks]
+        places, normals = lay(body, fit_of(body, pose), body.landmarks)
+        wanted, places = wanted - wanted.mean(axis=0), places - places.mean(axis=0)
+        scale = np.linalg.norm(wanted) / np.linalg.norm(places)
+        assert abs(scale * 1.7 / SUBJECT_A.stature_m - 1) < 0.1
+        error = np.linalg.norm(wanted - scale * places, axis=1)
+        assert np.median(error) < 0.03 and error.max() < 0.06, pose  # the mean person is of another build
+        facing = built.mesh.vertex_normals[built.landmarks]
+        assert np.median((facing * normals).sum(axis=1)) > 0.97
+
+
+def test_refining_finds_a_pose_that_was_changed_a_little(body: FittingBody) -> None:
+    wanted = fit_of(body, "a_pose", shape=torch.linspace(1, -1, len(body.head_shapes)).double())
+    bends = (
+        0.3
+        * body.joints.spread
+        * torch.tensor([1.0, -1.0]).double().repeat(len(body.joints.spread))[: len(body.joints.spread)]
+    )
+    bends[:3] = torch.tensor([0.1, 0.2, 0.0])
+    begun = fit_of(body, "a_pose", bends=bends, move=torch.tensor([0.03, -0.02, 0.04]).double())
+    target = laid(body, wanted)
+    stages = ((60, 0.1, 0.02), (40, 0.05, 0.01))
+    found, other = refine(body, target, [begun, wanted], stages, 1000)
+    before, after = (
+        np.linalg.norm(lay(body, fit, body.landmarks)[0] - lay(body, wanted, body.landmarks)[0], axis=1)
+        for fit in (begun, found)
+    )
+    assert np.median(before) > 0.04
+    assert np.median(after) < 0.01 and after.max() < 0.04
+    assert apart(target, laid(body, found)) < 0.3 * apart(target, laid(body, begun))
+    assert apart(target, laid(body, other)) < 0.01  # each fit by itself
+    again = refine(body, target, [begun, wanted], stages, 1000)[0]
+    assert torch.equal(found.bends, again.bends) and torch.equal(found.move, again.move)
+
+
+def test_matches_are_alike_in_place_direction_and_remoteness() -> None:
+    def points(*rows: tuple[float, float, float]) -> Points:
+        places, normals, remote = zip(*rows, strict=True)
+        return Points(
+            np.array([(x, 0, 0) for x in places], float),
+            np.array([(0, 0, z) for z in normals], float),
+            np.array(remote),
+        )
+
+    # x, normal along z, remoteness
+    surface = points((0.0, 1, 1.0), (0.1, -1, 1.0), (0.15, 1, 1.8))
+    asked = points((0.09, 1, 1.0), (0.01, -1, 1.0), (0.02, 1, 1.8))
+    assert Matcher(surface).match(asked).tolist() == [0, 1, 2]
+    assert Matcher(surface).distance(surface) == 0
+    assert Matcher(surface).distance(points((9.0, 1, 1.0))) == 0.25  # counted up to a limit
+
+
+def test_points_are_spread_evenly_by_area() -> None:
+    whole = ball(subdivisions=4)
+    fine = whole.vertices[whole.faces[:, 0], 0] > 0.25  # one side in triangles a quarter the size
+    mesh = Mesh("uneven", whole.vertices, np.concatenate([whole.faces[fine], whole.faces[~fine]]))
+    points = spread_over(mesh, 3000)
+    np.testing.assert_allclose(np.linalg.norm(points.places - whole.centre, axis=1), 0.5, atol=0.002)
+    np.testing.assert_allclose(points.normals, (points.places - whole.centre) / 0.5, atol=0.08)
+    for axis in range(3):
+        assert (points.places[:, axis] > whole.centre[axis]).mean() == pytest.approx(0.5, abs=0.02)
+    assert len(points.thinned(100).places) == 100
+
+
+def test_hands_and_feet_are_remote_in_every_posture(standing: Body) -> None:
+    away = dict(zip(LANDMARKS, remoteness(standing.mesh)[standing.landmarks], strict=True))
+    assert away["Substernale"] < 0.9 < away["Rt. Olecranon"] < away["Rt. Radial Styloid"] < away["Rt. Dactylion"]
+    assert away["Lt. Knee Crease"] < away["Lt. Digit II"]
+    assert away["Rt. Dactylion"] == pytest.approx(away["Lt. Dactylion"], rel=0.05)
+    source = open_source("open")
+    squat = next(ref for ref in source.bodies() if ref.pose == "deep_squat")
+    other = source.build(squat)
+    np.testing.assert_allclose(remoteness(other.mesh)[other.landmarks], list(away.values()), rtol=0.12)
+
+
+def test_stray_pieces_and_doubled_vertices_leave_remoteness_as_it_is() -> None:
+    whole = figure()  # five separate parts
+    away = remoteness(whole)
+    assert np.isfinite(away).all()
+    loose = whole.vertices[whole.faces].reshape(-1, 3)  # every triangle by itself
+    np.testing.assert_allclose(
+        remoteness(Mesh("soup", loose, np.arange(len(loose)).reshape(-1, 3))), away[whole.faces].ravel(), rtol=0.05
+    )
+
+
+def test_farthest_points_are_far_from_each_other() -> None:
+    line = np.stack([np.arange(101.0), np.zeros(101), np.zeros(101)], axis=1)
+    assert farthest(line, 5).tolist() == [0, 100, 50, 25, 75]
+    assert len(farthest(line[:3], 5)) == 3
+
+
+@pytest.fixture(scope="module")
+def person() -> tuple[Mesh, np.ndarray, Proposal]:
+    """Another shape than the open body's mean, decimated, shuffled, turned."""
+    source = open_source("open")
+    built = source.build(next(ref for ref in source.bodies() if ref.mesh == "person-100"))
+    turn = about_y(2.2)
+    mesh = shuffled(built.mesh, 1)
+    mesh = Mesh(mesh.name, mesh.vertices @ turn.T, mesh.faces)
+    return mesh, built.mesh.vertices[built.landmarks] @ turn.T, propose(mesh)
+
+
+def test_a_person_of_the_open_set_is_found_whatever_the_numbering(person: tuple[Mesh, np.ndarray, Proposal]) -> None:
+    mesh, places, proposal = person
+    figures = measure(mesh, places, proposal)
+    assert figures["swapped"] == 0
+    assert figures["median_cm"] < 1 and figures["worst_cm"] < 5, figures
+    assert figures["wrong_surface"] < 0.05
+    assert len(set(proposal.landmarks.vertices)) == 33
+    assert proposal.distance_m.shape == (33,) and np.median(proposal.distance_m) < 0.015
+    assert (proposal.landmarks.vertex_count, proposal.landmarks.face_count) == (len(mesh.vertices), len(mesh.faces))
+
+
+def test_a_clothed_man_as_scanned_is_found(mit_folder: Path) -> None:
+    source = open_source("mit", mit_folder)
+    built = source.build(next(ref for ref in source.bodies() if ref.mesh == "I_crane_0000"))
+    figures = measure(built.mesh, built.mesh.vertices[built.landmarks], propose(built.mesh))
+    assert figures["swapped"] == 0
+    assert figures["median_cm"] <= 3.5 and figures["worst_cm"] <= 10, figures
+    assert figures["wrong_surface"] < 0.2
+
+
+def test_a_mesh_too_coarse_for_33_landmarks_is_refused() -> None:
+    with pytest.raises(
+        BadMesh, match="mesh ball: a body needs 33 vertices for its landmarks, found 12 in its largest piece"
+    ):
+        propose(ball(subdivisions=0))
+
+
+def small_proposal(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """In place of the search: the open body's own landmarks. Returns the numbers of tilts that were asked for."""
+    asked: list[int] = []
+
+    def stand_in(mesh: Mesh, tilts: list[np.ndarray]) -> Proposal:
+        asked.append(len(tilts))
+        counts = len(mesh.vertices), len(mesh.faces)
+        landmarks = LandmarkSet("proposed", "proposed", *counts, load_landmarks("open").vertices)
+        return Proposal(landmarks, np.linspace(0, 0.05, 33))
+
+    monkeypatch.setattr(proposal_module, "propose", stand_in)
+    return asked
+
+
+def obj(mesh: Mesh, scale: float) -> str:
+    lines = ["v {:.4f} {:.4f} {:.4f}".format(*(scale * vertex)) for vertex in mesh.vertices]
+    return "\n".join([*lines, *("f {} {} {}".format(*(face + 1)) for face in mesh.faces), ""])
+
+
+@pytest.mark.parametrize(("units", "scale", "up"), [("auto", 1000, "auto"), ("cm", 100, "y")])
+def test_the_command_writes_landmarks_picture_and_table(
+    tmp_path: Path,
+    standing: Body,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    units: str,
+    scale: float,
+    up: str,
+) -> None:
+    asked = small_proposal(monkeypatch)
+    scan, out, picture = tmp_path / "scan.obj", tmp_path / "scan.json", tmp_path / "scan.png"
+    scan.write_text(obj(standing.mesh, scale))
+    words = ["landmarks", "--mesh", scan, "--propose", out, "--out", picture, "--height", "150", "--units", units]
+    assert main([*map(str, words), "--up", up]) == 0
+    assert asked == [6 if up == "auto" else 1]
+    written = load_landmark_file(out)
+    assert isinstance(written, LandmarkSet) and written.vertices == load_landmarks("open").vertices
+    with Image.open(picture) as drawn:
+        assert drawn.width > 600
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == 34
+    assert table[1].split() == ["0", "Sellion", "0.0"]
+    assert table[33].split() == ["32", "Lt.", "Digit", "II", "5.0", "look", "closely"]
+    assert sum(line.endswith("look closely") for line in table) == 13
+
+
+def test_a_source_without_landmarks_can_be_proposed_for(
+    tmp_path: Path, standing: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_proposal(monkeypatch)
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    (folder / "one.obj").write_text(obj(standing.mesh, 1))
+    out, picture = folder / "one.json", tmp_path / "one.png"
+    words = ["landmarks", "--source", "folder", "--path", folder, "--out", picture, "--height", "150"]
+    assert main([*map(str, words), "--propose", str(out)]) == 0
+    assert json.loads(out.read_text())["vertex_count"] == 13718
+    picture.unlink()
+    assert main([*map(str, words)]) == 0  # and is then drawn with them
+    assert picture.exists()
+
+
+def test_the_picture_faces_the_front(standing: Body) -> None:
+    from bodyseg_data.commands.landmarks import _UP, _facing_front, _upright
+
+    for up, axis in _UP.items():
+        rotation = _upright(axis)
+        np.testing.assert_allclose(rotation @ axis, (0, 1, 0), atol=1e-12)
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+        lying = Mesh("lying", standing.mesh.vertices @ about_y(2.5).T @ rotation, standing.mesh.faces)
+        for upward in ([axis], list(_UP.values())):
+            facing = _facing_front(lying, standing.landmarks, upward)
+            np.testing.assert_allclose(
+                facing.vertices - facing.centre, standing.mesh.vertices - standing.mesh.centre, atol=2e-3, err_msg=up
+            )
+
+
+WRONG = {
+    "neither": ([], "give either --source or --mesh"),
+    "both": (["--source", "open", "--mesh", "x.ply"], "give either --source or --mesh"),
+    "mesh alone": (
+        ["--mesh", "x.ply"],
+        "--mesh needs --propose; a mesh that has landmarks is drawn by --source folder",
+    ),
+    "path": (["--mesh", "x.ply", "--path", "x"], "--path, --landmarks and --meshes belong to --source, not to --mesh"),
+    "suffix": (["--mesh", "x.ply", "--propose", "x.txt"], "--propose must be a .json file, found x.txt"),
+    "no folder": (["--mesh", "x.ply", "--propose", "absent/x.json"], "cannot write absent/x.json: no such folder"),
+    "no mesh": (["--mesh", "absent.ply", "--propose", "x.json"], "cannot read absent.ply"),
+    "several": (
+        ["--source", "open", "--propose", "x.json", "--meshes", "posture-00", "posture-01"],
+        "--propose takes one mesh at a time, found 2 in --meshes",
+    ),
+}
+
+
+@pytest.mark.parametrize(("words", "message"), WRONG.values(), ids=WRONG)
+def test_wrong_arguments_are_refused_in_a_line(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["landmarks", *words, "--out", "x.png"]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corrected = tmp_path / "corrected.json"
+    corrected.write_text("by hand")
+    words = ["--mesh", str(tmp_path / "scan.ply"), "--propose", str(corrected), "--out", str(tmp_path / "scan.png")]
+    assert main(["landmarks", *words]) == 2
+    assert "corrected.json is there already" in capsys.readouterr().err
+    assert corrected.read_text() == "by hand"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--figure", "x.png"], "bench proposal draws no figure: leave --figure out"),
+        (["--views", "3"], "bench proposal measures whole bodies: leave --views out"),
+    ],
+)
+def test_the_bench_refuses_what_it_has_no_use_for(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "proposal", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
+    counts = len(standing.mesh.vertices), len(standing.mesh.faces)
+    right = standing.landmarks.copy()
+    places = standing.mesh.vertices[right]
+    swapped = right.copy()
+    swapped[[15, 16]] = right[[16, 15]]
+    for vertices, wrong in ((right, 0), (swapped, 2)):
+        landmarks = LandmarkSet("x", "x", *counts, tuple(vertices.tolist()))
+        figures = measure(standing.mesh, places, Proposal(landmarks, np.zeros(33)))
+        assert figures["swapped"] == figures["beyond_8_cm"] == wrong
+        assert figures["median_cm"] == 0
+        assert (figures["worst_cm"] > 30 and figures["wrong_surface"] > 0.03) == bool(wrong)

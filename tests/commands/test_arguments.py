@@ -1,0 +1,198 @@
+"""What a first user may get wrong about sets and loaders: refused at once, in one line, or done as meant."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.loading.batch_order import BatchOrder
+from bodyseg_data.core.errors import BadConfig, WorkerLost
+from bodyseg_data.loading import workers as processes
+from bodyseg_data.artifacts.variants import Augmentation
+
+
+def _open_files() -> int:
+    """How many files this process has open, where a system tells."""
+    return len(list(Path("/proc/self/fd").glob("*")))
+
+
+ODD: tuple[Any, ...] = ("no", "", 1, 0, 1.5, [], object())
+
+
+@pytest.fixture
+def images(figures_set: Path) -> RangeImages:
+    return RangeImages(figures_set, "all", split="train")
+
+
+@pytest.mark.parametrize("path", [None, True, 3, 1.5, b"shards", [], {}, "", " ", "sh\0ards"])
+def test_a_path_is_text_or_a_path(path: Any) -> None:
+    with pytest.raises(BadConfig, match=r"^path must be that of a set, as text or a Path, found "):
+        RangeImages(path)
+
+
+@pytest.mark.parametrize(
+    "path", ["none", "none/train-*.tar", "none/manifest.json", "/dev/null", "none/train-00000.tar"]
+)
+def test_a_folder_that_is_not_there_is_called_so(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadConfig, match=r"^no such folder: (none|/dev/null)$"):
+        RangeImages(path)
+
+
+@pytest.mark.parametrize("name", ["run [1]", "what?", "all*", "set.tar", "ünï ☃"])
+def test_a_folder_may_be_called_anything(name: str, figures_set: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(figures_set, tmp_path / name)
+    whole = RangeImages(figures_set)
+    for path in (folder, f"{folder}/", folder / "manifest.json", f"{folder}/*.tar"):
+        assert RangeImages(path).identity() == whole.identity()
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_program_may_change_its_folder(figures_set: Path, tmp_path: Path, method: str) -> None:
+    """Spawned workers start in the folder in which the program was started."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys\n"
+        "from bodyseg_data import RangeImages, loader\n"
+        "if __name__ == '__main__':\n"
+        "    os.chdir(sys.argv[1])\n"
+        "    images = RangeImages(sys.argv[2], 'none', split='test')\n"
+        "    os.chdir('/')\n"
+        f"    batches = loader(images, 4, workers=1, start_method={method!r})\n"
+        "    print(images.path, sum(len(batch['key']) for batch in batches) == len(images))\n"
+    )
+    command = [sys.executable, str(script), str(figures_set.parent), figures_set.name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.stdout == f"{figures_set.name} True\n", done.stderr
+
+
+@pytest.mark.parametrize("option", ["shuffle", "drop_last", "metres", "pin_memory"])
+def test_text_is_no_yes_or_no(images: RangeImages, option: str) -> None:
+    for value in ODD:
+        with pytest.raises(BadConfig, match=f"^{option} must be True or False, found "):
+            loader(images, 4, **{option: value})
+    assert len(loader(images, 4, **{option: np.bool_(False)})) == len(loader(images, 4))
+
+
+@pytest.mark.parametrize("value", [None, "shards", 3])
+def test_a_loader_needs_images(value: Any) -> None:
+    with pytest.raises(BadConfig, match=r"^images must be RangeImages, found (NoneType|str|int)$"):
+        loader(value, 4)
+
+
+def test_an_index_is_a_whole_number_within_the_set(images: RangeImages) -> None:
+    ways: tuple[Callable[[Any], Any], ...] = (images.__getitem__, images.image, images.clean, images.place)
+    for way in ways:
+        for value in (None, "0", 1.0, [0], slice(0, 2)):
+            with pytest.raises(BadConfig, match=r"^a sample's index must be a whole number, found "):
+                way(value)
+        for value in (len(images), -len(images) - 1, 10**30):
+            with pytest.raises(IndexError, match=rf"^index {value} of {len(images)} samples$"):
+                way(value)
+    assert images.place(-1) == images.place(np.int64(len(images) - 1)) == images.place(torch.tensor(len(images) - 1))
+
+
+@pytest.mark.parametrize("epoch", [-1, True, "1", 1.0])
+def test_an_epoch_is_checked_wherever_it_is_taken(images: RangeImages, epoch: Any) -> None:
+    ways: tuple[Callable[[], Any], ...] = (
+        lambda: images.order(epoch),
+        lambda: images.image(0, epoch),
+        lambda: images.augmentation(images.clean(0), epoch),
+    )
+    for way in ways:
+        with pytest.raises(BadConfig, match="^an epoch must be a whole number of at least 0, found "):
+            way()
+
+
+def test_an_augmentation_needs_a_rig_and_artifacts(images: RangeImages) -> None:
+    rig: Any = images.manifest.rig
+    nothing: Any = None
+    with pytest.raises(BadConfig, match="^rig must be of class Rig, found NoneType$"):
+        Augmentation(nothing, "all")
+    with pytest.raises(BadConfig, match="^artifacts must be of class Artifacts, found NoneType$"):
+        Augmentation(rig, "all", 0, nothing)
+
+
+def test_an_epoch_of_nothing_is_refused(images: RangeImages) -> None:
+    size = len(images) + 1
+    with pytest.raises(
+        BadConfig, match=rf"^drop_last=True leaves nothing of {len(images)} samples: .* batch of {size};"
+    ):
+        loader(images, size, drop_last=True)
+    with pytest.raises(BadConfig, match=r"do not fill one batch of \d+ on each of 2 ranks; use a smaller batch_size$"):
+        loader(images, len(images) // 2 + 1, drop_last=True, rank=0, ranks=2)
+    assert len(loader(images, len(images), drop_last=True)) == 1
+
+
+def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> None:
+    """A batch, prefetch or crew larger than the set costs what the set costs."""
+    batches = loader(images, 10**30, workers=10**30, prefetch=10**30, start_method="fork")
+    passed = list(batches)
+    assert [len(batch["key"]) for batch in passed] == [len(images)]
+    crew = batches._crew
+    assert crew is not None and isinstance(crew.makers, processes.Workers) and len(crew.makers._processes) == 1
+    assert crew.slots.arrays(0)[0].shape[0] == len(images) and crew.slots._count == 4
+
+
+@pytest.mark.parametrize(("samples", "size", "ranks"), [(7, 3, 2), (7, 10, 2), (5, 5, 5), (9, 2, 4)])
+def test_the_largest_batch(samples: int, size: int, ranks: int, images: RangeImages) -> None:
+    images._places = images._places[:samples]
+    orders = [BatchOrder(images, size, rank=rank, ranks=ranks) for rank in range(ranks)]
+    assert max(len(batch) for order in orders for batch in order) <= orders[0].largest <= size
+
+
+def test_workers_that_cannot_start(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_more() -> Any:
+        raise OSError(24, "Too many open files")
+
+    before = _open_files()
+    monkeypatch.setattr("multiprocessing.popen_fork.os.pipe", no_more)
+    with pytest.raises(
+        WorkerLost, match="^worker 0 of 2 could not be started: Too many open files; use fewer workers$"
+    ):
+        list(loader(images, 4, workers=2, start_method="fork"))
+    assert _open_files() == before
+
+
+def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from bodyseg_data import RangeImages, loader\n"
+        "list(loader(RangeImages(sys.argv[1], 'none'), 4, workers=1, start_method='spawn'))\n"
+    )
+    done = subprocess.run([sys.executable, str(script), str(figures_set)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert 'needs `if __name__ == "__main__":` with this start method' in done.stderr.splitlines()[-1]
+
+
+def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(size: int) -> int:
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr("bodyseg_data.loading.slots._nameless_file", full)
+    with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be had: Cannot"):
+        list(loader(images, 3))
+
+
+def test_a_log_that_cannot_be_written_is_found_at_once(images: RangeImages, tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "none" / "log.jsonl"):
+        with pytest.raises(
+            BadConfig, match=r"^skip_log .* cannot be written: (Is a directory|No such file or directory)$"
+        ):
+            loader(images, 4, on_error="skip", skip_budget=1, skip_log=path)
+    wrong: tuple[Any, ...] = ("", "lo\0g", 3, b"log")
+    for path in wrong:
+        with pytest.raises(BadConfig, match="^skip_log must be a file's path, found "):
+            loader(images, 4, on_error="skip", skip_budget=1, skip_log=path)
+    with pytest.raises(BadConfig, match="^skip_log is for on_error='skip', found it with 'stop'$"):
+        loader(images, 4, skip_log=tmp_path / "log.jsonl")

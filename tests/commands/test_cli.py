@@ -1,0 +1,277 @@
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+import typing
+from dataclasses import dataclass
+from importlib import util
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from PIL import Image
+
+from bodyseg_data.commands import cli
+from benches import bench
+from bodyseg_data.commands import shard
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands.options import option, parse
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Everything:
+    name: str = option("a name", positional=True)
+    count: int = option("how many", 3)
+    share: float | None = option("a share", None)
+    kind: Literal["a", "b"] = option("which", "a")
+    sizes: tuple[int, ...] = option("sizes", (1, 2))
+    out: Path | None = option("a file", None)
+    loud: bool = option("say it loud", False)
+
+
+def parsed(*words: str) -> Everything:
+    return parse(Everything, words, "bodyseg test", "A test.", "bodyseg test x")
+
+
+def test_a_dataclass_is_the_command_line() -> None:
+    assert parsed("x") == Everything("x")
+    words = [
+        "x",
+        "--count",
+        "5",
+        "--share",
+        "0.5",
+        "--kind",
+        "b",
+        "--sizes",
+        "7",
+        "8",
+        "9",
+        "--out",
+        "here.png",
+        "--loud",
+    ]
+    assert parsed(*words) == Everything("x", 5, 0.5, "b", (7, 8, 9), Path("here.png"), True)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "the following arguments are required: NAME (see bodyseg test --help)"),
+        (["x", "--count", "many"], "argument --count: invalid int value: 'many'"),
+        (["x", "--kind", "c"], "argument --kind: invalid choice: 'c'"),
+        (["x", "--colour", "red"], "unrecognized arguments: --colour red"),
+        (["x", "--lou"], "unrecognized arguments: --lou"),
+        (["x", "--out", ""], "argument --out: a path must not be empty"),
+    ],
+)
+def test_a_bad_argument_is_one_line(words: list[str], message: str) -> None:
+    with pytest.raises(BadConfig) as caught:
+        parsed(*words)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_help_shows_defaults_and_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parsed("--help")
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    assert "how many (default: 3)" in text
+    assert "example:\n  bodyseg test x" in text
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main([name, "--help"])
+    assert caught.value.code == 0
+    assert f"example:\n  bodyseg {name} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_is_a_tool_in_a_checkout(name: str) -> None:
+    tool = ROOT / "tools" / name
+    assert tool.is_file()
+    assert os.access(tool, os.X_OK)
+    assert tool.resolve().name == "bodyseg_command"
+
+
+def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == cli.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"  {name}" in text for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["pack"], "bodyseg pack: no such command; there are shard, verify, inspect"),
+        (["shard"], "bodyseg shard: the following arguments are required: --source"),
+        (["shard", "--source", "open"], "bodyseg shard: --out is missing"),
+        (
+            ["shard", "--source", "open", "--out", "x", "--views", "55"],
+            "views a mesh must be between 1 and 54, found 55",
+        ),
+        (["shard", "--source", "open", "--out", "x", "--workers", "0"], "packing needs at least one worker, found 0"),
+        (
+            ["shard", "--source", "open", "--plan", "--engine", "dask"],
+            "the engine must be processes or dask://HOST:PORT",
+        ),
+        (
+            ["shard", "--source", "open", "--out", "x", "--engine", "dask://127.0.0.1:1"],
+            "no Dask scheduler at 127.0.0.1:1",
+        ),
+        (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling draws no figure: leave --figure out"),
+        (["bench", "render", "--figure", "x.jpg"], "bodyseg bench: --figure must be a .png file, found x.jpg"),
+        (
+            ["bench", "occlusion", "--json", "none/x.json"],
+            "--json needs a file in a folder that is there, found none/x",
+        ),
+        (["landmarks", "--source", "open", "--out", "x.png", "--height", "0"], "100 to 4000 pixels, found 0"),
+        (["bench", "partition", "--views", "3"], "bodyseg bench: bench partition measures whole bodies"),
+        (
+            ["bench", "render", "--mit", "x"],
+            "--mit is for bench partition, reduction, clothes, proposal, found it with",
+        ),
+        (
+            ["shard", "--source", "open", "--out", "x", "--report", "none/x.json"],
+            "--report needs a file in a folder that is there",
+        ),
+        (["shard", "--source", "mit", "--path", "nowhere", "--plan"], "bodyseg shard: "),
+        (["shard", "--source", "open", "--plan", "--rig", "no.toml"], "cannot read the rig file no.toml"),
+        (["inspect", "nowhere", "--json"], "bodyseg inspect: no such folder: nowhere"),
+        (["bench", "codec", "--figure", "none/x.png"], "--figure needs a file in a folder that is there, found none/x"),
+        (["inspect", "nowhere"], "bodyseg inspect: nothing to do: give --out FILE.png, --json, or both"),
+        (["inspect", "nowhere", "--out", "x.jpg"], "bodyseg inspect: --out must be a .png file, found x.jpg"),
+        (["landmarks", "--source", "open", "--out", "x.xyz"], "--out must be a .png file, found x.xyz"),
+        (["inspect", "nowhere", "--json", "--rows", "0"], "bodyseg inspect: --rows must be at least 1, found 0"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_2(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+
+
+def test_a_plan_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["shard", "--source", "open", "--meshes", "10", "--views", "2", "--plan"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert (plan["meshes"], plan["views"]) == (10, 20)
+
+
+def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(name: str, words: list[str]) -> int:
+        raise ZeroDivisionError("by zero\nindeed")
+
+    monkeypatch.setattr(cli, "_run", fail)
+    monkeypatch.delenv("BODYSEG_TRACEBACK", raising=False)
+    assert cli.main(["verify"]) == cli.INTERNAL_ERROR
+    line = "bodyseg verify: internal error: ZeroDivisionError: by zero indeed (BODYSEG_TRACEBACK=1 shows where)\n"
+    assert capsys.readouterr().err == line
+    monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["verify"])
+
+
+def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt(name: str, words: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_run", interrupt)
+    assert cli.main(["verify"]) == 130
+    assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
+
+
+@pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help"])
+def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, figures_set: Path) -> None:
+    command = f"{sys.executable} -m bodyseg_data {words.format(set=figures_set)}"
+    script = f"{command} 2> >(grep -v 'verifying\\|inspecting' >&2) | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 141
+    assert done.stderr == ""
+
+
+def test_output_that_cannot_be_written_is_one_line(figures_set: Path) -> None:
+    script = f"{sys.executable} -m bodyseg_data verify {figures_set} >/dev/full"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "bodyseg verify: No space left on device"
+
+
+def test_closed_streams_change_no_status(figures_set: Path) -> None:
+    for closed in (">&-", "2>&-", ">&- 2>&-"):
+        script = f"{sys.executable} -m bodyseg_data verify {figures_set} {closed}"
+        assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("variant", ["none", "all"])
+def test_inspect_counts_what_a_set_holds(figures_set: Path, variant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["inspect", str(figures_set), "--variant", variant, "--json"]) == 0
+    counts = json.loads(capsys.readouterr().out)
+    assert counts["samples"] == 24
+    assert counts["splits"] == {"train": 16, "test": 8}
+    assert counts["subsets"] == {"A": 12, "people": 12}
+    total = sum(path.stat().st_size for path in figures_set.glob("*.tar"))
+    assert total - 6 * 10240 - 6 * 1024 < counts["bytes"] < total, "all but the archives' ends"
+    assert len(counts["part_shares"]) == 33
+    assert sum(counts["part_shares"].values()) == pytest.approx(1, abs=0.01)
+    if variant == "none":
+        assert counts["kept"] == 1
+        assert counts["mean_sigma_mm"] is None
+    else:
+        assert 0.5 < counts["kept"] < 0.95
+        assert 30 < counts["mean_sigma_mm"] < 70
+
+
+def test_inspect_draws_a_contact_sheet(figures_set: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sheet.png"
+    assert cli.main(["inspect", str(figures_set), "--variant", "occ", "--rows", "2", "--out", str(out)]) == 0
+    with Image.open(out) as sheet:
+        assert sheet.width > 1400
+        assert sheet.height > 2 * 320
+        assert len(sheet.convert("RGB").getcolors(1 << 24) or []) > 500
+    assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
+
+
+def test_a_picture_that_cannot_be_written_is_one_line(
+    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_every_bench_has_its_module_and_its_figure() -> None:
+    assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
+    for name, takes in bench.BENCHES.items():
+        measure = getattr(importlib.import_module(f"{takes.package}.{name}"), f"bench_{name}")
+        parameters = inspect.signature(measure).parameters
+        assert {"progress", *takes.takes} == set(parameters)
+        assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.needs)
+        assert (util.find_spec(f"{takes.package}.{name}_figure") is not None) == takes.figure
+
+
+def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shard, "provenance", lambda command: {"command": command})
+    report, out = tmp_path / "report.json", tmp_path / "shards"
+    words = ["--meshes", "2", "--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
+    for made in (4, 0):  # the second time, everything is there
+        assert cli.main(["shard", "--source", "open", *words]) == 0
+        figures = json.loads(report.read_text())
+        assert (figures["samples"], figures["samples_made"]) == (4, made)
+        assert figures["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))
+    assert figures["command"] == (
+        "tools/shard --source open --out shards --meshes 2 --views 2 --workers 1 --report report.json"
+    )

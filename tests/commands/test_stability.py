@@ -1,0 +1,221 @@
+"""`bodyseg stability` on plain figures and networks of a few weights."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from fakes import Figures
+from label_networks import Places
+
+from bodyseg_data import RangeImages
+from bodyseg_data.commands import cli
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.commands import stability as command
+from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.stability import examining, scenes
+from bodyseg_model.stability.examining import accuracy, examine
+from bodyseg_model.stability.groups import load_runs
+from bodyseg_model.stability.scenes import Picture, Scenes
+from bodyseg_model.stability.severities import CLEAN, Setting
+
+SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
+CHOSEN = ("farther", "hard")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plain_bodies_and_one_thread() -> Iterator[None]:
+    """The networks are tiny, and their threads would wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenes, "open_source", lambda name: Figures())
+        yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    for variant in ("all", "none"):
+        for seed in range(2):
+            (folder / f"{variant}-{seed}").mkdir()
+            save(folder / f"{variant}-{seed}", variant, seed)
+    return folder
+
+
+def save(folder: Path, variant: str, seed: int) -> None:
+    facts = {"variant": variant, "seed": seed, "recipe": {}, "data": {"seed": seed}, "command": "bodyseg train"}
+    network = build("compact", SETTINGS, seed + 10 * (variant == "none"))
+    save_network(folder / "network.safetensors", network, "compact", facts)
+
+
+@pytest.fixture(scope="module")
+def made(figures_set: Path, runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command wrote."""
+    out = tmp_path_factory.mktemp("made") / "stability"
+    assert command.run(asked(figures_set, runs, out)) == 0
+    return out
+
+
+def asked(data: Path, runs: Path, out: Path, **more: Any) -> command.Options:
+    usual = {
+        "run": (runs / "all-0", runs / "all-1"), "reference": (runs / "none-0",), "hard": str(data),
+        "parts": ("images",), "sweeps": CHOSEN, "images": 2, "device": "cpu",
+    }  # fmt: skip
+    return command.Options(data=str(data), out=out, **(usual | more))
+
+
+def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    figures = json.loads((made / "stability.json").read_text())
+    assert figures["format"] == "bodyseg stability 1"
+    assert figures["command"].startswith("bodyseg stability --run all-0 all-1 --data")
+    assert {"commit", "hardware", "threads", "seconds", "device"} <= set(figures)
+    assert list(figures["sweeps"]) == list(CHOSEN) and figures["images"] == 2
+    assert list(figures["groups"]) == ["all", "none"] and figures["reference"] == "none"
+    every = figures["groups"]["all"]
+    assert every["seeds"] == [0, 1] and every["few_seeds"] is True
+    assert len(every["curves"]["farther"]["mean"]) == 4
+    assert every["mce"]["mean"] is not None and every["mrr"]["mean"] is not None
+    assert figures["networks"]["all-0"]["command"] == "bodyseg train"
+    assert (made / "stability.png").stat().st_size > 10_000
+    assert sorted(path.name for path in (made / "answers").iterdir()) == ["all-0.json", "all-1.json", "none-0.json"]
+
+
+def test_accuracy_is_that_of_predictions_one_by_one(made: Path, runs: Path, figures_set: Path) -> None:
+    images = RangeImages(figures_set, "none", "test")
+    (run,) = load_runs([runs / "all-1"])
+    matrix = ConfusionMatrix()
+    for place in images.order(0)[:2]:
+        item = images[int(place)]
+        matrix.add(item["labels"].numpy(), predict(run.trained.network, item["range"][None]).labels[0].numpy())
+    figures = json.loads((made / "stability.json").read_text())
+    seeds = figures["groups"]["all"]["clean"]["stored"]["seeds"]
+    assert seeds[1] == pytest.approx(matrix.average_per_class_accuracy(), abs=1e-5)
+
+
+def test_answers_at_other_places_are_counted_there() -> None:
+    range_m, places = torch.full((2, 4), 2.0).numpy(), torch.tensor([0, 3, 3, 4]).numpy()
+    truth = torch.tensor([0, 3, 2, 0], dtype=torch.uint8).numpy()
+    # Columns are labels: right at 0, 3 and (row 1, column 0) 4; wrong once where 3 was said for 2.
+    assert accuracy(Places(1, 1), [Picture(range_m, places, truth)]) == pytest.approx((1 + 1 + 0) / 3)
+
+
+def test_an_interrupted_run_carries_on(
+    made: Path, runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = shutil.copytree(made, tmp_path / "out")
+    file = out / "answers" / "all-1.json"
+    content = json.loads(file.read_text())
+    lost = next(key for key, answer in content["answers"].items() if answer["setting"] == "farther 3.5")
+    wanted = content["answers"].pop(lost)
+    file.write_text(json.dumps(content))
+    times = []
+    monkeypatch.setattr(examining, "accuracy", lambda *known: times.append(known) or accuracy(*known))
+    assert command.run(asked(figures_set, runs, out)) == 0
+    assert len(times) == 1
+    assert json.loads(file.read_text())["answers"][lost] == wanted
+    before, after = (json.loads((folder / "stability.json").read_text()) for folder in (made, out))
+    assert before["groups"] == after["groups"]
+
+
+def test_another_network_is_asked_again(runs: Path, figures_set: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(runs / "all-0", tmp_path / "all-0")
+    scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 1)
+    settings = [CLEAN["stored"], Setting("noise", 10)]
+    before = examine(load_runs([folder]), settings, scenes_here, tmp_path)
+    save(folder, "none", 5)
+    after = examine(load_runs([folder]), settings, scenes_here, tmp_path)
+    assert before["all-0"] != after["all-0"]
+    assert len(json.loads((tmp_path / "all-0.json").read_text())["answers"]) == 2
+
+
+def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -> None:
+    seen: list[tuple[Any, ...]] = []
+    loaded = load_runs([runs / "all-0", runs / "none-0"])
+    scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 3)
+    settings = [CLEAN["stored"], Setting("noise", 10)]
+    examine(loaded, settings, scenes_here, tmp_path, lambda *figures: seen.append(figures))
+    assert seen == [(3, 12, "clean"), (6, 12, "clean"), (9, 12, "noise 10"), (12, 12, "noise 10")]
+
+
+@pytest.mark.parametrize("text", ['{"format": "another", "answers": {}}', '{"format": "bodyseg stability answers 1"}'])
+def test_answers_of_another_format_are_refused(text: str, runs: Path, figures_set: Path, tmp_path: Path) -> None:
+    (tmp_path / "all-0.json").write_text(text)
+    with pytest.raises(BadConfig, match=r"all-0\.json holds no answers of the format"):
+        examine(load_runs([runs / "all-0"]), [], Scenes(RangeImages(figures_set, "none", "test"), 1), tmp_path)
+
+
+def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) -> None:
+    other = shutil.copytree(runs / "all-0", tmp_path / "other" / "all-0")
+    found = load_runs([runs / "all-0", other, runs / "all-1", runs / "all-0", runs / "none-0" / "network.safetensors"])
+    assert [run.name for run in found] == [f"{runs.name}/all-0", "other/all-0", "all-1", "network"]
+    assert [run.seed for run in found] == [0, 0, 1, 0]
+
+
+def test_other_parts_are_sections(
+    runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for: list[Any] = []
+
+    def motion(networks: Any, **options: Any) -> dict[str, Any]:
+        asked_for.append(sorted(networks))
+        scores = {"tc": 0.5, "vc": 0.4, "vc_right": None, "accuracy": 0.3}
+        return {"networks": {name: {"all": scores} for name in networks}}
+
+    def arithmetic(network: Any, images: RangeImages, count: int) -> dict[str, Any]:
+        asked_for.append((images.variant, images.split, count))
+        return {"ways": {}, "batches": {}}
+
+    monkeypatch.setattr(command, "temporal", motion)
+    monkeypatch.setattr(command, "numerical", arithmetic)
+    assert command.run(asked(figures_set, runs, tmp_path / "out", parts=("temporal", "numerical"))) == 0
+    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
+    assert figures["temporal"]["groups"]["all"]["all"]["tc"] == {"mean": 0.5, "sd": 0.0, "seeds": [0.5, 0.5]}
+    assert {label: each["run"] for label, each in figures["numerical"].items()} == {"all": "all-0", "none": "none-0"}
+    assert asked_for == [["all-0", "all-1", "none-0"], ("all", "test", 2), ("all", "test", 2)]
+    assert [row["TC, %"] for row in figures["tables"]["motion"]] == ["50.0 ± 0.0", "50.0"]
+    assert "groups" not in figures and not (tmp_path / "out" / "stability.png").exists()
+
+
+def test_without_a_reference_there_is_no_mce(
+    runs: Path, figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = asked(figures_set, runs, tmp_path / "out", reference=(), sweeps=("hard",), images=1)
+    assert command.run(options) == 0
+    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
+    assert figures["reference"] is None and figures["groups"]["all"]["mce"] is None
+    said = capsys.readouterr().err
+    assert "no --reference, so no mCE" in said and "fewer than 3 seeds, so no spread to speak of: all" in said
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"images": 0}, "--images must be at least 1, found 0"),
+        ({"sweeps": ("rain",)}, "a sweep must be one of"),
+        ({"hard": None}, "needs a set of hard poses"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    more: dict[str, Any], message: str, runs: Path, figures_set: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(BadConfig, match=message):
+        command.run(asked(figures_set, runs, tmp_path / "out", **more))
+    assert not (tmp_path / "out").exists()
+
+
+def test_out_must_be_a_folder(
+    runs: Path, figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("")
+    words = ["--run", str(runs / "all-0"), "--data", str(figures_set), "--out", str(tmp_path / "taken")]
+    assert cli.main(["stability", *words]) == 2
+    assert "--out cannot be the folder" in capsys.readouterr().err

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bodyseg_data.artifacts.philox_compiled import raw_words
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import chance, check_seed, generator, permutation, pixel_draws, stream
+
+
+def test_a_draw_belongs_to_seed_epoch_key_and_purpose() -> None:
+    identities = [(0, 0, "a", "noise"), (1, 0, "a", "noise"), (0, 1, "a", "noise"), (0, 0, "b", "noise")]
+    identities += [(0, 0, "a", "missing data"), (0, 0, "an", "oise"), (0, 0, "", "anoise"), (10, 0, "a", "noise")]
+    for draw in (
+        lambda *identity: generator(*identity).bytes(16),
+        lambda *identity: stream(*identity).tobytes(),
+        chance,
+    ):
+        draws = {draw(*identity) for identity in identities}
+        assert len(draws) == len(identities)
+        assert draw(0, 0, "a", "noise") in draws
+
+
+def test_the_bits_are_pinned() -> None:
+    """Data sets described by a seed must stay what they were: a change here is a change of format."""
+    assert generator(7, 3, "open-A-posture-00-d215-a000", "noise").bytes(8).hex() == "61e5be079441ccec"
+    noise = stream(7, 3, "k", "noise")
+    assert pixel_draws(noise, 3, np.uint32).tolist() == [2720071503, 2556194740, 1398818602]
+    assert pixel_draws(noise, 5, np.uint16).tolist() == [65359, 41504, 28596, 39004, 18218]
+    assert chance(7, 3, "k", "sigma") == 0.901699977694218
+    assert permutation(8, 7, 3).tolist() == [3, 4, 2, 7, 1, 6, 5, 0]
+
+
+def test_neighbouring_keys_are_uncorrelated() -> None:
+    a, b = (generator(0, 0, key, "noise").standard_normal(20_000) for key in ("k-a000", "k-a001"))
+    assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(20_000)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 7, 8, 1001])
+def test_pixels_get_the_raw_words_cut_up_from_their_low_end(count: int) -> None:
+    key = stream(0, 0, "k", "noise")
+    words = [int(word) for word in np.random.Philox(key=key).random_raw(max(count, 1))]
+    for kind, bits in ((np.uint16, 16), (np.uint32, 32)):
+        draws = pixel_draws(key, count, kind)
+        assert draws.dtype == kind and len(draws) == count
+        each = 64 // bits
+        expected = [words[pixel // each] >> (bits * (pixel % each)) & (2**bits - 1) for pixel in range(count)]
+        assert draws.tolist() == expected
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 8, 9, 4001])
+def test_the_compiled_generator_gives_numpys_raw_words(count: int) -> None:
+    keys = [stream(0, 0, f"k{number}", "noise") for number in range(20)]
+    keys += [np.array(pair, np.uint64) for pair in ((0, 0), (2**64 - 1, 2**64 - 1), (0, 2**63), (1, 0))]
+    for key in keys:
+        words = np.full(count + 4, 77, np.uint64)
+        raw_words(*key, np.int64(count), words)
+        assert np.array_equal(words[:count], np.random.Philox(key=key).random_raw(count))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 1000])
+def test_an_order_is_a_permutation_that_differs_by_epoch_and_seed(count: int) -> None:
+    order = permutation(count, 0, 0)
+    assert sorted(order.tolist()) == list(range(count))
+    if count > 2:
+        assert not np.array_equal(order, permutation(count, 0, 1))
+        assert not np.array_equal(order, permutation(count, 1, 0))
+        assert not np.array_equal(order, np.arange(count))
+    assert np.array_equal(order, permutation(count, 0, 0))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, True, "0"])
+def test_a_seed_must_be_a_whole_number(seed: object) -> None:
+    with pytest.raises(BadConfig, match="a seed must be a whole number"):
+        check_seed(seed)  # type: ignore[arg-type]  # on purpose

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import json
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import load_rig, parse_rig, rig_from_json
+from bodyseg_data.core.views import View, ViewGrid
+
+PAPER = (resources.files("bodyseg_data") / "rigs" / "paper.toml").read_text()
+
+
+def test_the_paper_rig_has_the_papers_numbers() -> None:
+    rig = load_rig()
+    assert (rig.camera.rows, rig.camera.columns) == (640, 329)
+    assert rig.baseline_m == pytest.approx(0.75)
+    assert rig.stand_off_m == 2.5
+    # 12.5 mm over three pixels of 5.5 um, and 12 mm for the projector.
+    assert rig.camera.focal_px == pytest.approx(757.576, abs=1e-3)
+    assert rig.projector.focal_px / rig.camera.focal_px == pytest.approx(12 / 12.5)
+    # At full resolution a pixel covers about a millimetre at the stand-off.
+    assert rig.stand_off_m / (3 * rig.camera.focal_px) * 1000 == pytest.approx(1.1, abs=0.01)
+    toe_in = math.degrees(math.acos(rig.projector.axes[2, 2]))
+    assert toe_in == pytest.approx(math.degrees(math.atan(0.75 / 2.5)))
+
+
+def test_the_centre_of_the_body_is_on_the_optical_axis_at_the_views_distance() -> None:
+    rig, centre = load_rig(), np.array([0.1, 0.9, -0.2])
+    for view in ViewGrid(span_deg=360):
+        camera, projector = rig.placed(centre, view)
+        assert camera.to_local(centre) == pytest.approx([0, 0, view.distance_cm / 100])
+        pixel, depth = camera.project(centre)
+        assert pixel == pytest.approx([329 / 2, 320])
+        assert depth == pytest.approx(view.distance_cm / 100)
+        assert np.linalg.norm(projector.position - camera.position) == pytest.approx(0.75)
+        assert np.linalg.det(projector.axes) == pytest.approx(1)
+        assert projector.to_body(projector.to_local(centre)) == pytest.approx(centre)
+
+
+def test_azimuth_0_sees_the_front_and_90_the_subjects_left_side() -> None:
+    rig = load_rig()
+    front, _ = rig.placed(np.zeros(3), View(250, 0))
+    assert front.position == pytest.approx([0, 0, 2.5])
+    left_hand, _ = front.project(np.array([0.3, 0.0, 0.0]))
+    head, _ = front.project(np.array([0.0, 0.5, 0.0]))
+    assert left_hand[0] > 329 / 2, "facing a person, their left hand is on the image's right"
+    assert head[1] < 320, "image rows go down"
+    assert rig.placed(np.zeros(3), View(250, 90))[0].position == pytest.approx([2.5, 0, 0])
+
+
+def test_camera_to_projector_agrees_with_the_placed_cameras() -> None:
+    rig = load_rig()
+    rotation, offset = rig.camera_to_projector()
+    camera, projector = rig.placed(np.array([0.0, 0.9, 0.0]), View(255, 70))
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    assert camera.to_local(points) @ rotation.T + offset == pytest.approx(projector.to_local(points))
+
+
+def test_pixel_rays_go_through_pixel_centres() -> None:
+    camera = load_rig().camera
+    rays = camera.pixel_rays()
+    assert rays.shape == (640, 329, 3)
+    assert rays[0, 0] == pytest.approx([(0.5 - 164.5) / camera.focal_px, (0.5 - 320) / camera.focal_px, 1])
+    assert rays[..., :2].mean(axis=(0, 1)) == pytest.approx([0, 0])
+
+
+def test_a_finer_projector_image_covers_the_same_view() -> None:
+    rig = load_rig().with_projector_scale(2)
+    assert (rig.projector.rows, rig.projector.columns) == (1280, 658)
+    coarse, fine = load_rig().projector.pixel_rays(), rig.projector.pixel_rays()
+    assert fine[:2, :2].mean(axis=(0, 1)) == pytest.approx(coarse[0, 0])
+
+
+def test_a_rig_survives_json() -> None:
+    rig = load_rig()
+    assert rig_from_json(rig.to_json()) == rig
+    assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
+    with pytest.raises(BadConfig, match="format"):
+        rig_from_json([])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rows": "640"}, "'rows' must be a finite number, found '640'"),
+        ({"rows": 640.7}, "'rows' must be a whole number, found 640.7"),
+        ({"columns": True}, "'columns' must be a finite number, found 'True'"),
+        ({"focal_px": "500"}, "'focal_px' must be a finite number, found '500'"),
+        ({"centre_px": "12"}, "'centre_px' must be 2 finite numbers, found 12"),
+        ({"skew": 0}, "unknown 'skew'"),
+    ],
+)
+def test_a_stored_rig_is_read_as_strictly_as_a_file(change: dict[str, Any], message: str) -> None:
+    tree = load_rig().to_json()
+    with pytest.raises(BadConfig, match=rf"^a stored rig, \[camera\]: {message}"):
+        rig_from_json({**tree, "camera": {**tree["camera"], **change}})
+    with pytest.raises(BadConfig, match="number 'rows' is missing"):
+        rig_from_json({**tree, "camera": {}})
+    with pytest.raises(BadConfig, match="^a stored rig: unknown 'lens'"):
+        rig_from_json({**tree, "lens": 1})
+
+
+def test_another_rig_is_another_file(tmp_path: Path) -> None:
+    file = tmp_path / "kinect.toml"
+    file.write_text(
+        PAPER.replace('"paper"', '"kinect"').replace("rows = 640 ", "rows = 480 ").replace("[-0.75,", "[0.075,")
+    )
+    rig = load_rig(file)
+    assert rig.name == "kinect"
+    assert rig.camera.rows == 480
+    assert rig.baseline_m == pytest.approx(0.075)
+    assert rig.digest != load_rig().digest
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("bodyseg rig 1", "bodyseg rig 9", "rig x: 'format' must be 'bodyseg rig 1'"),
+        ("stand_off_m = 2.5", "stand_off_m = -1.0", "rig x: a rig's stand-off must be positive, found -1.0 m"),
+        ("stand_off_m", "standoff", "rig x: number 'stand_off_m' is missing"),
+        ("rows = 640 ", "rows = 0 ", r"rig x, \[camera\]: an image side must be 1 to 8192 pixels, found 0 x 329"),
+        ("rows = 640 ", "rows = 640.5 ", r"rig x, \[camera\]: 'rows' must be a whole number, found 640.5"),
+        ("rows = 640 ", "rows = true ", "'rows' must be a finite number, found 'True'"),
+        ("focal_length_mm = 12.5", "focal_length_mm = nan", "'focal_length_mm' must be a finite number"),
+        ("focal_length_mm = 12.5", "focal_length_mm = -3", "'focal_length_mm' must be positive, found -3"),
+        ("[projector]", "[projector]\nfov = 3", r"rig x, \[projector\]: unknown 'fov'"),
+        ("[projector]", "[[projector]]", "'projector' must be a table"),
+        ("[0.0, 0.0, 0.0]", "[0.0, 0.0]", "'position_m' must be 3 finite numbers"),
+        ("[0.0, 0.0, 2.5]  # assumed: the", "[0.0, 1.0, 0.0]  #", "must not look straight up or down"),
+        ('name = "paper"', 'name = "my rig"', "a rig's name must be one plain word"),
+        ('name = "paper"', "name = 3", "'name' must be text, found 3"),
+        ("rows = 640 ", "rows = ", "is not TOML"),
+        ("rows = 640 ", f"rows = 1{'0' * 400} ", "'rows' must be a finite number, found '1000"),
+        ("focal_length_mm = 12.5", "focal_length_mm = 1e200", "at most 1e\\+06 px"),
+        ("pixel_pitch_um = 16.5 ", "pixel_pitch_um = 0.0 ", "'pixel_pitch_um' must be positive, found 0"),
+        ("[0.0, 0.0, 0.0]", "[1e250, 0.0, -1e250]", "must lie within 100 m"),
+        ("[0.0, 0.0, 0.0]", '"123"', "'position_m' must be 3 finite numbers, found 123"),
+        ("[0.0, 0.0, 0.0]", "[0.0, 0.0, inf]", "'position_m' must be 3 finite numbers"),
+        ('name = "paper"', f'name = "{"x" * 41}"', "a rig's name must be one plain word of at most 40 letters"),
+    ],
+)
+def test_a_broken_rig_file_is_refused_in_one_line(old: str, new: str, message: str) -> None:
+    assert old in PAPER
+    with pytest.raises(BadConfig, match=message) as caught:
+        parse_rig(PAPER.replace(old, new, 1), "x")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="no rig is called 'papier'"):
+        load_rig("papier")
+    with pytest.raises(BadConfig, match="cannot read the rig file"):
+        load_rig(tmp_path / "none.toml")
+
+
+def test_scaling_down_is_refused() -> None:
+    with pytest.raises(BadConfig, match="whole factor of at least 1, found 0"):
+        load_rig().camera.scaled(0)

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.sample import Sample, SampleInfo, check_key, steps
+
+GOOD = Sample(
+    key="open-A-posture-00-d215-a000",
+    range=np.array([[0, 21500], [1, 65535]], np.uint16),
+    projector_range=np.array([[0, 7]], np.uint16),
+    labels=np.array([[255, 0], [32, 5]], np.uint8),
+    faces_projector=np.array([[False, True], [True, False]]),
+    info=SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train"),
+)
+
+
+def test_a_good_sample_passes() -> None:
+    GOOD.check()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: replace(s, key="a.b"), "a sample key must be"),
+        (lambda s: replace(s, range=s.range.astype(np.int32)), "range must be a 2D image of uint16, found int32"),
+        (lambda s: replace(s, labels=s.labels[0]), r"labels must be a 2D image of uint8, found uint8 \(2,\)"),
+        (lambda s: replace(s, projector_range=s.projector_range[:0]), r"projector_range must be .*\(0, 2\)"),
+        (lambda s: replace(s, labels=s.labels[:1]), "must have one shape"),
+        (lambda s: replace(s, labels=np.full_like(s.labels, 3)), "labels must be 255 exactly where range is 0"),
+        (lambda s: replace(s, range=np.ones_like(s.range)), "labels must be 255 exactly where range is 0"),
+        (lambda s: replace(s, labels=s.labels + np.uint8(33) * (s.range > 1)), "labels must be 0 to 32, found 38"),
+        (lambda s: replace(s, faces_projector=s.range == 0), "background cannot face the projector"),
+    ],
+)
+def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message: str) -> None:
+    with pytest.raises(BadSample, match=message):
+        change(GOOD).check()
+
+
+@pytest.mark.parametrize("key", ["", "a.b", "a/b", "../a", "a b", "ä", "x" * 81, "a\n"])
+def test_keys_that_readers_of_tars_would_split_are_refused(key: str) -> None:
+    with pytest.raises(BadSample, match="a sample key must be"):
+        check_key(key)
+
+
+def test_ranges_become_steps_of_a_tenth_of_a_millimetre() -> None:
+    metres = np.array([0.0, 2.15, 2.15004, 2.15006, 0.00001, 6.5535])
+    assert steps(metres, "x").tolist() == [0, 21500, 21500, 21501, 1, 65535]
+
+
+@pytest.mark.parametrize("metres", [6.55356, -0.1, float("nan"), float("inf")])
+def test_ranges_that_do_not_fit_are_refused_and_never_wrap_around(metres: float) -> None:
+    images: NDArray[np.float32] = np.array([[1.0, metres]], np.float32)
+    with pytest.raises(BadSample, match="x: a range must be 0 to 6.5535 m, found"):
+        steps(images, "x")

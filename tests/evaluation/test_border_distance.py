@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.evaluation.border_distance import BIN_NAMES, EDGES, BorderErrors, distance_bins
+from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.evaluation.scores import pairs_of
+
+
+def by_transform(labels: np.ndarray) -> np.ndarray:
+    """The exact distance, part by part, by SciPy's Euclidean distance transform."""
+    bins = np.full(labels.shape, BACKGROUND, np.uint8)
+    for part in set(labels.ravel().tolist()) - {BACKGROUND}:
+        others = (labels != part) & (labels != BACKGROUND)
+        away = ndimage.distance_transform_edt(~others) if others.any() else np.full(labels.shape, np.inf)
+        bins[labels == part] = np.searchsorted(EDGES, away[labels == part])
+    return bins
+
+
+def random_labels(seed: int, rows: int, columns: int, parts: int) -> np.ndarray:
+    """Patches of parts with holes and an outline of background."""
+    generator = np.random.default_rng(seed)
+    seeds = generator.random((parts, 2)) * (rows, columns)
+    places = np.stack(np.mgrid[:rows, :columns], axis=-1)
+    labels = np.argmin(((places[:, :, None] - seeds) ** 2).sum(-1), axis=-1).astype(np.uint8) * 2
+    labels[generator.random(labels.shape) < 0.25] = BACKGROUND
+    labels[ndimage.zoom(generator.random((5, 5)), (rows / 5, columns / 5), order=1) > 0.62] = BACKGROUND
+    return labels
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    ("rows", "columns", "parts"), [(70, 90, 6), (150, 60, 3), (40, 3, 2), (3, 60, 2), (90, 90, 17)]
+)
+def test_bins_are_those_of_the_exact_distance(seed: int, rows: int, columns: int, parts: int) -> None:
+    labels = random_labels(seed, rows, columns, parts)
+    expected = by_transform(labels)
+    found = distance_bins(labels)
+    assert found.dtype == np.uint8
+    assert np.array_equal(found, expected)
+
+
+def test_distances_by_hand() -> None:
+    labels = np.full((1, 40), 5, np.uint8)
+    labels[0, 0] = 6
+    labels[0, 2] = BACKGROUND
+    assert distance_bins(labels)[0].tolist() == [0, 0, BACKGROUND, 2, 2, *[3] * 4, *[4] * 8, *[5] * 23]
+    corner = np.array([[3, BACKGROUND], [BACKGROUND, 32]], np.uint8)
+    assert distance_bins(corner).tolist() == [[1, BACKGROUND], [BACKGROUND, 1]], "the square root of 2 is above 1"
+
+
+def test_a_single_part_is_far_from_any_border_and_background_is_none() -> None:
+    labels = np.full((20, 20), BACKGROUND, np.uint8)
+    assert (distance_bins(labels) == BACKGROUND).all()
+    labels[5:9, 5:9] = 0
+    assert np.unique(distance_bins(labels)).tolist() == [len(EDGES), BACKGROUND]
+    assert len(BIN_NAMES) == len(EDGES) + 1
+
+
+def test_labels_at_both_ends_of_the_range_make_borders() -> None:
+    labels = np.array([[0, 32, 0, 1]], np.uint8)
+    assert distance_bins(labels).tolist() == [[0, 0, 0, 0]]
+
+
+def test_errors_are_counted_by_distance_and_kind() -> None:
+    truth = np.array([0, 4, 4, 3], np.uint8)
+    predicted = np.array([0, 5, 14, 3], np.uint8)
+    errors = BorderErrors()
+    errors.add(pairs_of(truth, predicted), np.array([0, 5, 5, 5], np.uint8))
+    expected = np.zeros((6, 5), np.int64)
+    expected[0, KINDS.index("right")] = 1
+    for kind in ("left/right", "both", "right"):
+        expected[5, KINDS.index(kind)] = 1
+    assert np.array_equal(errors.counts, expected)

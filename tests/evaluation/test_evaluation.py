@@ -1,0 +1,443 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import nn
+
+from bodyseg_data import RangeImages
+from bodyseg_data.commands import cli
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_model.evaluation import evaluation, frame_times
+from bodyseg_model.evaluation.border_distance import distance_bins
+from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.commands import evaluate as command
+from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, Scores, Seen, evaluate, open_images
+from bodyseg_model.evaluation.report import report
+from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.evaluation.frame_times import time_frames
+from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.networks.registry import Prediction, build, predict
+
+
+class ByRange(nn.Module):
+    """Takes every pixel by itself: its range in centimetres says which part it is called, and how surely."""
+
+    def __init__(self, classes: int = PART_COUNT) -> None:
+        super().__init__()
+        self.classes = classes
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        place = range_m * 100 % self.classes
+        scores = torch.zeros(len(range_m), self.classes, *range_m.shape[2:])
+        return scores.scatter(1, place.long(), 10 * (place % 1))
+
+
+def at_once(network: nn.Module, range_m: torch.Tensor) -> Prediction:
+    """Predicts as `ByRange`, more or less, in no time: where little depends on the network."""
+    place = range_m[:, 0] * 100 % PART_COUNT
+    return Prediction(torch.where(range_m[:, 0] > 0, place.to(torch.uint8), BACKGROUND), place % 1)
+
+
+class Undecided(nn.Module):
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        return range_m.expand(-1, PART_COUNT, -1, -1) * torch.nan
+
+
+@pytest.fixture(scope="module")
+def network() -> ByRange:
+    return ByRange().eval()
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(1)
+    small = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "context": False})
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    folder.mkdir()
+    save_network(folder / "network.safetensors", small, "compact", {"variant": "all", "seed": 3})
+    return folder
+
+
+def plainly(network: nn.Module, images: RangeImages) -> dict[str, Any]:
+    """The counts of every subset, image by image and without anything of `evaluation`."""
+    found: dict[str, Any] = {}
+    for index in range(len(images)):
+        sample, shown = images.clean(index), images[index]
+        answer = predict(network, shown["range"][None])
+        body = shown["labels"].numpy() != BACKGROUND
+        truth, predicted = shown["labels"].numpy()[body], answer.labels[0].numpy()[body]
+        counts = np.zeros((PART_COUNT, PART_COUNT), np.int64)
+        np.add.at(counts, (truth, predicted), 1)
+        total = found.setdefault(
+            sample.info.subset, {"images": 0, "counts": 0, "sure": 0, "confidence": 0.0, "near": 0, "wrong_near": 0}
+        )
+        near = distance_bins(sample.labels)[body] == 0
+        confidence = answer.confidence[0].numpy()[body]
+        total["images"] += 1
+        total["counts"] = total["counts"] + counts
+        total["sure"] += int((confidence > np.float32(0.5)).sum())
+        total["confidence"] += float(confidence.sum(dtype=np.float64))
+        total["near"] += int(near.sum())
+        total["wrong_near"] += int((near & (truth != predicted)).sum())
+    return found
+
+
+@pytest.mark.parametrize(("variant", "batch_size", "workers"), [("all", 3, 0), ("all", 16, 1), ("none", 5, 0)])
+def test_scores_are_those_of_single_images(
+    figures_set: Path, network: ByRange, variant: str, batch_size: int, workers: int
+) -> None:
+    images = open_images(str(figures_set), variant)
+    steps: list[tuple[int, int]] = []
+    found = evaluate(network, images, batch_size=batch_size, workers=workers, progress=lambda *step: steps.append(step))
+    expected = plainly(network, images)
+    assert set(found.subsets) == {"A", "people"}
+    for name, scores in found.subsets.items():
+        plain = expected[name]
+        assert scores.images == plain["images"]
+        assert np.array_equal(scores.confusion.counts, plain["counts"])
+        assert scores.confidences is not None and scores.borders is not None
+        assert scores.confidences.above(0.5).share == pytest.approx(plain["sure"] / plain["counts"].sum())
+        assert scores.confidences.mean() == pytest.approx(plain["confidence"] / plain["counts"].sum())
+        assert scores.borders.counts[0].sum() == plain["near"]
+        assert scores.borders.counts[0].sum() - scores.borders.counts[0, KINDS.index("right")] == plain["wrong_near"]
+        assert scores.borders.counts.sum() == plain["counts"].sum()
+    total = found.total()
+    assert np.array_equal(total.confusion.counts, sum(plain["counts"] for plain in expected.values()))
+    assert total.images == len(images) == 8
+    assert steps[-1] == (8, 8)
+    assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
+
+
+def keys_seen(network: nn.Module, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
+    seen: list[str] = []
+    evaluate(network, images, count, batch_size=batch_size, extras=(), watch=lambda one, _: seen.append(one.key))
+    return seen
+
+
+def test_a_number_of_images_means_the_same_bodies_whatever_else_is_asked(
+    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "predict", at_once)
+    images = open_images(str(figures_set))
+    chosen = [images.keys[index] for index in images.order(0)[:5]]
+    assert keys_seen(network, images, 5, 2) == chosen
+    assert keys_seen(network, open_images(str(figures_set), "noise", noise_mm=40), 5, 16) == chosen
+    assert sorted(keys_seen(network, images, 99, 3)) == sorted(images.keys)
+    assert keys_seen(network, open_images(str(figures_set), seed=1), 5, 2) != chosen
+    with pytest.raises(BadConfig, match="the number of images must be a whole number of at least 1, found 0"):
+        evaluate(network, images, 0)
+
+
+def test_the_order_is_that_of_this_process_under_torchrun(
+    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "predict", at_once)
+    monkeypatch.setenv("RANK", "1")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert len(keys_seen(network, open_images(str(figures_set)), None, 4)) == 8
+
+
+def test_sets_merge_into_what_one_set_of_both_gives(
+    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "predict", at_once)
+
+    def judged(split: Any) -> Evaluation:
+        return evaluate(network, RangeImages(figures_set, "all", split))
+
+    whole, merged = judged(None), judged("train")
+    merged.merge(judged("test"))
+    assert json.dumps(report(merged)) == json.dumps(report(whole))
+    assert len(whole.worst) == 10
+    assert [accuracy for accuracy, _ in whole.worst] == sorted(accuracy for accuracy, _ in whole.worst)
+    assert merged.total(["people"]).images == 12
+    with pytest.raises(BadConfig, match="the subset must be one of A, people, found 'hard'"):
+        merged.total(["people", "hard"])
+
+
+def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation, "predict", at_once)
+
+    images = open_images(str(figures_set))
+    whole, fewer = evaluate(network, images), evaluate(network, images, extras=())
+    assert np.array_equal(whole.total().confusion.counts, fewer.total().confusion.counts)
+    assert fewer.total().confidences is None and fewer.total().borders is None
+    assert "reliability" not in report(fewer) and "border_distance_px" not in report(fewer)
+    with pytest.raises(BadConfig, match="scores to merge must count the same things"):
+        whole.merge(fewer)
+    with pytest.raises(BadConfig, match="scores to count must be among confidences, borders, found 'speed'"):
+        evaluate(network, images, extras=["speed"])  # type: ignore[list-item]
+
+
+def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
+    images = open_images(str(figures_set), "all", noise_mm=40, missing=0.25)
+    assert {images.image(index).sigma_mm for index in range(8)} == {40}
+    assert {images.image(index).missing_rate for index in range(8)} == {0.25}
+    drawn = open_images(str(figures_set), "all")
+    assert len({drawn.image(index).sigma_mm for index in range(8)}) == 8
+    for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
+        with pytest.raises(BadConfig, match="is for a variant that has any, found variant"):
+            open_images(str(figures_set), variant, **strengths)  # type: ignore[arg-type]
+    with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
+        open_images(str(figures_set), missing=1.5)
+    with pytest.raises(BadConfig, match="noise must satisfy"):
+        open_images(str(figures_set), noise_mm=float("nan"))
+
+
+def test_answers_that_are_none_are_refused(figures_set: Path) -> None:
+    images = open_images(str(figures_set))
+    with pytest.raises(BadConfig, match="labels must be 0 to 32, found .. in the prediction"):
+        evaluate(ByRange(40).eval(), images)
+    with pytest.raises(BadConfig, match="confidences must be 0 to 1, found nan"):
+        evaluate(Undecided().eval(), images)
+
+
+def seen_image(subset: str, labels: list[int], predicted: list[int]) -> Seen:
+    truth, guess = (np.array([row], np.uint8) for row in (labels, predicted))
+    body = truth != BACKGROUND
+    return Seen(f"{subset}-{labels[0]}", subset, body.astype(np.float32) * 2, truth, guess, body.astype(np.float32))
+
+
+def test_an_empty_image_counts_as_an_image_and_as_nothing_else() -> None:
+    empty = seen_image("A", [BACKGROUND] * 3, [BACKGROUND] * 3)
+    found = Evaluation()
+    found.add(empty, empty.labels)
+    tree = report(found)
+    json.dumps(tree, allow_nan=False)
+    assert (tree["images"], tree["pixels"], tree["average_per_class_accuracy"]) == (1, 0, None)
+    assert tree["worst_images"] == []
+    picture = SamplePicture()
+    picture.watch(empty, float("nan"))
+    assert picture.draw() is None
+
+
+def test_the_report_by_hand() -> None:
+    found = Evaluation()
+    for subset, labels, predicted in (
+        ("people", [0, 0, 4, 4, BACKGROUND, 3], [0, 1, 5, 4, BACKGROUND, 3]),
+        ("hard", [7, 7, 7, 7], [7, 7, 12, 3]),
+        ("C", [31, 31], [31, 31]),
+    ):
+        one = seen_image(subset, labels, predicted)
+        found.add(one, one.labels)
+    tree = report(found)
+    json.dumps(tree, allow_nan=False)
+    assert list(tree["subsets"]) == ["C", "people", "hard"], "the paper's first"
+    assert (tree["images"], tree["pixels"]) == (3, 11)
+    assert tree["average_per_class_accuracy"] == pytest.approx(np.mean([0.5, 0.5, 1, 0.5, 1]))
+    assert tree["pixel_accuracy"] == round(7 / 11, 5)
+    assert tree["swaps"] == {"left_right": round(1 / 11, 5), "front_back": round(1 / 11, 5), "both": round(1 / 11, 5)}
+    assert tree["over_images"] == {
+        "mean": round(np.mean([2 / 3, 0.5, 1]), 5),
+        "sd": round(np.std([2 / 3, 0.5, 1], ddof=1), 5),
+    }
+    assert tree["parts"][7]["accuracy"] == 0.5 and tree["parts"][7]["sd_over_images"] is None
+    assert tree["parts"][20]["accuracy"] is None
+    assert tree["worst_images"][0] == {"key": "hard-7", "average_per_class_accuracy": 0.5}
+    assert tree["risk_coverage"]["risk"][-1] == round(4 / 11, 5)
+    assert tree["confidence"]["ece"] == round(4 / 11, 5), "sure of everything"
+    assert tree["thresholds"][0]["share_of_pixels"] == 1
+    bins = {row["distance"]: (row["pixels"], row["wrong"]) for row in tree["border_distance_px"]}
+    assert bins == {
+        "1": (2, 1),
+        "1-2": (3, 0),
+        "2-4": (0, None),
+        "4-8": (0, None),
+        "8-16": (0, None),
+        ">16": (6, round(2 / 6, 5)),
+    }
+    assert np.array(tree["confusion"]).sum() == 11
+
+
+def test_scores_stay_small() -> None:
+    """As many bytes after many pixels as before."""
+    scores = Scores()
+
+    def size() -> int:
+        assert scores.confidences is not None and scores.borders is not None
+        counts = scores.confidences
+        return sum(
+            array.nbytes
+            for array in (scores.confusion.counts, counts.counts, counts.sums, counts.by_part, scores.borders.counts)
+        )
+
+    before = size()
+    one = seen_image("A", [0, 1] * 50_000, [0, 2] * 50_000)
+    scores.add(one, one.labels)
+    assert scores.confusion.pixels == 100_000
+    assert size() == before < 200_000
+
+
+def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
+    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "predict", at_once)
+    picture = SamplePicture()
+    seen: list[tuple[float, str, str]] = []
+
+    def watch(one: Seen, accuracy: float) -> None:
+        picture.watch(one, accuracy)
+        seen.append((accuracy, one.subset, one.key))
+
+    evaluate(network, open_images(str(figures_set)), watch=watch, extras=())
+    first = {subset: key for _, subset, key in reversed(seen)}
+    assert {name: one.key for name, (_, one) in picture._first.items()} == first
+    assert picture._worst is not None and picture._worst[1].key == min(seen)[2]
+    drawn = picture.draw()
+    assert drawn is not None and drawn.width > 900
+    assert len(set(drawn.convert("P").resize((300, 300)).tobytes())) > 100
+
+
+def test_frames_are_timed_one_by_one(network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Three frames untimed, then 10, 20 and 60 ms.
+    ticks = iter([0, 9, 0, 9, 0, 9, 0, 0.010, 0, 0.020, 0, 0.060])
+    monkeypatch.setattr(frame_times.time, "perf_counter", lambda: next(ticks))
+    asked: list[tuple[int, ...]] = []
+    monkeypatch.setattr(
+        frame_times, "predict", lambda _, frame: (asked.append(tuple(frame.shape)), predict(network, frame))[1]
+    )
+    frames = [torch.full((1, 1, 4, size), 2.0) for size in (5, 6, 7)]
+    times = time_frames(network, frames)
+    assert (times.mean, times.deviation, times.median) == pytest.approx((30, np.std([10, 20, 60], ddof=1), 20))
+    assert (times.frames, times.threads, times.device) == (3, torch.get_num_threads(), "processor")
+    assert asked == [(1, 1, 4, 5), (1, 1, 4, 6), (1, 1, 4, 7)] * 2
+    with pytest.raises(BadConfig, match="at least one frame"):
+        time_frames(network, [])
+
+
+def call(*words: object) -> int:
+    return cli.main(["evaluate", *map(str, words)])
+
+
+def test_the_command_writes_scores_and_figures(
+    figures_set: Path, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "scores.json"
+    words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--workers", 0]
+    assert call(*words, "--figures", tmp_path / "figures") == 0
+    assert "8 images: average per-class accuracy " in capsys.readouterr().err
+    tree = json.loads(out.read_text())
+    assert tree["card"]["seed"] == 3 and tree["run"] == "tiny"
+    assert tree["command"].startswith("bodyseg evaluate --data shards --json scores.json --run tiny")
+    assert str(tmp_path) not in out.read_text(), "folders of this machine are nobody's business"
+    assert (tree["images"], tree["data"][0]["evaluated"], tree["data"][0]["name"]) == (8, 8, "shards")
+    assert tree["milliseconds_per_frame"]["frames"] == 2
+    assert {"A", "people"} == set(tree["subsets"])
+    sizes = {}
+    for path in (tmp_path / "figures").iterdir():
+        with Image.open(path) as picture:
+            sizes[path.name] = picture.size
+            assert len(set(picture.convert("L").resize((300, 300)).tobytes())) > 20, f"{path.name} is blank"
+    assert set(sizes) == {"parts.png", "confusion.png", "confidence.png", "border_distance.png", "samples.png"}
+
+    again = tmp_path / "again.json"
+    assert call(*words[:4], "--json", again, "--frames", 0, "--workers", 0, "--batch-size", 3) == 0
+    other = json.loads(again.read_text())
+    assert other["milliseconds_per_frame"] is None
+    assert {name: other[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")} == {
+        name: tree[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")
+    }
+
+
+def test_several_sets_are_one_evaluation_unless_they_share_samples(
+    figures_set: Path, run_folder: Path, tmp_path: Path, pack_figures: Callable[..., Path], capsys: Any
+) -> None:
+    out = tmp_path / "scores.json"
+    common = ("--run", run_folder, "--json", out, "--frames", 0, "--workers", 0, "--images", 3)
+    halves = [figures_set / "test-00000.tar", figures_set / "test-00001.tar"]
+    assert call(*common, "--data", *halves) == 0
+    tree = json.loads(out.read_text())
+    assert [described["evaluated"] for described in tree["data"]] == [3, 3]
+    assert tree["images"] == 6
+    out.unlink()
+    copy = pack_figures(tmp_path / "copy")
+    assert call(*common, "--data", figures_set, copy) == 2
+    assert "a sample counts once: open-A-A-2-d215-a000" in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--run", "nowhere"], "found nowhere"),
+        (["--run", "nowhere.safetensors"], "cannot read nowhere.json"),
+        (["--images", "0"], "--images must be at least 1, found 0"),
+        (["--frames", "-1"], "--frames must be at least 0, found -1"),
+        (["--threads", "0"], "--threads must be at least 1, found 0"),
+        (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
+        (["--device", "abacus"], "cannot compute on the device 'abacus'"),
+        (["--variant", "none", "--noise", "5"], "a fixed strength of noise is for a variant that has any"),
+        (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
+        (["--seed", "-1"], "a seed must be a whole number from 0"),
+        (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
+        (["--figures", "no/folder/figures"], "--figures cannot be the folder no/folder/figures"),
+        (["--figures", "file"], "--figures cannot be the folder file"),
+    ],
+)
+def test_one_line_says_what_is_wrong(
+    figures_set: Path,
+    run_folder: Path,
+    tmp_path: Path,
+    words: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--workers": 0}
+    usual |= dict(zip(words[::2], words[1::2], strict=True))
+    assert call(*(word for pair in usual.items() for word in pair)) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not Path("x.json").exists()
+
+
+def test_a_set_without_the_split_is_refused(
+    figures_set: Path, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    only_train = f"{figures_set}/train-*.tar"
+    assert call("--run", run_folder, "--data", only_train, "--json", tmp_path / "x.json") == 2
+    assert "has no sample of split 'test'" in capsys.readouterr().err
+
+
+def test_an_interrupted_evaluation_leaves_no_file(
+    figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def interrupt(*arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return at_once(*arguments)
+
+    monkeypatch.setattr(evaluation, "predict", interrupt)
+    words = ("--run", run_folder, "--data", figures_set, "--json", tmp_path / "x.json")
+    assert call(*words, "--workers", 0, "--batch-size", 2) == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_run_the_network_that_ships_is_judged(
+    figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "shipped_network", lambda: command.load_network(run_folder))
+    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--workers", 0) == 0
+    assert json.loads((tmp_path / "x.json").read_text())["run"] is None
+
+
+def test_evaluating_loads_nothing_that_draws() -> None:
+    script = "import sys, bodyseg_model.commands.evaluate; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=200)
+    assert not {"matplotlib", "scipy", "tensorboard", "numba"} & set(done.stdout.split())
+    assert set(EXTRAS) == {"confidences", "borders"}

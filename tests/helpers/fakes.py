@@ -1,0 +1,38 @@
+"""A source of plain figures, so that packing and streaming are tested in seconds and without a body model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from shapes import figure
+
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core.parts import PART_COUNT
+
+
+class Figures:
+    """Six figures of two subjects, each a little different; the last one of each subject is for testing."""
+
+    name = "open"
+
+    def bodies(self) -> Sequence[BodyRef]:
+        return [
+            BodyRef(subset, subset, f"{subset}-{number}", "standing", "test" if number == 2 else "train")
+            for subset in ("A", "people")
+            for number in range(3)
+        ]
+
+    def missing(self) -> Sequence[str]:
+        return ()
+
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        return "figures 1"
+
+    def build(self, body: BodyRef) -> Body:
+        number = [known.mesh for known in self.bodies()].index(body.mesh)
+        plain = figure(body.mesh)
+        mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
+        # The first trunk vertex after every equal step down the list: far enough apart to be 33 parts.
+        return Body(mesh, np.linspace(0, 600, PART_COUNT).astype(np.int64))

@@ -1,0 +1,245 @@
+from __future__ import annotations
+
+import gc
+import json
+import multiprocessing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+from torchdata.stateful_dataloader import Stateful, StatefulDataLoader
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.loading.loader import Loader
+from bodyseg_data.loading.slots import SPARE, Slots
+
+
+def bits(batch: Any) -> tuple[list[str], bytes, bytes]:
+    return batch["key"], batch["range"].numpy().tobytes(), batch["labels"].numpy().tobytes()
+
+
+@pytest.fixture(scope="module")
+def expected(figures_set: Path) -> list[tuple[list[str], bytes, bytes]]:
+    """Two passes over the train split in batches of 3: 12 batches."""
+    batches = loader(RangeImages(figures_set, "all", "train"), 3)
+    return [bits(batch) for _ in range(2) for batch in batches]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_batch_that_is_held_never_changes(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+) -> None:
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers)
+    held = [batch for _ in range(2) for batch in batches]
+    for _ in range(2):
+        for _ in batches:
+            pass
+    del batches
+    gc.collect()
+    assert [bits(batch) for batch in held] == expected
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_part_of_a_batch_is_held_too(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+) -> None:
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers)
+    kept: list[Any] = []
+    for number, batch in enumerate(batches):
+        ranges = batch["range"]
+        kept.append((ranges[0], ranges.numpy()[0], memoryview(ranges.numpy()[0].reshape(-1)))[number % 3])
+    del batch, ranges
+    for _ in range(3):
+        for batch in batches:
+            batch["range"].fill_(-1)  # what a user does to a batch is nobody else's business
+    for part, (_, whole, _) in zip(kept, expected, strict=False):
+        image = np.asarray(part).tobytes()
+        assert image == whole[: len(image)]
+
+
+@pytest.mark.parametrize("start_method", ["spawn", "forkserver"])
+def test_start_methods_give_the_same_bits(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], start_method: Any
+) -> None:
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, 1, start_method=start_method)
+    assert [bits(batch) for batch in batches] == expected[:6]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int) -> None:
+    images = RangeImages(figures_set, "all")
+    pairs = zip(loader(images, 5, workers, metres=False), loader(images, 5), strict=True)
+    for steps, metres in pairs:
+        assert steps["range"].dtype == torch.uint16
+        assert torch.equal(steps["range"].to(torch.float32).mul_(1e-4), metres["range"])
+        assert torch.equal(steps["labels"], metres["labels"])
+
+
+def test_slots_come_back_when_nobody_holds_them() -> None:
+    slots = Slots(2, 4, 5, 3, True)
+    taken = [slots.take() for _ in range(2)]
+    ranges, labels = slots.arrays(taken[0])
+    assert (ranges.shape, ranges.dtype, labels.shape, labels.dtype) == ((4, 1, 5, 3), np.float32, (4, 5, 3), np.uint8)
+    ranges[:], labels[:] = 7, 8
+    lent = slots.hand_over(taken[0], 3)
+    assert lent[0].shape == (3, 1, 5, 3)
+    assert lent[0].data_ptr() == ranges.ctypes.data, "without a copy"
+    seen: list[Any] = [lent]
+    for _ in range(20):  # never out of slots, whatever is held; and what is held is never given to another
+        slot = slots.take()
+        others = slots.arrays(slot)[0]
+        assert not np.shares_memory(others, ranges)
+        others[:] = -1
+        seen.append(slots.hand_over(slot, 4))
+    assert (lent[0] == 7).all()
+    assert (lent[1] == 8).all()
+    pointers = {tensor.data_ptr() for tensor, _ in seen}
+    assert len(pointers) == 21
+    part = lent[1][1]
+    del lent, seen
+    free = {slots.take() for _ in range(2 + SPARE - 2)}
+    assert taken[0] not in free, "a label is still held"
+    del part
+    assert slots.take() == taken[0]
+
+
+def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]]
+) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    first = loader(images, 3, 2)
+    assert isinstance(first, Stateful)
+    states = [first.state_dict()]
+    for _ in range(2):
+        states.extend(first.state_dict() for _ in first)
+    assert [(state["epoch"], state["position"]) for state in states[:8]] == [
+        (0, 0), (0, 3), (0, 6), (0, 9), (0, 12), (0, 15), (0, 16), (1, 3),
+    ]  # fmt: skip
+    assert first.state_dict() == {**states[0], "epoch": 2}
+    for done in (0, 2, 5, 6, 7, 12):
+        again = loader(RangeImages(figures_set, "all", "train"), 3, done % 2)
+        again.load_state_dict(json.loads(json.dumps(states[done])))
+        rest = [bits(batch) for _ in range(again.epoch, 2) for batch in again]
+        assert rest == expected[done:]
+    assert len(json.dumps(states[3])) < 700
+
+
+def test_a_state_knows_what_it_belongs_to(figures_set: Path) -> None:
+    def fresh(variant: str = "all", split: Any = "train", shards: str = "*", **options: Any) -> Loader:
+        seed = options.pop("seed", 0)
+        return loader(RangeImages(figures_set / shards, variant, split, seed), 3, **options)
+
+    state = fresh().state_dict()
+    recut = fresh()
+    first, second, *others = recut.images.manifest.shards
+    columns = ("keys", "offsets", "lengths", "crc32")
+    joined = {column: getattr(first, column) + getattr(second, column) for column in columns}
+    recut.images.manifest = replace(recut.images.manifest, shards=(replace(first, **joined), *others))
+    recut.images._places = np.asarray([(0, n) for n in range(10)] + [(1, n) for n in range(5)] + [(2, 0)])
+    recut.load_state_dict(state)  # the same samples in other shards
+    altered = fresh()
+    record = altered.images.manifest.shards[0]
+    spoiled = replace(record, crc32=(record.crc32[0] ^ 1, *record.crc32[1:]))
+    altered.images.manifest = replace(altered.images.manifest, shards=(spoiled, second, *others))
+    cases = (
+        (fresh(shards="train-00000.tar"), "samples 16, here 5"),
+        (altered, "set '[0-9a-f]{32}', here '[0-9a-f]{32}'"),
+        (fresh("none"), "variant 'all', here 'none'"),
+        (fresh(seed=1), "seed 0, here 1"),
+        (fresh(shuffle=False), "shuffle True, here False"),
+    )
+    for other, message in cases:
+        with pytest.raises(BadConfig, match=f"^the state belongs to another run: {message}$"):
+            other.load_state_dict(state)
+    with pytest.raises(BadConfig, match="a state's 'skipped' must be a list of records"):
+        loader(RangeImages(figures_set, "all", "train"), 3).load_state_dict({**state, "skipped": [{"epoch": 1}]})
+    with pytest.raises(BadConfig, match="a state's record of a skipped sample must be like a loader's"):
+        record = {"epoch": "1", "key": "", "shard": "", "offset": 0, "why": ""}
+        loader(RangeImages(figures_set, "all", "train"), 3).load_state_dict({**state, "skipped": [record]})
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_torch_loaders_go_by_the_same_order(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    options: dict[str, Any] = {"num_workers": workers, "persistent_workers": workers > 0}
+    order = images.batches(3)
+    plain = DataLoader(images, batch_sampler=order, **options)
+    assert len(plain) == 6
+    passes = [bits(batch) for _ in range(2) for batch in plain]
+    assert passes == expected, "the epoch travels with the request, so workers that live on draw anew"
+    again = images.batches(3)
+    again.load_state_dict(order.state_dict(batches=4))
+    assert [bits(batch) for batch in DataLoader(images, batch_sampler=again)] == expected[10:]
+
+
+@pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")  # torchdata calls it
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_stateful_dataloader_goes_on(
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+) -> None:
+    def fresh() -> Any:
+        images = RangeImages(figures_set, "all", "train")
+        return StatefulDataLoader(images, batch_sampler=images.batches(3), num_workers=workers)
+
+    first = fresh()
+    states = []
+    for _ in range(2):
+        states.extend(first.state_dict() for _ in first)
+    for done in (1, 4, 6, 9):
+        again = fresh()
+        again.load_state_dict(states[done - 1])
+        found = [bits(batch) for batch in again]
+        if done == 6:
+            found = found or [bits(batch) for batch in again]
+        end = 12 if done >= 6 else 6
+        assert found == expected[done:end]
+
+
+def test_indices_alone_draw_for_the_epoch_that_was_set(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    later = images[2, 5]
+    images.set_epoch(2)
+    assert torch.equal(images[5]["range"], later["range"])
+    with pytest.raises(IndexError, match="index 16 of 16 samples"):
+        images[2, 16]
+
+
+def test_bad_options_are_refused(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"on_error": "ignore"}, "on_error must be stop or skip, found 'ignore'"),
+        ({"on_error": "skip"}, "on_error='skip' and a skip_budget belong together, found 'skip' and None"),
+        ({"skip_budget": 1}, "belong together, found 'stop' and 1"),
+        ({"on_error": "skip", "skip_budget": -1}, "skip_budget must be a number of samples, or a share"),
+        ({"on_error": "skip", "skip_budget": 1.5}, "a share from 0 to 1, found 1.5"),
+        ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
+        ({"prefetch": 0}, "prefetch must be a whole number of at least 1, found 0"),
+        ({"start_method": "thread"}, "start_method must be fork, spawn, forkserver or None, found 'thread'"),
+        ({"rank": 1, "ranks": 1}, "rank must be less than ranks, found 1 of 1"),
+    ]
+    for options, message in cases:
+        with pytest.raises(BadConfig, match=message):
+            loader(images, 4, **options)
+
+
+def test_an_image_of_another_size_is_refused(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "none")
+    small = np.zeros((10, 329), np.uint16), np.zeros((10, 329), np.uint8)
+    with pytest.raises(
+        BadShard, match=r"^train-00000.tar: offset 0: open-\S+: the image must be .* found .*\(10, 329\)"
+    ):
+        images.write(0, 0, *small)
+
+
+def test_a_worker_process_has_no_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
+    batches: Loader = loader(RangeImages(figures_set), 4, 1)
+    with pytest.raises(BadConfig, match="a worker process can have no workers of its own"):
+        next(iter(batches))

@@ -1,0 +1,318 @@
+"""What a loader leaves behind, and what it says, when something ends it early."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.core.errors import BodysegError, WorkerLost
+from bodyseg_data.loading.loader import Loader
+
+EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "10"))
+
+WITHIN_S = 60
+"""How long what should happen at once may take on a busy machine."""
+
+
+def worker_ids(batches: Loader) -> list[int]:
+    assert batches._crew is not None
+    return [process.pid for process in batches._crew.makers._processes]  # type: ignore[union-attr]  # not Here
+
+
+def alive(process: int) -> bool:
+    """Whether it runs; one that has ended and that nobody has asked about does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def await_end(processes: list[int]) -> None:
+    end = time.monotonic() + WITHIN_S
+    while any(map(alive, processes)):
+        assert time.monotonic() < end, f"still there: {[process for process in processes if alive(process)]}"
+        time.sleep(0.02)
+
+
+def keys(batches: Loader) -> list[str]:
+    return [key for batch in batches for key in batch["key"]]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("victim", [0, 1])
+def test_a_worker_that_is_killed_is_one_line_and_no_hang(figures_set: Path, number: int, victim: int) -> None:
+    batches = loader(RangeImages(figures_set), 3, 2)
+    delivered = iter(batches)
+    next(delivered)
+    processes = worker_ids(batches)
+    os.kill(processes[victim], number)
+    await_end([processes[victim]])
+    with pytest.raises(WorkerLost) as caught:
+        list(delivered)
+    message = str(caught.value)
+    assert message.startswith(f"worker {victim} of 2 (process {processes[victim]}) was ended by signal {number} (")
+    assert "\n" not in message
+    await_end(processes)
+    assert len(keys(batches)) == 24, "the next pass has workers again"
+
+
+def test_a_worker_that_ends_itself_is_named_too(figures_set: Path) -> None:
+    class Leaving(RangeImages):
+        def write(self, *where: Any) -> None:
+            os._exit(3)
+
+    with pytest.raises(
+        WorkerLost, match=r"worker 0 of 1 \(process \d+\) ended with status 3 before its batch was made"
+    ):
+        list(loader(Leaving(figures_set), 3, 1))
+
+
+def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(figures_set: Path) -> None:
+    class Failing(RangeImages):
+        def write(self, *where: Any) -> None:
+            raise MemoryError("no more\nof it")
+
+    with pytest.raises(WorkerLost) as caught:
+        list(loader(Failing(figures_set), 3, 2))
+    assert re.fullmatch(r"worker 0 of 2 \(process \d+\) failed: MemoryError: no more of it", str(caught.value))
+    assert "in write" in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_pass_may_be_left_and_another_begun(figures_set: Path, workers: int) -> None:
+    images = RangeImages(figures_set, "all")
+    batches = loader(images, 3, workers)
+    whole = [[batch["range"].sum().item() for batch in batches] for _ in range(3)]
+    images.set_epoch(0)
+    before: list[int] = []
+    for _ in batches:
+        before = worker_ids(batches) if workers else []
+        break
+    with pytest.raises(ZeroDivisionError):
+        for _ in batches:
+            1 / 0  # noqa: B018  # the user's own error
+    assert [batch["range"].sum().item() for batch in batches] == whole[2]
+    assert not workers or worker_ids(batches) == before, "the same workers go on"
+
+
+def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batches = loader(RangeImages(figures_set), 3, 2)
+    delivered = iter(batches)
+    next(delivered)
+    assert batches._crew is not None
+    processes = worker_ids(batches)
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(batches._crew.makers, "answer", interrupted)
+        list(delivered)
+    await_end(processes)
+    assert len(keys(batches)) == 24
+
+
+def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
+    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches = loader(RangeImages(figures_set), 3, 2)
+    delivered = iter(batches)
+    next(delivered)
+    assert batches._crew is not None
+    makers: Any = batches._crew.makers
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(makers, "answer", interrupted)
+        patch.setattr(makers._processes[0], "join", interrupted)
+        list(delivered)
+    assert len(keys(batches)) == 24, "the next pass has workers of its own"
+    makers.close()
+
+
+def test_a_pass_left_early_makes_no_batch_in_vain(figures_set: Path) -> None:
+    made = []
+
+    class Counting(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            made.append(index)
+
+    batches = loader(Counting(figures_set), 8)
+    for _ in range(3):
+        next(iter(batches))
+    assert len(made) == 24
+
+
+@pytest.mark.parametrize("held", ["nothing", "a batch", "an unfinished pass"])
+def test_a_loader_that_is_dropped_ends_its_workers_at_once(figures_set: Path, held: str) -> None:
+    gc.disable()  # none of this waits for the garbage collector
+    try:
+        batches: Any = loader(RangeImages(figures_set), 3, 2)
+        delivered: Any = iter(batches)
+        batch: Any = next(delivered)
+        processes = worker_ids(batches)
+        if held != "a batch":
+            batch = None
+        if held != "an unfinished pass":
+            delivered = None
+        del batches
+        if held == "an unfinished pass":
+            assert all(map(alive, processes))
+            del delivered
+        await_end(processes)
+        assert batch is None or batch["range"].max() > 1
+    finally:
+        gc.enable()
+
+
+def test_workers_end_when_told_to_whoever_else_has_their_pipes(
+    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill(process: Any) -> None:
+        raise AssertionError("had to be killed")
+
+    monkeypatch.setattr(multiprocessing.process.BaseProcess, "kill", kill)
+    pair = [loader(RangeImages(figures_set), 3, 2) for _ in range(2)]
+    for batches in pair:  # the second one's workers are forks that have the first one's pipes
+        next(iter(batches))
+    processes = worker_ids(pair[0])
+    del batches, pair[0]
+    await_end(processes)
+    assert len(keys(pair[0])) == 24
+
+
+def test_a_fork_of_the_process_has_workers_of_its_own(figures_set: Path) -> None:
+    batches = loader(RangeImages(figures_set), 3, 1)
+    delivered = iter(batches)
+    first = next(delivered)
+    processes = worker_ids(batches)
+
+    def elsewhere() -> None:
+        os._exit(0 if len(keys(batches)) == 24 and worker_ids(batches) != processes else 1)
+
+    child = multiprocessing.get_context("fork").Process(target=elsewhere)
+    child.start()
+    child.join(WITHIN_S)
+    assert child.exitcode == 0
+    assert len(first["key"]) + sum(len(batch["key"]) for batch in delivered) == 24
+    assert worker_ids(batches) == processes
+
+
+def own_kilobytes(process: int | str) -> int:
+    """Memory of a process, less what it shares."""
+    status = Path(f"/proc/{process}/status").read_text()
+    return int(status.partition("RssAnon:")[2].split()[0])
+
+
+def resources() -> dict[str, int]:
+    gc.collect()
+    return {
+        "handles": len(list(Path("/proc/self/fd").iterdir())),
+        "threads": threading.active_count(),
+        "children": len(multiprocessing.active_children()),
+    }
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_epochs_leave_nothing_behind(figures_set: Path, workers: int) -> None:
+    batches = loader(RangeImages(figures_set, "all"), 3, workers)
+    before = resources()
+    seen = []
+    sizes = []
+    for epoch in range(3 + EPOCHS):
+        for number, _ in enumerate(batches):
+            if epoch % 3 == 2 and number == 4:
+                break
+        seen.append(resources())
+        sizes.append(max(own_kilobytes(process) for process in ["self", *(worker_ids(batches) if workers else [])]))
+    assert seen == seen[:1] * len(seen)
+    assert max(sizes) - sizes[2] < 8000
+    del _, batches
+    assert resources() == before
+
+
+def test_errors_leave_nothing_behind(figures_set: Path) -> None:
+    class Failing(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            if index == 20:
+                raise BodysegError("twenty")
+            super().write(index, *where)
+
+    batches = loader(Failing(figures_set), 3, 2)
+    before = resources()
+    for _ in range(5):
+        with pytest.raises(BodysegError, match="^twenty$"):
+            keys(batches)
+    assert resources() == before
+
+
+ENDLESS = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell's children ignore it
+from bodyseg_data import RangeImages, loader
+two = [loader(RangeImages(sys.argv[1]), 3, 2, start_method=sys.argv[2]) for _ in range(2)]
+passes = [iter(batches) for batches in two]
+while True:
+    for number, batches in enumerate(two):
+        try:
+            next(passes[number])
+        except StopIteration:
+            passes[number] = iter(batches)
+    if len(passes) == 2:
+        passes.append(None)
+        workers = [process.pid for batches in two for process in batches._crew.makers._processes]
+        print(*workers, flush=True)
+    if sys.argv[3:] == ["leave"]:
+        sys.exit(0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "start_method"),
+    [(signal.SIGINT, "fork"), (signal.SIGINT, "forkserver"), (signal.SIGTERM, "fork"), (signal.SIGKILL, "fork")],
+)
+def test_a_signal_to_the_run_leaves_nothing_behind(figures_set: Path, number: int, start_method: str) -> None:
+    command = [sys.executable, "-c", ENDLESS, str(figures_set), start_method]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as run:
+        assert run.stdout is not None
+        workers = [int(word) for word in run.stdout.readline().split()]
+        assert len(workers) == 4
+        for process in (run.pid, *workers):  # nothing that has a name, so nothing that could stay
+            mapped = Path(f"/proc/{process}/maps").read_text()
+            assert "/memfd:bodyseg-batches (deleted)" in mapped
+            assert "/dev/shm/" not in mapped
+        if number == signal.SIGINT:  # as from a terminal: to everyone
+            os.killpg(run.pid, number)
+        else:
+            run.send_signal(number)
+        _, errors = run.communicate(timeout=WITHIN_S)
+    assert run.returncode == -number
+    await_end(workers)
+    if number == signal.SIGINT:
+        assert errors.count("Traceback") == 1, errors
+        assert errors.rstrip().endswith("KeyboardInterrupt")
+    else:
+        assert errors == ""
+
+
+def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(figures_set: Path) -> None:
+    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(figures_set), "fork", "leave"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    await_end([int(word) for word in done.stdout.split()])

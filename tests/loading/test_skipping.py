@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
+
+
+@pytest.fixture
+def spoil(figures_set: Path, tmp_path: Path) -> Callable[..., RangeImages]:
+    """A copy of the set with a bit flipped in each of these samples: (shard, place in it)."""
+
+    def make(*places: tuple[str, int], **options: Any) -> RangeImages:
+        copy = Path(shutil.copytree(figures_set, tmp_path / "copy"))
+        images = RangeImages(copy, "all", **options)
+        records = {record.name: record for record in images.manifest.shards}
+        for shard, index in places:
+            data = bytearray((copy / shard).read_bytes())
+            data[records[shard].offsets[index] + 2000] ^= 1
+            (copy / shard).write_bytes(data)
+        return images
+
+    return make
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_skipping_keeps_a_ledger(spoil: Callable[..., RangeImages], tmp_path: Path, workers: int) -> None:
+    images = spoil(("train-00000.tar", 1), ("train-00001.tar", 0), split="train")
+    bad = [images.manifest.shards[0].keys[1], images.manifest.shards[1].keys[0]]
+    log = tmp_path / "skipped.jsonl"
+    batches = loader(images, 3, workers, on_error="skip", skip_budget=2, skip_log=log)
+    good = loader(images, 3).order
+    for epoch in range(2):
+        orders = [[images.place(index)[1] for _, index in batch] for batch in good]
+        passed = list(batches)
+        assert len(passed) == len(batches) == 6, "no batch is left out"
+        for batch, wanted in zip(passed, orders, strict=True):
+            assert batch["key"] == [key for key in wanted if key not in bad]
+            assert len(batch["range"]) == len(batch["labels"]) == len(batch["key"])
+            for place, key in enumerate(batch["key"]):
+                images.set_epoch(epoch)
+                assert torch.equal(batch["range"][place], images[images.keys.index(key)]["range"])
+        images.epochs_set = batches.order._epochs_set  # undo: indexing by epoch is not a wish for the next pass
+    records = batches.skipped
+    assert sorted((record.epoch, record.key) for record in records) == sorted(
+        (epoch, key) for epoch in range(2) for key in bad
+    )
+    for record in records:
+        shard, key, offset = images.place(images.keys.index(record.key))
+        assert (record.shard, record.key, record.offset) == (shard, key, offset)
+        assert record.why.startswith(f"{shard}: {key}: offset {offset}: altered: CRC-32 ")
+    assert [json.loads(line) for line in log.read_text().splitlines()] == batches.state_dict()["skipped"]
+    again = loader(images, 3, on_error="skip", skip_budget=2)
+    again.load_state_dict(json.loads(json.dumps(batches.state_dict())))
+    assert again.skipped == records
+
+
+def test_a_batch_of_bad_samples_is_empty_not_gone(spoil: Callable[..., RangeImages]) -> None:
+    images = spoil(("test-00000.tar", 0), ("test-00000.tar", 1), split="test")
+    batches = list(loader(images, 2, on_error="skip", skip_budget=0.25))
+    assert [batch["key"] for batch in batches] == [[], images.keys[2:4], images.keys[4:6], images.keys[6:]]
+    assert batches[0]["range"].shape == (0, 1, 640, 329)
+    with pytest.raises(BadShard, match="has lost 1 samples before"):
+        list(loader(images, 2, on_error="skip", skip_budget=0.24))
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_spent_budget_stops_the_run(spoil: Callable[..., RangeImages], workers: int) -> None:
+    images = spoil(("train-00000.tar", 0), ("train-00000.tar", 2), ("train-00001.tar", 1), split="train")
+    batches = loader(images, 3, workers, shuffle=False, on_error="skip", skip_budget=2)
+    message = r"^train-00001.tar: \S+: offset \d+: altered: .* \(epoch 0 has lost 2 samples before, all that its"
+    with pytest.raises(BadShard, match=message):
+        list(batches)
+    assert len(batches.skipped) == 2
+    resumed = loader(images, 3, workers, shuffle=False, on_error="skip", skip_budget=2)
+    resumed.load_state_dict(batches.state_dict())
+    with pytest.raises(BadShard, match=message):  # what was lost before counts
+        list(resumed)
+
+
+def test_an_epoch_gone_through_again_may_lose_the_same_again(spoil: Callable[..., RangeImages]) -> None:
+    images = spoil(("train-00000.tar", 0), ("train-00000.tar", 2), split="train")
+    batches = loader(images, 3, shuffle=False, on_error="skip", skip_budget=2)
+    for times in range(1, 4):
+        images.set_epoch(0)
+        assert sum(len(batch["key"]) for batch in batches) == 14
+        assert len(batches.skipped) == 2 * times
+
+
+def test_what_cannot_be_skipped_ends_the_run_at_once(figures_set: Path) -> None:
+    asked = []
+
+    class Cut(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            asked.append(index)  # over a network, each may take minutes
+            raise Unreachable("no answer")
+
+    with pytest.raises(Unreachable, match="no answer"):
+        list(loader(Cut(figures_set), 8, on_error="skip", skip_budget=20))
+    assert len(asked) == 1
+
+
+def test_a_log_that_cannot_be_written_stops_the_run(spoil: Callable[..., RangeImages], tmp_path: Path) -> None:
+    log = tmp_path / "absent" / "log"
+    with pytest.raises(BadConfig, match="absent/log cannot be written: No such file"):
+        list(loader(spoil(("train-00000.tar", 0)), 4, on_error="skip", skip_budget=5, skip_log=log))

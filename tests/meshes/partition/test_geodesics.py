@@ -1,0 +1,190 @@
+"""Ways to measure distance along a surface: how near they come to the exact answer, and what they refuse."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from shapes import ball, figure
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary, Unanswerable
+from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method, nearest_sources, refusal
+
+METHODS: tuple[Geodesics, ...] = get_args(Geodesics)
+
+
+def surface(subdivisions: int = 4, seed: int = 0) -> Any:
+    """Vertices, faces and 20 sources of a dented ball."""
+    mesh = ball(subdivisions=subdivisions)
+    vertices = mesh.vertices.copy()
+    vertices[:, 2] *= 1 + 0.3 * np.sin(9 * mesh.vertices[:, 1])
+    sources = np.random.default_rng(seed).choice(len(vertices), 20, replace=False)
+    return vertices, mesh.faces.astype(np.int64), sources
+
+
+@pytest.mark.parametrize(
+    ("method", "error_m", "wrong"),
+    [("unfolded", 5e-3, 0.02), ("edges", 25e-3, 0.08), ("marching", 9e-3, 0.03), ("heat", 6e-3, 0.02)],
+)
+def test_rivals_come_near_the_exact_answer(method: Geodesics, error_m: float, wrong: float) -> None:
+    vertices, faces, sources = surface()
+    exact, answer = (nearest_sources(name, vertices, faces, sources) for name in ("exact", method))
+    np.testing.assert_array_equal(exact.source[sources], np.arange(20))
+    np.testing.assert_array_equal(answer.source[sources], np.arange(20))
+    np.testing.assert_allclose(answer.distance[sources], 0, atol=1e-12)
+    assert 0 < np.abs(answer.distance - exact.distance).mean() < error_m
+    assert 0 < (answer.source != exact.source).mean() < wrong
+    if method in ("unfolded", "edges"):
+        assert (answer.distance >= exact.distance - 1e-9).all()
+
+
+def test_edges_are_shortest_paths_of_a_graph() -> None:
+    vertices, faces, sources = surface(1)
+    away = np.full((len(vertices), len(vertices)), np.inf)  # Floyd and Warshall: slow, but plain
+    np.fill_diagonal(away, 0)
+    for face in faces:
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            length = np.linalg.norm(vertices[face[a]] - vertices[face[b]])
+            away[face[a], face[b]] = away[face[b], face[a]] = length
+    for middle in range(len(vertices)):
+        away = np.minimum(away, away[:, [middle]] + away[[middle]])
+    answer = nearest_sources("edges", vertices, faces, sources)
+    np.testing.assert_allclose(answer.distance, away[sources].min(axis=0), atol=1e-12)
+    np.testing.assert_allclose(away[sources[answer.source], np.arange(len(vertices))], answer.distance, atol=1e-12)
+
+
+def test_lines_across_an_edge_are_straight_and_stay_on_the_surface() -> None:
+    """Two triangles of a square, folded: the far corners see each other over the fold, or only round a dent."""
+    folded = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.7, 0.7, 0.6]])
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    answer = nearest_sources("unfolded", folded, faces, np.array([0]))
+    exact = nearest_sources("exact", folded, faces, np.array([0]))
+    assert answer.distance[3] == pytest.approx(exact.distance[3], abs=1e-12)
+    assert answer.distance[3] < nearest_sources("edges", folded, faces, np.array([0])).distance[3] - 0.1
+    boomerang = np.array([[0.0, 0, 0], [1, 0, 0], [0.2, 0.2, 0], [0, 1, 0]])  # a line from 1 to 3 would leave it
+    dented = nearest_sources("unfolded", boomerang, np.array([[0, 1, 2], [0, 2, 3]]), np.array([1]))
+    assert dented.distance[3] == pytest.approx(2 * np.hypot(0.8, 0.2), abs=1e-12)
+
+
+def test_pieces_without_a_way_between_them_keep_to_their_own_sources() -> None:
+    mesh = figure()
+    vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
+    sources = np.arange(0, len(vertices), len(vertices) // 5)[:5] + 7  # one on each part
+    piece = mesh.pieces("a test")
+    for method in METHODS:
+        answer = nearest_sources(method, vertices, faces, sources)
+        np.testing.assert_array_equal(piece[sources][answer.source], piece)
+        assert np.isfinite(answer.distance).all()
+
+
+def test_the_exact_answer_passes_a_vertex_that_alone_holds_sheets_together() -> None:
+    """Two triangles that meet in vertex 2: from 0 to 4 the way leads through it."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0, 2, 0], [1, 2, 0]])
+    answer = nearest_sources("exact", vertices, np.array([[0, 1, 2], [2, 4, 3]]), np.array([0]))
+    np.testing.assert_allclose(answer.distance, [0, 1, 1.25**0.5, 2 * 1.25**0.5, 2 * 1.25**0.5])
+    assert answer.note == "2 distances by the method 'unfolded', through 1 vertices that alone hold sheets together"
+
+
+def test_refusals_name_the_place() -> None:
+    vertices, faces, sources = surface(2)
+    a, b, _ = faces[0]
+    far = np.append(vertices, [[0.0, 5, 0]], axis=0)
+    short = vertices.copy()
+    short[b] = short[a] + np.array([1e-9, 0, 0])
+    fin = np.append(faces, [[a, b, len(vertices)]], axis=0)
+    line = np.append(faces, [[a, a, b]], axis=0)
+    for method in METHODS:
+        refused = method in ("exact", "marching")
+        low, high = sorted((int(a), int(b)))
+        crowded = f"an edge may have two faces at most, found 3 at that of vertices {low} and {high}"
+        assert refusal(method, far, fin) == (crowded if refused else None)
+        always = method in ("edges", "unfolded")
+        flat = f"a face needs three different vertices, found {[int(a), int(a), int(b)]}"
+        assert refusal(method, vertices, line) == (None if always else flat)
+        thin = refusal(method, short, faces)
+        assert (thin is None) == always
+        assert always or "an edge must be 1e-06 m long at least, found 1e-09 m" in str(thin)
+        if always:
+            assert np.isfinite(nearest_sources(method, short, line, sources).distance).all()
+        else:
+            with pytest.raises(Unanswerable, match=f"the method '{method}' cannot answer: "):
+                nearest_sources(method, short, faces, sources)
+
+
+def test_what_the_library_refuses_is_one_line() -> None:
+    """Two balls that share one vertex."""
+    vertices, faces, sources = surface(2)
+    count = len(vertices)
+    top, bottom = int(vertices[:, 1].argmax()), int(vertices[:, 1].argmin())
+    other = vertices + np.array([0, np.ptp(vertices[:, 1]), 0])
+    more = np.where(faces == bottom, top, faces + count)
+    used, corners = np.unique(np.concatenate([faces, more]), return_inverse=True)
+    with pytest.raises(Unanswerable, match="the method 'marching' cannot answer: .*nonmanifold") as caught:
+        nearest_sources("marching", np.concatenate([vertices, other])[used], corners.reshape(-1, 3), sources)
+    assert "\n" not in str(caught.value)
+
+
+HOSTILE = """
+import numpy as np, sys
+from bodyseg_data.errors import Unanswerable
+from bodyseg_data.geodesics import nearest_sources
+from bodyseg_data.mending import mend
+import trimesh
+method, seed = sys.argv[1], int(sys.argv[2])
+rng = np.random.default_rng(seed)
+ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+V, F = np.array(ball.vertices), np.array(ball.faces, np.int64)
+V = V + rng.normal(0, 10 ** rng.uniform(-6, -1), V.shape)
+for f in rng.choice(len(F), 60, replace=False):
+    V[F[f, 0]] = V[F[f, 1]] + 10 ** rng.uniform(-13, -5) * rng.normal(size=3)
+F = np.delete(F, rng.choice(len(F), 200, replace=False), axis=0)
+F = np.concatenate([F, rng.integers(0, len(V), (50, 3)), F[:40], F[:20, ::-1], F[:9, [0, 0, 1]]])
+merged = np.arange(len(V)); merged[rng.integers(0, len(V), 30)] = rng.integers(0, len(V), 30); F = merged[F]
+mended = mend(V, F, "a test")
+for faces in (F, mended.faces):
+    used, corners = np.unique(faces, return_inverse=True)
+    sources = rng.choice(len(used), 33, replace=False)
+    try:
+        answer = nearest_sources(method, V[used], corners.reshape(-1, 3), np.sort(sources))
+        assert not np.isnan(answer.distance).any() and answer.distance.min() >= 0
+        assert answer.source.min() >= 0 and answer.source.max() < 33
+    except Unanswerable as error:
+        assert "cannot answer: " in str(error) and method not in ("edges", "unfolded")
+"""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_crashes_or_hangs_on_hostile_surfaces(method: Geodesics) -> None:
+    for seed in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", HOSTILE, method, str(seed)], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("method", "package"),
+    [
+        ("exact", "pygeodesic.geodesic"),
+        ("marching", "potpourri3d"),
+        ("heat", "potpourri3d"),
+        ("edges", "scipy.sparse.csgraph"),
+        ("unfolded", "scipy.sparse.csgraph"),
+    ],
+)
+def test_a_missing_package_says_how_to_install_it(
+    method: Geodesics, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vertices, faces, sources = surface(2)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[render\]'"):
+        nearest_sources(method, vertices, faces, sources)
+
+
+def test_an_unknown_method_is_refused() -> None:
+    check_method("heat")
+    with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'hot'"):
+        check_method("hot")

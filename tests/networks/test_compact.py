@@ -1,0 +1,219 @@
+"""The small network: shapes, sizes of images, and what must not change its answer."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body, relief_of, shrunk
+from bodyseg_model.networks.registry import build, coarse, parameters, predict, settings_of
+
+SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
+
+
+def network(settings: CompactSettings = SMALL) -> Compact:
+    torch.manual_seed(5)
+    made = Compact(settings)
+    for layer in made.modules():
+        if isinstance(layer, torch.nn.BatchNorm2d):  # as if it had been trained
+            layer.running_mean.normal_()  # type: ignore[union-attr]
+            layer.running_var.uniform_(0.5, 2)  # type: ignore[union-attr]
+    return made.eval()
+
+
+def figure(rows: int, columns: int, seed: int = 0) -> torch.Tensor:
+    draw = torch.Generator().manual_seed(seed)
+    range_m = 2.5 + 0.3 * torch.rand(1, 1, rows, columns, generator=draw)
+    return range_m * (torch.rand(1, 1, rows, columns, generator=draw) < 0.7)
+
+
+@pytest.mark.parametrize("patch", [2, 4, 8, 16])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 50), (16, 16), (37, 61), (640, 329)])
+def test_any_image_gets_scores_of_its_own_size(patch: int, rows: int, columns: int) -> None:
+    made = network(CompactSettings(patch, (4, 6), (0, 1)))
+    with torch.no_grad():
+        assert made(figure(rows, columns)).shape == (1, 33, rows, columns)
+        assert made.coarse(figure(rows, columns)).shape == (1, 33, -(-rows // 4), -(-columns // 4))
+
+
+def test_the_default_has_at_most_two_million_parameters() -> None:
+    assert parameters(Compact()) <= 2_000_000
+
+
+def test_distance_does_not_enter() -> None:
+    made, near = network(), figure(40, 24)
+    far = torch.where(near > 0, near + 1.0, 0.0)
+    with torch.no_grad():
+        torch.testing.assert_close(made(near), made(far), atol=1e-4, rtol=1e-4)
+
+
+def test_a_pixel_that_is_missing_differs_from_one_that_is_near() -> None:
+    made, range_m = network(), torch.full((1, 1, 32, 32), 2.0)
+    holed = range_m.clone()
+    holed[0, 0, 10:20, 10:20] = 0
+    with torch.no_grad():
+        assert not torch.allclose(made(range_m), made(holed), atol=1e-3)
+
+
+def test_the_answer_lies_where_the_body_is() -> None:
+    """Moving the body by one patch moves the answer by as much: nothing is a pixel off."""
+    made = network(CompactSettings(8, (6, 8), (1, 1), context=False))
+    range_m = torch.zeros(1, 1, 320, 320)
+    range_m[:, :, 144:176, 144:176] = figure(32, 32) + 2.0
+    moved = range_m.roll((16, 32), (2, 3))
+    with torch.no_grad():
+        torch.testing.assert_close(
+            made(range_m)[..., 128:192, 128:192], made(moved)[..., 144:208, 160:224], atol=1e-4, rtol=1e-4
+        )
+
+
+def test_full_scores_are_the_coarse_ones_at_the_middles_of_cells() -> None:
+    made, range_m = network(), figure(48, 40)
+    with torch.no_grad():
+        full, small = made(range_m), made.coarse(range_m)
+    # A cell's middle lies between four pixels; away from the edge, scores are linear there.
+    middle = (full[..., 1::4, 1::4] + full[..., 2::4, 1::4] + full[..., 1::4, 2::4] + full[..., 2::4, 2::4]) / 4
+    expected = small * 49 / 64  # (7 / 8)^2 from the cell itself, the rest from its neighbours
+    for down in (-1, 0, 1):
+        for across in (-1, 0, 1):
+            share = {(0, 0): 0.0}.get((down, across), (1 / 16 if down else 7 / 8) * (1 / 16 if across else 7 / 8))
+            expected = expected + share * small.roll((down, across), (2, 3))
+    torch.testing.assert_close(middle[..., 1:-1, 1:-1], expected[..., 1:-1, 1:-1], atol=1e-4, rtol=1e-4)
+
+
+def test_settings_make_the_same_network_again() -> None:
+    made = network()
+    again = build("compact", settings_of(made))
+    again.load_state_dict(made.state_dict())
+    with torch.no_grad():
+        assert torch.equal(made(figure(20, 20)), again.eval()(figure(20, 20)))
+
+
+def test_weights_belong_to_a_seed() -> None:
+    settings = {"patch": 16, "widths": [4], "blocks": [0]}
+    one, same, other = (build("compact", settings, seed).get_parameter("head.weight") for seed in (1, 1, 2))
+    assert torch.equal(one, same)
+    assert not torch.equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"patch": 3}, "patch must be 2, 4, 8 or 16, found 3"),
+        ({"widths": []}, "widths must be 1 to 6 numbers from 1 to 2048, found ()"),
+        ({"widths": [0, 4, 4, 4]}, "widths must be 1 to 6 numbers"),
+        ({"blocks": [1]}, "blocks must be numbers from 0 to 32, one for each of"),
+        ({"depth": 3}, "settings of compact that it does not take"),
+    ],
+)
+def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(BadConfig) as caught:
+        build("compact", settings)
+    assert message in str(caught.value)
+
+
+def test_only_range_images_are_taken() -> None:
+    with pytest.raises(BadConfig, match=r"range images must be \[B, 1, H, W\], found \[1, 2, 8, 8\]"):
+        network()(torch.zeros(1, 2, 8, 8))
+
+
+def test_coarse_scores_of_other_networks_are_their_scores() -> None:
+    class Plain(torch.nn.Module):
+        def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+            return range_m.expand(-1, 33, -1, -1)
+
+    scores, step = coarse(Plain(), figure(5, 6))
+    assert step == 1
+    assert scores.shape == (1, 33, 5, 6)
+
+
+def test_predictions_name_a_part_at_every_pixel_of_the_body_and_nowhere_else() -> None:
+    range_m = torch.zeros(2, 1, 70, 50)
+    range_m[0, 0, 20:61, 7:30] = figure(41, 23)[0, 0]
+    labels, confidence = predict(network(), range_m)
+    assert labels.dtype == torch.uint8
+    assert torch.equal(labels == 255, range_m[:, 0] == 0)
+    assert torch.equal(confidence == 0, range_m[:, 0] == 0)
+    assert labels[range_m[:, 0] > 0].max() < 33
+    assert confidence.max() <= 1 + 1e-6
+
+
+def test_predictions_are_the_likeliest_part_of_interpolated_scores() -> None:
+    made, range_m = network(), torch.cat([figure(41, 30), figure(41, 30, seed=1)])
+    with torch.no_grad():
+        likely = made(range_m).softmax(1)
+    labels, confidence = predict(made, range_m)
+    body = range_m[:, 0] > 0
+    assert torch.equal(labels[body].long(), likely.argmax(1)[body])
+    torch.testing.assert_close(confidence[body], likely.amax(1)[body])
+
+
+def test_an_empty_image_has_no_parts() -> None:
+    labels, confidence = predict(network(), torch.zeros(1, 1, 9, 9))
+    assert (labels == 255).all()
+    assert not confidence.any()
+
+
+def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
+    with pytest.raises(BadConfig, match="evaluation mode"):
+        predict(network().train(), figure(8, 8))
+
+
+def test_an_unknown_network_is_refused() -> None:
+    with pytest.raises(
+        BadConfig, match="the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'"
+    ):
+        build("unet")
+
+
+def test_space_far_from_bodies_does_not_matter() -> None:
+    """Predictions from a window around the body are those from the whole image."""
+    made = network(CompactSettings(patch=8, widths=(6, 8), blocks=(0, 1)))
+    range_m = torch.zeros(1, 1, 400, 420)
+    range_m[:, :, 150:230, 170:220] = figure(80, 50)
+    with torch.no_grad():
+        whole = made(range_m).argmax(1)
+    labels, _ = predict(made, range_m)
+    body = range_m[0, 0] > 0
+    assert torch.equal(labels[0][body].long(), whole[0][body])
+
+
+def test_the_body_is_what_context_is_the_mean_of() -> None:
+    x = torch.randn(2, 3, 4, 5)
+    measured = (torch.rand(2, 1, 15, 20, generator=torch.Generator().manual_seed(0)) < 0.3).float()
+    expected = torch.zeros(2, 3)
+    for image in range(2):
+        total = 0.0
+        for row in range(4):
+            for column in range(5):
+                cell = measured[image, 0, 4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
+                expected[image] += x[image, :, row, column] * cell.mean()
+                total += float(cell.mean())
+        expected[image] /= total
+    torch.testing.assert_close(_mean_over_body(x, measured, 4)[:, :, 0, 0], expected)
+    assert not _mean_over_body(x, torch.zeros(2, 1, 15, 20), 4).any()
+
+
+@pytest.mark.parametrize("shrink", [2, 4])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 50), (37, 61), (640, 329)])
+def test_a_shrunk_image_gets_scores_of_its_own_size(shrink: int, rows: int, columns: int) -> None:
+    made = network(CompactSettings(4, (4, 6), (0, 1), shrink=shrink))
+    with torch.no_grad():
+        assert made(figure(rows, columns)).shape == (1, 33, rows, columns)
+        assert made.coarse(figure(rows, columns)).shape == (1, 33, -(-rows // 4), -(-columns // 4))
+
+
+def test_shrinking_averages_what_was_measured() -> None:
+    relief = torch.tensor(
+        [[[[4.0, 0.0, 7.0, 1.0], [2.0, 0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0]]]]
+    )
+    assert shrunk(relief, 2).tolist() == [[[[3.0, 4.0]], [[0.5, 0.5]]]]
+    assert shrunk(torch.zeros(1, 2, 4, 4), 4).tolist() == [[[[0.0]], [[0.0]]]]
+
+
+def test_a_body_of_many_pixels_fits_into_half_precision() -> None:
+    range_m = 2.0 + torch.rand(1, 1, 300, 300, generator=torch.Generator().manual_seed(0))  # 225 km in all
+    half = relief_of(range_m.half())
+    assert half.dtype == torch.float16
+    torch.testing.assert_close(half.float(), relief_of(range_m), atol=5e-3, rtol=0)

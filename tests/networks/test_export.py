@@ -1,0 +1,50 @@
+"""`bodyseg export`, as its users call it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from bodyseg_data.commands.cli import main
+from bodyseg_model.networks.checkpoints import load_network, save_network
+from bodyseg_model.networks.registry import build
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    network = build("compact", {"patch": 16, "widths": [16], "blocks": [1]}).eval()
+    (tmp_path / "run").mkdir()
+    save_network(tmp_path / "run" / "network.safetensors", network, "compact", {"variant": "all", "seed": 7})
+    return tmp_path / "run"
+
+
+def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path: Path) -> None:
+    scores = tmp_path / "scores.json"
+    scores.write_text('{"accuracy": 0.5}')
+    out = tmp_path / "given.safetensors"
+    assert main(["export", "--run", str(run), "--out", str(out), "--scores", str(scores)]) == 0
+    given, kept = load_network(out), load_network(run)
+    assert given.card == {**kept.card, "scores": {"accuracy": 0.5}}
+    assert out.stat().st_size < 0.7 * (run / "network.safetensors").stat().st_size
+    with torch.no_grad():
+        range_m = torch.full((1, 1, 40, 40), 2.0)
+        torch.testing.assert_close(given.network(range_m), kept.network(range_m), atol=5e-3, rtol=5e-3)
+
+
+def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.json").write_text("[]")
+    for words, message in (
+        (["--out", str(tmp_path / "x.pth")], "--out must be a .safetensors file"),
+        (["--out", str(tmp_path / "absent" / "x.safetensors")], "cannot write"),
+        (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
+        (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is a run's folder"),
+    ):
+        assert main(["export", "--run", str(run), *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
+    assert not json.loads((run / "network.json").read_text()).get("scores")

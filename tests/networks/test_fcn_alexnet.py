@@ -1,0 +1,228 @@
+"""The paper's network: its layers, where its answers lie, and AlexNet's weights in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.fcn_alexnet import FcnAlexnet, bilinear_filters
+from bodyseg_model.networks.pretrained import SHAPES, import_alexnet
+
+LAYERS = {
+    "conv1.weight": (96, 1, 11, 11),
+    "conv1.bias": (96,),
+    "conv2.weight": (256, 48, 5, 5),
+    "conv2.bias": (256,),
+    "conv3.weight": (384, 256, 3, 3),
+    "conv3.bias": (384,),
+    "conv4.weight": (384, 192, 3, 3),
+    "conv4.bias": (384,),
+    "conv5.weight": (256, 192, 3, 3),
+    "conv5.bias": (256,),
+    "conv6.weight": (4096, 256, 6, 6),
+    "conv6.bias": (4096,),
+    "conv7.weight": (4096, 4096, 1, 1),
+    "conv7.bias": (4096,),
+    "conv8.weight": (16, 4096, 1, 1),
+    "conv8.bias": (16,),
+    "upfeat.weight": (16, 16, 63, 63),
+    "score.weight": (33, 16, 1, 1),
+    "score.bias": (33,),
+}
+
+
+@pytest.fixture(scope="module")
+def network() -> FcnAlexnet:
+    torch.manual_seed(0)
+    return FcnAlexnet().eval()
+
+
+def test_every_layer_has_the_shape_of_figure_4(network: FcnAlexnet) -> None:
+    assert {name: tuple(value.shape) for name, value in network.state_dict().items()} == LAYERS
+    assert round(sum(value.numel() for value in network.parameters()) / 1e6) == 58
+
+
+def test_new_layers_are_gaussian_and_upfeat_is_frozen(network: FcnAlexnet) -> None:
+    for layer in (network.conv8, network.score):
+        assert layer.weight.std().item() == pytest.approx(0.01, rel=0.15)
+        assert abs(layer.weight.mean().item()) < 0.002 and not layer.get_parameter("bias").any()
+    assert [name for name, value in network.named_parameters() if not value.requires_grad] == ["upfeat.weight"]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (640, 329), (31, 33), (64, 200)])
+def test_the_answer_has_the_size_of_the_image(size: tuple[int, int]) -> None:
+    with torch.device("meta"):
+        assert FcnAlexnet()(torch.empty(2, 1, *size)).shape == (2, 33, *size)
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 8, 8), (1, 8, 8), (0, 1, 8, 8)])
+def test_other_shapes_are_refused(network: FcnAlexnet, shape: tuple[int, ...]) -> None:
+    with pytest.raises(BadConfig, match=r"range images must be \[B, 1, H, W\], found"):
+        network(torch.zeros(shape))
+
+
+def test_bilinear_filters_interpolate() -> None:
+    coarse = torch.tensor([[[[0.0, 1.0, 3.0]], [[5.0, 5.0, 5.0]]]])
+    fine = torch.nn.functional.conv_transpose2d(coarse, bilinear_filters(2, 4), stride=4)[0, :, 3]
+    assert fine[0, 3:12].tolist() == [0, 0.25, 0.5, 0.75, 1, 1.5, 2, 2.5, 3]
+    assert (fine[1, 3:12] == 5).all()
+
+
+def test_an_answer_lies_where_it_looked() -> None:
+    """Let everything see everything, and see around which pixel the answer of one pixel is centred."""
+    network = FcnAlexnet().eval()
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            if name != "upfeat.weight":
+                value.fill_(0 if name.endswith("bias") else 1 / value[0].numel())
+    image = torch.zeros(1, 1, 481, 481, requires_grad=True)
+    with torch.no_grad():
+        image += 1
+    pixel = 32 * 7 + 13
+    # Max pooling passes gradients to one pixel of several equal ones; a mean has no favourite.
+    network._pool = torch.nn.AvgPool2d(3, stride=2, ceil_mode=True)  # type: ignore[assignment]
+    network(image)[0, 0, pixel, pixel].backward()
+    assert image.grad is not None
+    seen = image.grad[0, 0].double()
+    rows = torch.arange(481.0, dtype=torch.float64)
+    centre = (seen.sum(dim=1) * rows).sum() / seen.sum(), (seen.sum(dim=0) * rows).sum() / seen.sum()
+    assert centre == pytest.approx((pixel, pixel), abs=0.01)
+
+
+# AlexNet's own files, made small in number of fields only: the same messages, names and sizes.
+
+
+def varint(number: int) -> bytes:
+    low, rest = number & 0x7F, number >> 7
+    return bytes([low]) if not rest else bytes([low | 0x80]) + varint(rest)
+
+
+def field(number: int, content: bytes | int) -> bytes:
+    if isinstance(content, int):
+        return varint(number << 3) + varint(content)
+    return varint(number << 3 | 2) + varint(len(content)) + content
+
+
+def alexnet() -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.float32]]]:
+    draw = np.random.default_rng(5)
+    for name, shape in SHAPES.items():
+        yield name, draw.random(shape, np.float32) - 0.5, draw.random(shape[0], np.float32)
+
+
+def onnx_file() -> bytes:
+    graph = b""
+    for name, weight, bias in alexnet():
+        for array, kind in ((weight, "w"), (bias, "b")):
+            dims = b"".join(field(1, size) for size in array.shape)
+            graph += field(5, dims + field(2, 1) + field(8, f"{name}_{kind}_0".encode()) + field(9, array.tobytes()))
+    return field(1, 7) + field(2, b"maker") + field(7, field(2, b"graph") + graph)
+
+
+def caffe_file() -> bytes:
+    layers = field(100, field(1, b"data") + field(2, b"Input"))
+    for name, weight, bias in alexnet():
+        blobs = b""
+        for array in (weight, bias):
+            shape = b"".join(varint(size) for size in array.shape)
+            blobs += field(7, field(5, array.tobytes()) + field(7, field(1, shape)))
+        layers += field(100, field(1, name.encode()) + field(2, b"Convolution") + blobs)
+    return field(1, b"AlexNet") + layers
+
+
+def old_caffe_file() -> bytes:
+    layers = b""
+    for name, weight, bias in alexnet():
+        blobs = b""
+        for array in (weight, bias):
+            sizes = (1, 1, 1, 1, *array.shape)[-4:]
+            shape = b"".join(field(number, size) for number, size in enumerate(sizes, 1))
+            blobs += field(6, shape + field(5, array.tobytes()))
+        layers += field(2, field(2, b"bottom") + field(4, name.encode()) + field(5, 4) + blobs)
+    return field(1, b"AlexNet") + layers
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [("a.onnx", onnx_file), ("a.caffemodel", caffe_file), ("b.caffemodel", old_caffe_file)],
+)
+def test_alexnet_is_imported_weight_by_weight(tmp_path: Path, name: str, make: Callable[[], bytes]) -> None:
+    path = tmp_path / name
+    path.write_bytes(make())
+    network = FcnAlexnet(normalise=True)
+    new = {key: value.clone() for key, value in network.state_dict().items() if key[:5] in ("conv8", "upfea", "score")}
+    import_alexnet(network, path)
+    got = {key: value.numpy() for key, value in network.state_dict().items()}
+    for layer, weight, bias in alexnet():
+        kept = {"fc6": "conv6", "fc7": "conv7"}.get(layer, layer)
+        if layer == "conv1":
+            np.testing.assert_allclose(got["conv1.weight"][:, 0], weight.mean(axis=1), atol=1e-7)
+        elif layer == "fc6":  # its inputs are counted channel by channel, row by row
+            assert got["conv6.weight"][7, 3, 2, 5] == weight[7, 3 * 36 + 2 * 6 + 5]
+            np.testing.assert_array_equal(got["conv6.weight"].reshape(4096, -1), weight)
+        else:
+            np.testing.assert_array_equal(got[f"{kept}.weight"].reshape(weight.shape), weight)
+        np.testing.assert_array_equal(got[f"{kept}.bias"], bias)
+    for key, value in new.items():
+        assert torch.equal(network.state_dict()[key], value), "layers that AlexNet has not are left alone"
+
+
+def small(name: bytes = b"conv1_b_0", dims: bytes = field(1, 96), data: bytes = bytes(384)) -> bytes:
+    return field(7, field(5, dims + field(2, 1) + field(8, name) + field(9, data)))
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("a.pth", b"x", "come as .onnx or .caffemodel"),
+        ("a.onnx", b"", "must be a file of 1 to"),
+        ("a.onnx", b"hello, world", "is not a whole .onnx file"),
+        ("a.onnx", small()[:-9], "is not a whole .onnx file: a field of"),
+        ("a.onnx", small(), "has no weight of AlexNet's layer conv1"),
+        ("a.onnx", small(b"conv1_w_0"), r"the weight of conv1 must be \(96, 3, 11, 11\), found \(96,\)"),
+        ("a.onnx", small(data=bytes(383)), "32-bit numbers in 383 bytes"),
+        ("a.onnx", b"\xff" * 30, "a number of more than 10 bytes"),
+        ("a.caffemodel", field(2, field(4, b"conv1") + field(6, field(5, bytes(8)))), "holds 2 numbers"),
+    ],
+)
+def test_what_is_not_alexnet_is_refused(network: FcnAlexnet, tmp_path: Path, name: str, data: bytes, said: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    before = network.conv1.weight.clone()
+    with pytest.raises(BadConfig, match=said):
+        import_alexnet(network, tmp_path / name)
+    assert torch.equal(network.conv1.weight, before)
+
+
+def test_a_file_that_is_not_there_is_named(network: FcnAlexnet, tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match=r"cannot read .*a\.onnx: No such file"):
+        import_alexnet(network, tmp_path / "a.onnx")
+
+
+def test_two_small_matrices_are_upfeat(network: FcnAlexnet) -> None:
+    x = torch.randn(2, 16, 9, 7, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        expected = network.upfeat(x)[:, :, 18 : 18 + 200, 18 : 18 + 150]
+        answer = network._upsampled(x, torch.arange(200), torch.arange(150))
+        torch.testing.assert_close(answer, expected, atol=2e-6, rtol=1e-6)
+
+
+def test_asked_for_some_pixels_it_answers_and_learns_as_if_asked_for_all() -> None:
+    torch.manual_seed(0)
+    network = FcnAlexnet(width=1 / 16).eval()
+    range_m, rows, columns = 2 + torch.rand(2, 1, 70, 50), torch.arange(3, 70, 4), torch.tensor([0, 7, 49])
+    answers = [network(range_m)[:, :, rows][..., columns], network(range_m, rows, columns)]
+    torch.testing.assert_close(answers[1], answers[0], atol=1e-6, rtol=1e-5)
+    learned = []
+    for scores in answers:
+        network.zero_grad()
+        scores.square().sum().backward()
+        learned.append([weight.grad.clone() for weight in network.parameters() if weight.grad is not None])
+    assert len(learned[0]) == 18
+    for of_all, of_some in zip(*learned, strict=True):
+        assert of_all.any()
+        torch.testing.assert_close(of_some, of_all, atol=1e-4 * float(of_all.abs().max()), rtol=1e-4)

@@ -1,0 +1,32 @@
+"""The network in the box: small, described, and as good as its card says on bodies that it never saw."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from bodyseg_data import RangeImages
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
+from bodyseg_model.evaluation.evaluation import evaluate
+
+
+def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
+    assert SHIPPED.stat().st_size <= 5_000_000
+    card = shipped_network().card
+    assert card["network"] == "compact"
+    assert card["variant"] == "all"
+    for name in ("command", "commit", "hardware", "recipe", "data", "scores"):
+        assert card[name], name
+    assert card["scores"]["average_per_class_accuracy"] > 0.8
+
+
+def test_the_shipped_network_knows_people_it_never_saw(tmp_path: Path) -> None:
+    """Two bodies of the test split, with all artifacts."""
+    bodies = Packing("open", meshes=8, views=ViewGrid((215, 295), azimuths=2, span_deg=180, count=2))
+    with ThreadPoolExecutor(1) as executor:
+        pack(bodies, tmp_path / "shards", executor, 1)
+    images = RangeImages(tmp_path / "shards", "all", "test")
+    found = evaluate(shipped_network().network, images, extras=())
+    assert found.total().confusion.average_per_class_accuracy() > 0.8

@@ -1,0 +1,521 @@
+"""Packing on a real scheduler with real workers, processes of their own, and what can go wrong with them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import importlib
+import multiprocessing
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fakes import Figures
+from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
+
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.packing.engines.engine import Engine, check_engine, open_engine
+from bodyseg_data.packing.engines import cluster, workers
+from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.state import STATE_NAME
+from bodyseg_data.core.views import ViewGrid
+
+TESTS = Path(__file__).parent
+PACKING = Packing("open", views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as the fixture figures_set
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Name -> hash of every file of a set."""
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
+
+
+def until(true: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def answers(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+        return True
+    return False
+
+
+@dataclass
+class Nodes:
+    """A scheduler and its workers, each in a process group of its own."""
+
+    folder: Path
+    port: int = 0
+    scheduler: subprocess.Popen[bytes] | None = None
+    workers: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def engine(self) -> str:
+        return f"dask://127.0.0.1:{self.port}"
+
+    def start(self, *module: str, **environment: str) -> subprocess.Popen[bytes]:
+        log = self.folder / f"{module[0]}-{len(self.workers)}.log"
+        paths = os.pathsep.join([str(TESTS), str(TESTS.parent)])
+        settings = {"BODYSEG_TROUBLE": str(self.folder), "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **environment}
+        command = [sys.executable, "-m", f"distributed.cli.dask_{module[0]}", *module[1:]]
+        with log.open("wb") as file:
+            return subprocess.Popen(
+                command, stdout=file, stderr=file, start_new_session=True, cwd=self.folder, env=os.environ | settings
+            )
+
+    def start_scheduler(self, **environment: str) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
+        self.scheduler = self.start("scheduler", *words, **environment)
+        until(lambda: answers(self.port), "the scheduler does not start")
+
+    def start_worker(self, *words: str) -> subprocess.Popen[bytes]:
+        address = f"tcp://127.0.0.1:{self.port}"
+        more = ("--no-dashboard", "--preload", str(TESTS / "figure_worker.py"), "--local-directory", str(self.folder))
+        self.workers.append(self.start("worker", address, "--host", "127.0.0.1", *more, *words))
+        return self.workers[-1]
+
+    def wait_for_workers(self, count: int) -> None:
+        import distributed
+
+        with distributed.Client(f"tcp://127.0.0.1:{self.port}", timeout=10, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=30)
+
+    def tasks(self) -> int:
+        """How many tasks the scheduler knows of."""
+        import distributed
+
+        with distributed.Client(f"tcp://127.0.0.1:{self.port}", timeout=10, set_as_default=False) as client:
+            return int(client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
+
+    @contextlib.contextmanager
+    def trouble(self, kind: str) -> Iterator[None]:
+        for old in self.folder.glob("begun-*"):
+            old.unlink()
+        (self.folder / kind).touch()
+        try:
+            yield
+        finally:
+            (self.folder / kind).unlink()
+
+    def begun(self) -> set[int]:
+        """Processes that have begun a body."""
+        return {int(path.name.removeprefix("begun-")) for path in self.folder.glob("begun-*")}
+
+    def stop(self) -> None:
+        for process in [*self.workers, self.scheduler]:
+            if process is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait(10)
+
+
+@contextlib.contextmanager
+def running(folder: Path, *workers: tuple[str, ...], **environment: str) -> Iterator[Nodes]:
+    nodes = Nodes(folder)
+    try:
+        nodes.start_scheduler(**environment)
+        for words in workers:
+            nodes.start_worker(*words)
+        if workers:
+            nodes.wait_for_workers(len(workers))
+        yield nodes
+    finally:
+        nodes.stop()
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    """One worker that Dask's nanny starts again when it dies, and one plain process with two threads."""
+    kinds = [("--nanny", "--nthreads", "1"), ("--no-nanny", "--nthreads", "2")]
+    with running(tmp_path_factory.mktemp("nodes"), *kinds) as started:
+        yield started
+
+
+@pytest.fixture(autouse=True)
+def figures(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """This process packs figures, too."""
+    packing._source.cache_clear()
+    workers._fault.cache_clear()
+    monkeypatch.setattr(packing, "open_source", lambda *where: Figures())
+    yield
+    packing._source.cache_clear()
+
+
+def pack_on(nodes: Nodes, out: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Engine:
+    with open_engine(nodes.engine, None, PACKING) as engine:
+        pack(PACKING, out, engine.executor, engine.workers, progress)
+    return engine
+
+
+def test_a_cluster_packs_the_same_bytes(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    before = set(threading.enumerate())
+    engine = pack_on(nodes, tmp_path / "shards")
+    assert contents(tmp_path / "shards") == contents(figures_set)
+    assert engine.workers == 2
+    assert engine.note is not None
+    assert "1 of 2 workers have several threads and use one of them" in engine.note
+    assert nodes.tasks() == 0
+    assert not [thread for thread in set(threading.enumerate()) - before if not thread.daemon]
+
+
+def test_results_leave_the_cluster_as_they_are_written(nodes: Nodes, tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    def look(done: int, total: int) -> None:
+        seen.append(nodes.tasks())
+
+    with open_engine(nodes.engine, 1, PACKING) as engine:
+        assert engine.workers == 1
+        pack(PACKING, tmp_path / "shards", engine.executor, engine.workers, look)
+    # Figures are cut into 8 runs; the last ones are alone, so nothing that was written is held on to.
+    assert max(seen) <= 2 * engine.workers + 1
+    assert seen[-1] == 0
+
+
+def test_a_worker_killed_at_work_changes_nothing(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    spare = nodes.start_worker("--no-nanny", "--nthreads", "1")
+    nodes.wait_for_workers(3)
+
+    def kill() -> None:
+        until(lambda: spare.pid in nodes.begun(), "the spare worker gets nothing to do")
+        spare.kill()
+
+    with nodes.trouble("slow"):
+        killer = threading.Thread(target=kill)
+        killer.start()
+        pack_on(nodes, tmp_path / "shards")
+        killer.join()
+    assert spare.wait(5) == -signal.SIGKILL
+    assert contents(tmp_path / "shards") == contents(figures_set)
+
+
+def test_a_bad_body_is_one_error_whatever_the_cluster(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    out = tmp_path / "shards"
+    with nodes.trouble("bad"), pytest.raises(BadMesh, match="^mesh A-1: faces must point outwards$"):
+        pack_on(nodes, out)
+    until(lambda: nodes.tasks() == 0, "jobs stay on the cluster")
+    pack_on(nodes, out)
+    assert contents(out) == contents(figures_set)
+
+
+def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours = tuple((name, "0.1" if name == "embreex" else version) for name, version in workers.installed())
+    with monkeypatch.context() as patch:
+        patch.setattr(cluster, "expected", lambda packing: replace(workers.expected(packing), installed=ours))
+        with (
+            pytest.raises(
+                BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .*, this machine has 0.1: install"
+            ),
+            open_engine(nodes.engine, None, PACKING),
+        ):
+            pass
+    monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
+    with (
+        pytest.raises(
+            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies of the source open than this machine"
+        ),
+        open_engine(nodes.engine, None, PACKING),
+    ):
+        pass
+    assert workers.fault(replace(workers.expected(Packing("open", Path("/there"))), seen="other")) == (
+        "sees other bodies in /there than this machine: share one folder with the workers"
+    )
+
+
+def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the last bit of one coordinate differs."""
+    plain = Figures.build
+
+    def build(self: Figures, body: BodyRef) -> Body:
+        built = plain(self, body)
+        vertices = built.mesh.vertices.copy()
+        vertices[0, 0] = np.nextafter(vertices[0, 0], 1)
+        return replace(built, mesh=Mesh(body.mesh, vertices, built.mesh.faces))
+
+    monkeypatch.setattr(Figures, "build", build)
+    with (
+        pytest.raises(
+            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds A-0 with other bits than this machine: use"
+        ),
+        open_engine(nodes.engine, None, PACKING),
+    ):
+        pass
+
+
+def test_every_package_that_makes_shards_is_compared() -> None:
+    declared = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["project"]["optional-dependencies"][
+        "render"
+    ]
+    names = {re.split(r"[^\w-]", line)[0] for line in declared}
+    assert names
+    assert names <= set(workers._SHAPE_BYTES)
+
+
+def test_a_worker_that_comes_late_is_checked_with_its_first_job() -> None:
+    wanted = workers.expected(PACKING)
+    assert workers.job(wanted, sum, ((1, 2),)) == 3
+    error = workers.job(replace(wanted, seen="other"), sum, ((1, 2),))
+    assert isinstance(error, BadConfig)
+    assert f"worker {socket.gethostname()} sees other bodies" in str(error)
+
+
+def test_a_worker_does_one_thing_at_a_time() -> None:
+    """Also the check of a second packing, while a job of a first is under way."""
+    wanted = workers.expected(PACKING)
+    with ThreadPoolExecutor(1) as thread:
+        with workers._one_at_a_time:
+            checking = thread.submit(workers.fault, wanted)
+            with pytest.raises(TimeoutError):
+                checking.result(0.2)
+        assert checking.result(10) is None
+
+
+def test_a_notebook_has_a_loop_of_its_own(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    async def cell() -> None:
+        pack_on(nodes, tmp_path / "shards")
+
+    asyncio.run(cell())
+    assert contents(tmp_path / "shards") == contents(figures_set)
+
+
+def _landmarked(root: Path, swapped: bool) -> None:
+    """One person in a folder, as scanned; two landmarks of the other side each if swapped."""
+    turned = PERSON.vertices @ turn("-x", "z") * 1000
+    points = PERSON.vertices[list(VERTICES)] @ turn("-x", "z")
+    if swapped:
+        points[[4, 5]] = points[[5, 4]]
+    write_mesh(root / "ann.ply", turned)
+    write_lnd(root / "ann.lnd", points)
+
+
+def test_running_workers_read_changed_landmarks(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a cluster, on processes of one engine, and in a process that packs again."""
+    monkeypatch.setattr(packing, "open_source", open_source)
+    root = tmp_path / "people"
+    wanted = Packing("folder", root, views=ViewGrid(count=1))
+    found: dict[bool, list[dict[str, str]]] = {False: [], True: []}
+
+    def keep(swapped: bool, name: str, engine: Engine) -> None:
+        out = tmp_path / f"{name}-{swapped}"
+        pack(wanted, out, engine.executor, engine.workers)
+        found[swapped].append(contents(out))
+
+    with open_engine("processes", 1, wanted) as here, ThreadPoolExecutor(1) as thread:
+        for swapped in (False, True):
+            _landmarked(root, swapped)
+            with open_engine(nodes.engine, None, wanted) as there:
+                keep(swapped, "cluster", there)
+            keep(swapped, "processes", here)
+            keep(swapped, "threads", Engine(thread, 1))
+    packing.forget_sources()
+    with ThreadPoolExecutor(1) as thread:
+        keep(True, "afresh", Engine(thread, 1))
+    before, after = found[False][0], found[True][-1]
+    assert before["train-00000.tar"] != after["train-00000.tar"]
+    assert all(each == before for each in found[False])
+    assert all(each == after for each in found[True])
+
+
+def test_an_error_leaves_the_users_own_children_alone() -> None:
+    child = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    child.start()
+    try:
+        with pytest.raises(BadMesh), open_engine("processes", 1, PACKING) as engine:
+            started = engine.executor.submit(os.getpid)
+            assert started.result(60) != child.pid
+            raise BadMesh("mesh A-1: faces must point outwards")
+        assert child.is_alive()
+        assert multiprocessing.active_children() == [child]
+    finally:
+        child.kill()
+        child.join()
+
+
+def test_nodes_without_bodyseg_are_named(nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that is only here stands for one that an older version, or none, does not have there."""
+    (tmp_path / "only_here.py").write_text("def check(wanted): pass\ndef installed(): pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    only_here = importlib.import_module("only_here")
+    for name, node in (("check", "worker tcp://.*"), ("installed", "the scheduler at .*")):
+        with monkeypatch.context() as patch:
+            wanted = workers.expected(PACKING)
+            patch.setattr(cluster, name, getattr(only_here, name))
+            patch.setattr(cluster, "expected", lambda packing, wanted=wanted: wanted)
+            with (
+                pytest.raises(BadConfig, match=f"^{node} cannot load bodyseg of this version.*No module.*only_here"),
+                open_engine(nodes.engine, None, PACKING),
+            ):
+                pass
+
+
+@pytest.fixture(scope="module")
+def frail_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    """A scheduler, without workers yet, that gives a body up with the first worker it kills."""
+    with running(tmp_path_factory.mktemp("frail"), DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as started:
+        yield started
+
+
+def test_a_scheduler_without_workers(frail_nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    assert "has no workers; start some with: dask worker 127.0.0.1:" in connecting_to(frail_nodes.port)
+
+
+def test_a_body_that_kills_its_workers_is_named(frail_nodes: Nodes, tmp_path: Path) -> None:
+    frail_nodes.start_worker("--nanny", "--nthreads", "1")
+    frail_nodes.wait_for_workers(1)
+    with frail_nodes.trouble("deadly"), pytest.raises(BadConfig, match="^mesh A-1: every worker .* was killed"):
+        pack_on(frail_nodes, tmp_path / "shards")
+
+
+def test_a_lost_scheduler_loses_nothing(
+    frail_nodes: Nodes, tmp_path: Path, figures_set: Path, pack_figures: Callable[..., Path]
+) -> None:
+    frail_nodes.wait_for_workers(1)
+    out = tmp_path / "shards"
+
+    def kill(done: int, total: int) -> None:
+        if done > 8 and frail_nodes.scheduler is not None:
+            frail_nodes.scheduler.kill()
+
+    start = time.monotonic()
+    with (
+        frail_nodes.trouble("slow"),
+        pytest.raises(BadConfig, match="^the scheduler at 127.0.0.1:[0-9]+ was lost: the"),
+    ):
+        pack_on(frail_nodes, out, kill)
+    assert time.monotonic() - start < 30
+    assert (out / STATE_NAME / "train-00000.tar.json").exists()
+    pack_figures(out, shard_samples=5)  # without a cluster
+    assert contents(out) == contents(figures_set)
+
+
+COMMAND = "import figure_worker; from bodyseg_data.commands.cli import main; raise SystemExit(main())"
+
+
+def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
+    words = ["shard", "--source", "open", "--views", "4", "--azimuth-span", "360", "--shard-samples", "5"]
+    return subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *words, "--engine", nodes.engine, "--out", str(out)],
+        env=os.environ | {"PYTHONPATH": str(TESTS), "BODYSEG_TROUBLE": str(nodes.folder)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_the_command_packs_on_a_cluster(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
+    with command(nodes, tmp_path / "shards") as process:
+        said, printed = process.communicate(timeout=60)
+    assert process.returncode == 0, printed
+    assert said.startswith(f"{tmp_path / 'shards'}: 24 samples in 6 shards")
+    assert all(line.startswith("packing: ") for line in printed.splitlines())
+    assert contents(tmp_path / "shards") == contents(figures_set)
+
+
+@pytest.mark.parametrize(("number", "said", "status"), [(signal.SIGINT, "interrupted", 130)])
+def test_a_packing_that_is_stopped_leaves_the_cluster_clean(
+    number: signal.Signals, said: str, status: int, nodes: Nodes, tmp_path: Path
+) -> None:
+    with nodes.trouble("slow"), command(nodes, tmp_path / "shards") as process:
+        until(lambda: len(nodes.begun()) == 2, "packing does not begin")
+        process.send_signal(number)
+        _, printed = process.communicate(timeout=30)
+    assert process.returncode == status
+    assert [line for line in printed.splitlines() if not line.startswith("packing: ")] == [f"bodyseg shard: {said}"]
+    until(lambda: nodes.tasks() == 0, "jobs stay on the cluster")
+
+
+@pytest.mark.parametrize(
+    "name", ["dask", "dask://host", "tcp://host:1", "dask://:8786", "dask://a:0", "dask://a:65536"]
+)
+def test_an_engine_has_a_name_that_is_known(name: str) -> None:
+    with pytest.raises(BadConfig, match=f"the engine must be processes or dask://HOST:PORT, found '{name}'"):
+        check_engine(name)
+
+
+def test_hosts_may_be_names_and_addresses() -> None:
+    assert check_engine("processes") is None
+    assert check_engine("dask://node-7.example.org:8786") == ("node-7.example.org", 8786)
+    assert check_engine("dask://[::1]:1") == ("[::1]", 1)
+
+
+def test_an_engine_has_a_worker() -> None:
+    with (
+        pytest.raises(BadConfig, match="packing needs at least one worker, found 0"),
+        open_engine("processes", 0, PACKING),
+    ):
+        pass
+
+
+def connecting_to(port: int) -> str:
+    with pytest.raises(BadConfig) as caught, open_engine(f"dask://127.0.0.1:{port}", None, PACKING):
+        pass
+    return str(caught.value)
+
+
+def test_nobody_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    assert (
+        connecting_to(port)
+        == f"no Dask scheduler at 127.0.0.1:{port}: Connection refused; start one with: dask scheduler"
+    )
+    with (
+        pytest.raises(BadConfig, match="no Dask scheduler at no.host.invalid:1: "),
+        open_engine("dask://no.host.invalid:1", None, PACKING),
+    ):
+        pass
+
+
+class _Silent(BaseHTTPRequestHandler):
+    def log_message(self, *arguments: Any) -> None:
+        pass
+
+
+def test_somebody_else_there(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
+    with HTTPServer(("127.0.0.1", 0), _Silent) as server:
+        serving = threading.Thread(target=server.serve_forever)
+        serving.start()
+        assert "is no Dask scheduler (" in connecting_to(server.server_port)
+        server.shutdown()
+        serving.join()
+    import distributed
+
+    with distributed.Client(f"tcp://127.0.0.1:{nodes.port}", set_as_default=False) as client:
+        worker = next(iter(client.nthreads()))
+    assert "is no Dask scheduler (Worker)" in connecting_to(int(worker.rpartition(":")[2]))
+
+
+def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[cluster\]'"),
+        open_engine("dask://a:1", None, PACKING),
+    ):
+        pass

@@ -1,0 +1,307 @@
+"""A reduced mesh shows the rig the same ranges to the tolerance, and keeps landmarks, box, pieces and open edges."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from shapes import ball, figure
+
+from bodyseg_data.packing import mesh_reduction
+from bodyseg_data.core import system_libraries
+from benches.data.surface.broken_bodies import CASES, sound
+from bodyseg_data.bodies.source import Body
+from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.meshes.mending import find_edges
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.mesh_reduction import Reduction, check_tolerance, edges_collapsed, probe_cameras, range_error, reduce, reduced_body, seen_ranges
+from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.views import View
+
+RIG = load_rig()
+BALL = ball(subdivisions=5)  # 20 480 triangles
+MARKS = np.linspace(0, len(BALL.vertices) - 1, 33).astype(np.int64)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pymeshlab_is_here() -> None:
+    try:
+        load_pymeshlab("these tests")
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def reduction() -> Reduction:
+    return reduce(BALL, MARKS, 5e-4, RIG)
+
+
+def test_ranges_stay_within_the_tolerance_and_triangles_go(reduction: Reduction) -> None:
+    assert len(reduction.mesh.faces) < len(BALL.faces) / 2
+    assert 2e-4 < reduction.error_m <= 5e-4  # not far below: no more triangles than needed
+    # By rays of all pixels and from between the probes, too.
+    cameras = [RIG.placed(BALL.centre, View(255, azimuth))[0] for azimuth in (45, 200)]
+    assert range_error(seen_ranges(reduction.mesh, cameras), seen_ranges(BALL, cameras)) <= 6e-4
+
+
+def test_the_error_is_that_of_the_surface(reduction: Reduction) -> None:
+    """Every point of the coarse ball seen from the front, by its distance from the true sphere."""
+    camera = RIG.placed(BALL.centre, View(215, 0))[0]
+    ranges = [seen_ranges(mesh, [camera])[0] for mesh in (reduction.mesh, BALL)]
+    both = (ranges[0] > 0) & (ranges[1] > 0)
+    rays = camera.camera.pixel_rays()[both]
+    away = [np.linalg.norm(camera.to_body(rays * z[both][:, None]) - BALL.centre, axis=1) for z in ranges]
+    assert np.percentile(np.abs(away[0] - away[1]), 95) <= reduction.error_m
+
+
+def test_range_error_is_the_percentile_over_pixels_that_either_sees() -> None:
+    wanted = np.zeros((10, 20), np.float32)
+    wanted[:5] = 2
+    ranges = wanted.copy()
+    ranges[0, :4] += 0.25  # 4 of 100 pixels
+    assert range_error([ranges], [wanted]) == 0
+    ranges[0, :8] += 0.25
+    assert range_error([ranges], [wanted]) == pytest.approx(0.25)
+    assert range_error([wanted * 0], [wanted]) == 2  # a body that has gone is far off
+    assert range_error([np.where(wanted > 0, 0, np.float32(3))], [wanted]) == 3
+
+
+def test_landmarks_keep_their_places_exactly(reduction: Reduction) -> None:
+    np.testing.assert_array_equal(reduction.mesh.vertices[reduction.landmarks], BALL.vertices[MARKS])
+    assert np.isin(reduction.landmarks, reduction.mesh.faces).all()
+
+
+def test_views_are_placed_as_before(reduction: Reduction) -> None:
+    np.testing.assert_array_equal(reduction.mesh.centre, BALL.centre)
+
+
+def test_labels_stay(reduction: Reduction) -> None:
+    before, after = partition(BALL, MARKS), partition(reduction.mesh, reduction.landmarks)
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    labels = []
+    for mesh, parts in ((BALL, before), (reduction.mesh, after)):
+        faces, points = _met(mesh, directions)
+        labels.append(parts.labels_at(mesh, faces, points))
+    assert np.mean(labels[0] != labels[1]) < 0.01
+
+
+def _met(mesh: Mesh, directions: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Where rays from the ball's centre leave it."""
+    import trimesh
+
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    middle = np.broadcast_to((0.0, 0.9, 0.0), directions.shape)
+    faces, rays, points = shape.ray.intersects_id(middle, directions, return_locations=True, multiple_hits=False)
+    order = np.argsort(rays)
+    assert len(order) == len(directions)
+    return faces[order].astype(np.int32), points[order]
+
+
+def test_a_smaller_tolerance_keeps_more_triangles(reduction: Reduction) -> None:
+    finer = reduce(BALL, MARKS, 2e-4, RIG)
+    assert 1.5 * len(reduction.mesh.faces) < len(finer.mesh.faces) < len(BALL.faces)
+    assert 0 < finer.error_m <= 2e-4
+
+
+@pytest.mark.parametrize(("power", "misses"), [(1.2, 0), (1.6, 0), (1.95, 0), (3.0, 1)])
+def test_the_search_neither_goes_too_far_nor_creeps(power: float, misses: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an error that is a power of the count: up to 2 no stage is made in vain, and each takes away enough."""
+    tolerance_m, tried = 5e-4, list[tuple[float, float]]()
+
+    def modelled(before: Reduction, share: float, *_: object) -> Reduction:
+        left = round(len(before.mesh.faces) * share)
+        tried.append((share, 3e-5 * (len(BALL.faces) / left) ** power))
+        return replace(before, mesh=cast(Mesh, SimpleNamespace(faces=BALL.faces[:left])), error_m=tried[-1][1])
+
+    monkeypatch.setattr(mesh_reduction, "_coarser", modelled)
+    found = reduce(BALL, MARKS, tolerance_m, RIG)
+    assert all(0.6 <= share <= 0.85 for share, _ in tried)
+    assert sum(error > tolerance_m for _, error in tried) == misses
+    assert 0.85**2 * 0.95 * tolerance_m <= found.error_m <= tolerance_m
+
+
+def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(reduction: Reduction) -> None:
+    meshes = load_pymeshlab("a test").MeshSet()
+    meshes.add_mesh(load_pymeshlab("a test").Mesh(BALL.vertices, BALL.faces))
+    # pymeshlab takes what a call leaves out from the call before.
+    meshes.meshing_decimation_quadric_edge_collapse(
+        targetfacenum=5000, qualitythr=0.9, planarquadric=True, optimalplacement=False, boundaryweight=7.0
+    )
+    assert _digest(reduce(BALL, MARKS, 5e-4, RIG)) == _digest(reduction)
+
+
+def test_another_process_gives_the_same_bits(reduction: Reduction) -> None:
+    script = (
+        "from test_mesh_reduction import *; from test_mesh_reduction import _digest\n"
+        "print(_digest(reduce(BALL, MARKS, 5e-4, RIG)))"
+    )
+    folder = Path(__file__).parent
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=120)
+    assert done.stdout.strip() == _digest(reduction), done.stderr
+
+
+def _digest(reduction: Reduction) -> str:
+    mesh = reduction.mesh
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes() + reduction.landmarks.tobytes()).hexdigest()
+
+
+def test_pieces_stay_apart_and_none_goes() -> None:
+    mesh = figure()
+    coarse, _ = edges_collapsed(mesh, np.linspace(0, 600, 33).astype(np.int64), 900)
+    assert len(coarse.faces) < len(mesh.faces) / 2
+    assert coarse.pieces("a test").max() == mesh.pieces("a test").max() == 4
+
+
+@pytest.mark.parametrize("case", ["holes", "non-manifold edges"])
+def test_open_edges_stay_as_they_are(case: str) -> None:
+    broken = CASES[case](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
+    coarse, _ = edges_collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
+    assert len(coarse.faces) < 0.9 * len(broken.mesh.faces)
+    assert _rim(broken.mesh) == _rim(coarse)
+
+
+def test_seams_do_not_open() -> None:
+    broken = CASES["doubled vertices: seams"](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
+    coarse, _ = edges_collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
+    assert len(coarse.faces) < 0.9 * len(broken.mesh.faces)
+    assert _rim(broken.mesh) >= _rim(coarse)  # vertices in one place may become one, but none moves
+
+
+def _rim(mesh: Mesh) -> set[bytes]:
+    edges = find_edges(mesh.faces)
+    return {ends.tobytes() for ends in np.sort(mesh.vertices[edges.ends[edges.faces != 2]], axis=1)}
+
+
+@pytest.mark.parametrize("case", list(CASES)[:-1])
+def test_broken_bodies_are_reduced_or_left_whole(case: str) -> None:
+    broken = CASES[case](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")
+    reduction = reduce(broken.mesh, broken.landmarks, 5e-4, RIG)
+    assert reduction.error_m <= 5e-4
+    np.testing.assert_array_equal(reduction.mesh.vertices[reduction.landmarks], broken.mesh.vertices[broken.landmarks])
+    partition(reduction.mesh, reduction.landmarks)
+
+
+def test_loose_triangles_are_left_whole() -> None:
+    broken = CASES["doubled vertices: loose triangles"](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("b")
+    assert reduce(broken.mesh, broken.landmarks, 1e-2, RIG).mesh is broken.mesh
+
+
+def test_a_mesh_as_coarse_as_may_be_is_left_whole() -> None:
+    mesh = ball(subdivisions=2)
+    reduction = reduce(mesh, np.arange(33), 1e-6, RIG)
+    assert reduction.mesh is mesh
+    assert reduction.note is None
+    assert reduction.error_m == 0
+
+
+def test_a_body_the_rig_cannot_see_is_left_whole() -> None:
+    away = replace(RIG, camera=replace(RIG.camera, centre_px=(RIG.camera.centre_px[0] + 5000, 0)))
+    reduction = reduce(BALL, MARKS, 5e-4, away)
+    assert reduction.mesh is BALL
+    assert reduction.note == "left whole: the rig sees nothing of it at 215 cm"
+
+
+def test_a_collapse_that_fails_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    pymeshlab = load_pymeshlab("a test")
+
+    def fail(*_: object, **__: object) -> None:
+        raise pymeshlab.PyMeshLabException("filter\nfailed")
+
+    monkeypatch.setattr(pymeshlab.MeshSet, "meshing_decimation_quadric_edge_collapse", fail)
+    reduction = reduce(BALL, MARKS, 5e-4, RIG)
+    assert reduction.mesh is BALL
+    assert reduction.error_m == 0
+    assert reduction.note == "left whole: edges could not be collapsed: filter failed"
+
+
+def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    def inside_out(coarse: object, mesh: Mesh, *_: object) -> Mesh:
+        return Mesh(mesh.name, mesh.vertices, mesh.faces[:, ::-1])
+
+    monkeypatch.setattr(mesh_reduction, "_taken_back", inside_out)
+    reduction = reduce(BALL, MARKS, 5e-4, RIG)
+    assert reduction.mesh is BALL
+    assert reduction.note is not None
+    assert reduction.note.startswith("left whole: mesh ball: faces must point outwards")
+
+
+def test_a_lost_landmark_is_an_error() -> None:
+    class Lost:
+        def vertex_scalar_array(self) -> NDArray[np.float64]:
+            return np.arange(len(BALL.vertices), dtype=np.float64)
+
+        def vertex_matrix(self) -> NDArray[np.float64]:
+            return BALL.vertices + 1e-9
+
+        def face_matrix(self) -> NDArray[np.int32]:
+            return BALL.faces
+
+    with pytest.raises(BadMesh, match="collapsing edges moved a landmark"):
+        mesh_reduction._taken_back(Lost(), BALL, MARKS, BALL.vertices.min(axis=0), BALL.vertices.max(axis=0))
+
+
+@pytest.mark.parametrize("tolerance_m", [0.0, -1e-3, np.nan, np.inf])
+def test_the_tolerance_must_be_positive(tolerance_m: float) -> None:
+    with pytest.raises(BadConfig, match="a mesh is reduced to a positive tolerance, found"):
+        reduce(BALL, MARKS, tolerance_m, RIG)
+
+
+@pytest.mark.parametrize("tolerance_mm", [-1.0, np.nan, np.inf])
+def test_a_packing_takes_no_such_tolerance(tolerance_mm: float) -> None:
+    with pytest.raises(BadConfig, match="must be 0 mm or more, found"):
+        check_tolerance(tolerance_mm)
+
+
+def test_small_meshes_are_reduced_only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = Body(BALL, MARKS, ("read from a file",))
+    assert reduced_body(body, None, RIG, 215) is body
+    assert reduced_body(body, 0, RIG, 215) is body
+    asked = reduced_body(body, 0.5, RIG, 215)
+    assert asked.notes[0] == "read from a file"
+    assert asked.notes[1].startswith(
+        f"reduced from 20480 to {len(asked.mesh.faces)} triangles, 95 % of pixels within 0."
+    )
+    monkeypatch.setattr(mesh_reduction, "PAYS_FROM", len(BALL.faces))
+    by_default = reduced_body(body, None, RIG, 215)
+    assert len(asked.mesh.faces) < len(by_default.mesh.faces) < len(BALL.faces)
+
+
+def test_a_packing_reduces_and_says_so(tmp_path: Path, pack_figures: Callable[..., Path]) -> None:
+    reduced = [pack_figures(tmp_path / name, meshes=2, tolerance_mm=1.0) for name in ("once", "again")]
+    whole = pack_figures(tmp_path / "whole", meshes=2, tolerance_mm=0)
+    notes = read_manifest(reduced[0]).notes()
+    assert [note.partition(" triangles")[0].partition(" to ")[0] for note in notes] == [
+        "A-1: reduced from 6400",
+        "people-1: reduced from 6400",
+    ]
+    assert not read_manifest(whole).notes()
+    shards = [(folder / "train-00000.tar").read_bytes() for folder in (*reduced, whole)]
+    assert shards[0] == shards[1] != shards[2]
+
+
+def test_probes_see_the_body_from_all_sides() -> None:
+    cameras = probe_cameras(BALL, RIG, 295)
+    assert [np.linalg.norm(camera.position - BALL.centre) for camera in cameras] == pytest.approx([2.95] * 4)
+    full = RIG.camera
+    for camera in cameras:
+        assert camera.camera.rows * 4 == full.rows
+        assert camera.camera.focal_px * 4 == full.focal_px
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(system_libraries, "_loads", lambda name: name != "OpenGL")
+    with pytest.raises(MissingLibrary, match=r"--tolerance-mm 0 keeps meshes whole\) needs libOpenGL"):
+        reduce(BALL, MARKS, 5e-4, RIG)

@@ -1,0 +1,400 @@
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fakes import Figures
+
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.commands.cli import main
+from bodyseg_data.core.errors import BadConfig, BadMesh
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.pack import Packing, plan, spread
+from bodyseg_data.packing.state import STATE_NAME, claimed
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.core.views import ViewGrid
+
+Pack = Callable[..., Path]
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Name -> hash of every file of a set."""
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
+
+
+def test_packing_twice_gives_the_same_bytes(figures_set: Path, tmp_path: Path, pack_figures: Pack) -> None:
+    assert contents(pack_figures(tmp_path / "again", shard_samples=5)) == contents(figures_set)
+
+
+def test_shard_size_changes_how_samples_are_cut_and_nothing_else(
+    figures_set: Path, tmp_path: Path, pack_figures: Pack
+) -> None:
+    other = read_manifest(pack_figures(tmp_path / "other", shard_samples=7))
+    ours = read_manifest(figures_set)
+    listed = [
+        [(key, crc) for shard in manifest.shards for key, crc in zip(shard.keys, shard.crc32, strict=True)]
+        for manifest in (ours, other)
+    ]
+    assert listed[0] == listed[1]
+    assert [len(shard) for shard in other.shards] == [7, 7, 2, 7, 1]
+
+
+def test_no_mesh_has_views_on_both_sides(figures_set: Path) -> None:
+    sides: dict[str, set[str]] = {}
+    for shard in read_manifest(figures_set).shards:
+        for key in shard.keys:
+            sides.setdefault(key.rpartition("-d")[0], set()).add(shard.split)
+    assert len(sides) == 6
+    assert all(len(splits) == 1 for splits in sides.values())
+
+
+class Interrupted(Exception):
+    """Stands for whatever ends a process in the middle of its work."""
+
+
+@contextlib.contextmanager
+def dying_after(renders: int) -> Iterator[None]:
+    count = 0
+    whole = packing.render_run
+
+    def render_run(*arguments: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > renders:
+            raise Interrupted
+        return whole(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(packing, "render_run", render_run)
+        yield
+
+
+@pytest.mark.parametrize("renders", range(9))
+def test_a_packing_cut_short_carries_on_to_the_same_bytes(
+    renders: int, figures_set: Path, tmp_path: Path, pack_figures: Pack
+) -> None:
+    out = tmp_path / "shards"
+    with dying_after(renders), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    assert not (out / "manifest.json").exists(), "an unfinished set must not look finished"
+    whole = contents(figures_set)
+    assert all(whole[path.name] == contents(out)[path.name] for path in out.glob("*.tar"))
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == whole
+    assert not (out / STATE_NAME).exists()
+
+
+def test_a_restart_renders_only_what_is_missing(tmp_path: Path, pack_figures: Pack) -> None:
+    out = tmp_path / "shards"
+    with dying_after(4), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=4)  # one shard a mesh
+    finished = {path.name for path in out.glob("*.tar")}
+    assert finished
+    with dying_after(6 - len(finished)):
+        pack_figures(out, shard_samples=4)
+
+
+def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
+    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build, divide = Figures.build, packing.partition
+    monkeypatch.setattr(
+        Figures, "build", lambda self, body: replace(build(self, body), notes=("closed 2 holes",) * (body.mesh < "B"))
+    )
+
+    def parted(mesh: Mesh, *rest: Any, **options: Any) -> Partition:
+        parts = divide(mesh, *rest, **options)
+        return replace(parts, note="by the edge graph: an edge has three faces") if mesh.name == "people-1" else parts
+
+    monkeypatch.setattr(packing, "partition", parted)
+    out = tmp_path / "shards"
+    with dying_after(4), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    pack_figures(out, shard_samples=5)
+    manifest = read_manifest(out)
+    graph = "people-1: by the edge graph: an edge has three faces"
+    assert {shard.name: shard.notes for shard in manifest.shards if shard.notes} == {
+        "train-00000.tar": ("A-0: closed 2 holes", "A-1: closed 2 holes"),  # A-1 goes on in the next one
+        "train-00002.tar": (graph,),
+        "test-00000.tar": ("A-2: closed 2 holes",),
+    }
+    assert main(["inspect", str(out), "--json"]) == 0
+    listed = ["A-0: closed 2 holes", "A-1: closed 2 holes", graph, "A-2: closed 2 holes"]
+    assert json.loads(capsys.readouterr().out)["notes"] == listed
+    assert main(["verify", str(out)]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")] == [
+        f"note: {line}" for line in listed
+    ]
+
+
+def test_a_finished_shard_that_was_altered_is_made_again(tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
+    out = tmp_path / "shards"
+    with dying_after(5), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    first = out / "train-00000.tar"
+    first.write_bytes(first.read_bytes()[:-1] + b"x")
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == contents(figures_set)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", '"\\ud800"', "NaN"])
+def test_records_that_say_nothing_are_made_again(
+    text: str, tmp_path: Path, figures_set: Path, pack_figures: Pack
+) -> None:
+    out = tmp_path / "shards"
+    with dying_after(4), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    records = list((out / STATE_NAME).glob("*.tar.json"))
+    assert records
+    for record in records:
+        record.write_text(text)
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == contents(figures_set)
+    with dying_after(0), pytest.raises(Interrupted):
+        pack_figures(tmp_path / "other", shard_samples=5)
+    (tmp_path / "other" / STATE_NAME / "plan.json").write_text(text)
+    with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
+        pack_figures(tmp_path / "other", shard_samples=5)
+
+
+def test_a_finished_set_is_left_as_it_is(tmp_path: Path, pack_figures: Pack) -> None:
+    out = pack_figures(tmp_path / "shards", meshes=2)
+    stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    with dying_after(0):
+        pack_figures(out, meshes=2)
+    assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == stamps
+
+
+@pytest.mark.parametrize("damage", ["gone", "altered"])
+def test_a_damaged_finished_set_is_mended(damage: str, tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
+    out = pack_figures(tmp_path / "shards", shard_samples=5)
+    shard = out / "train-00002.tar"
+    if damage == "gone":
+        shard.unlink()
+    else:
+        shard.write_bytes(shard.read_bytes()[:-100])
+    with dying_after(0), pytest.raises(Interrupted):
+        pack_figures(out, shard_samples=5)
+    assert not (out / "manifest.json").exists(), "a set with a damaged shard is not finished"
+    pack_figures(out, shard_samples=5)
+    assert contents(out) == contents(figures_set)
+
+
+def test_other_bodies_of_the_same_names_are_another_packing(
+    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = pack_figures(tmp_path / "shards", meshes=2)
+    monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+        pack_figures(out, meshes=2)
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: Pack) -> None:
+    out = pack_figures(tmp_path / "shards", meshes=2)
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+        pack_figures(out, meshes=3)
+    with dying_after(1), pytest.raises(Interrupted):
+        pack_figures(tmp_path / "unfinished", meshes=2)
+    with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
+        pack_figures(tmp_path / "unfinished", meshes=3)
+    (tmp_path / "tars").mkdir()
+    (tmp_path / "tars" / "mine.tar").touch()
+    with pytest.raises(BadConfig, match="holds tars that no packing here knows of"):
+        pack_figures(tmp_path / "tars")
+    (tmp_path / "file").touch()
+    with pytest.raises(BadConfig, match="is a file"):
+        pack_figures(tmp_path / "file")
+
+
+def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: Pack) -> None:
+    out = tmp_path / "shards"
+    with dying_after(1), pytest.raises(Interrupted):
+        pack_figures(out)
+    description = json.loads((out / STATE_NAME / "plan.json").read_bytes())
+    with (
+        claimed(out, description, "digest"),
+        pytest.raises(BadConfig, match="another packing is at work in"),
+    ):
+        pack_figures(out)
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figures: Pack) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BadConfig, match="cannot write shards in .*: Not a directory"):
+        pack_figures(tmp_path / "file" / "shards")
+
+
+def test_a_bad_body_stops_the_packing_by_name(
+    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def build(self: Figures, body: BodyRef) -> Any:
+        raise BadMesh(f"mesh {body.mesh}: faces must point outwards")
+
+    monkeypatch.setattr(Figures, "build", build)
+    with pytest.raises(BadMesh, match="mesh A-0: faces must point outwards"):
+        pack_figures(tmp_path / "shards")
+
+
+def test_results_wait_for_the_writer_instead_of_filling_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[int] = []
+    monkeypatch.setattr(packing, "render_run", lambda packing, body, *rest: started.append(body) or [])
+    runs = tuple((number, ()) for number in range(50))
+    shard = packing._Shard("train-00000.tar", "train", runs)  # type: ignore[arg-type]  # bodies are not looked at
+    with ThreadPoolExecutor(2) as executor:
+        results = packing._results(Packing("open"), [shard], executor, 2, "")
+        next(results)
+        assert len(started) == 1, "the first body goes alone"
+        next(results)
+        time.sleep(0.2)
+        assert len(started) <= 7
+        assert len(list(results)) == 48
+
+
+def test_meshes_are_taken_evenly_from_every_subset() -> None:
+    bodies = [
+        BodyRef(subset, subset, f"{subset}{n}", "", "train") for subset, k in (("A", 4), ("P", 100)) for n in range(k)
+    ]
+    assert [body.mesh for body in spread(bodies, 3)] == ["A1", "A3", "P50"]
+    assert [body.subset for body in spread(bodies, 20)].count("A") == 4
+    assert spread(bodies, 20)[-1].mesh == "P96"
+    assert spread(bodies, None) == bodies
+    with pytest.raises(BadConfig, match="105 meshes asked for, the source has 104"):
+        spread(bodies, 105)
+
+
+def test_a_plan_counts_without_rendering() -> None:
+    counts = plan(Packing("open", views=ViewGrid(count=6)))
+    assert counts["meshes"] == 71 + 825 + 850 + 583 == 2329
+    assert counts["views"] == counts["meshes"] * 6 == counts["train"] + counts["test"]
+    assert counts["subsets"]["A"] == {"meshes": 71, "views": 426, "train": 57 * 6, "test": 14 * 6}
+    assert counts["subsets"]["people"] == {"meshes": 583, "views": 3498, "train": 467 * 6, "test": 116 * 6}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"meshes": 0}, "at least one mesh, found 0"),
+        ({"shard_samples": 0}, "at least one sample, found 0"),
+        ({"renderer": "povray"}, "the renderer must be one of raster, embree, opengl, found 'povray'"),
+        ({"codec": "jpg"}, "the codec must be one of bsi, png, found 'jpg'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        Packing("open", **options)
+
+
+def test_sources_say_what_they_need() -> None:
+    with pytest.raises(BadConfig, match="the source must be one of open, .*, found 'cinema'"):
+        open_source("cinema")
+    with pytest.raises(BadConfig, match="'mit' needs --path"):
+        open_source("mit")
+    with pytest.raises(BadConfig, match="'open' makes its bodies and reads no files"):
+        open_source("open", Path())
+
+
+COMMAND = [sys.executable, "-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "6", "--views", "3"]
+COMMAND += ["--shard-samples", "4"]
+
+
+def _shard(out: Path, workers: int) -> list[str]:
+    return [*COMMAND, "--workers", str(workers), "--out", str(out)]
+
+
+@pytest.fixture(scope="module")
+def real_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Real bodies, packed by the command with one worker."""
+    out = tmp_path_factory.mktemp("real") / "shards"
+    done = subprocess.run(_shard(out, 1), capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "18 samples in 5 shards" in done.stdout
+    assert "packing: 18 of 18 views" in done.stderr
+    return out
+
+
+def test_any_number_of_workers_gives_the_same_bytes(real_set: Path, tmp_path: Path) -> None:
+    subprocess.run(_shard(tmp_path / "two", 2), check=True, capture_output=True, timeout=200)
+    assert contents(tmp_path / "two") == contents(real_set)
+
+
+def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(real_set: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    process = subprocess.Popen(_shard(out, 2), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not (out / STATE_NAME / "train-00001.tar.json").exists():
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.02)
+    children = _children(process.pid)
+    assert children
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (out / "manifest.json").exists()
+    while any(_alive(child) for child in children):
+        assert time.monotonic() < deadline, "workers outlive the process that started them"
+        time.sleep(0.05)
+    subprocess.run(_shard(out, 2), check=True, capture_output=True, timeout=200)
+    assert contents(out) == contents(real_set)
+
+
+@pytest.mark.parametrize(
+    ("signals", "said", "status"),
+    [
+        ([signal.SIGINT], "interrupted", 130),
+        ([signal.SIGINT] * 2, "interrupted", 130),
+        ([signal.SIGINT] * 6, "interrupted", 130),
+        ([signal.SIGTERM], "terminated", 143),
+    ],
+)
+def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
+    signals: list[signal.Signals], said: str, status: int, tmp_path: Path
+) -> None:
+    command = _shard(tmp_path / "shards", 2)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    workers = _children(process.pid)
+    for number in signals:
+        with contextlib.suppress(ProcessLookupError):
+            if number == signal.SIGINT:
+                os.killpg(process.pid, number)  # a terminal's Ctrl-C goes to all
+            else:
+                os.kill(process.pid, number)
+        time.sleep(0.03)
+    _, printed = process.communicate(timeout=20)
+    assert process.returncode == status
+    lines = [line for line in printed.splitlines() if not line.startswith("packing: ")]
+    assert lines == [f"bodyseg shard: {said}"]
+    while any(_alive(worker) for worker in workers):
+        assert time.monotonic() < deadline, "workers outlive the process that started them"
+        time.sleep(0.05)
+
+
+def _children(pid: int) -> list[int]:
+    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(word) for word in listed.split()]
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False

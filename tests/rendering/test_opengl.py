@@ -1,0 +1,128 @@
+"""What only the OpenGL renderer can get wrong: shared contexts, image sizes, face numbers as colours, memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import ball, figure
+from test_rendering import FRONT, RIG, body_rays, see, skip_without_opengl
+
+from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.core.views import View
+
+
+@pytest.fixture(autouse=True)
+def _opengl_is_here() -> None:
+    skip_without_opengl()
+
+
+def test_images_of_different_sizes_take_turns() -> None:
+    mesh = figure()
+    camera, projector = RIG.with_projector_scale(2).placed(mesh.centre, FRONT)
+    assert projector.camera.rows == 2 * camera.camera.rows
+    (alone,) = see("opengl", mesh, camera)
+    small, large, again = see("opengl", mesh, camera, projector, camera)
+    assert large.face.shape == (1280, 658)
+    for surface in (small, again):
+        np.testing.assert_array_equal(surface.face, alone.face)
+        np.testing.assert_array_equal(surface.range, alone.range)
+
+
+def test_every_face_number_is_exact() -> None:
+    """More than 65536 faces, so that all three bytes count; each pixel's ray meets the face it names."""
+    mesh = ball(subdivisions=6)
+    assert len(mesh.faces) > 65_536
+    camera = RIG.placed(mesh.centre, FRONT)[0]
+    (surface,) = see("opengl", mesh, camera)
+    seen = surface.face >= 0
+    assert surface.face.max() > 65_536
+    points = camera.position + body_rays(camera)[seen] * surface.range[seen][:, None]
+    middles = mesh.vertices[mesh.faces[surface.face[seen]]].mean(axis=1)
+    assert np.linalg.norm(points - middles, axis=1).max() < 0.01
+
+
+def test_two_meshes_may_be_open_and_closing_one_leaves_the_other() -> None:
+    one, two = ball(), figure()
+    camera = RIG.placed(one.centre, FRONT)[0]
+    first, second = open_renderer("opengl", one), open_renderer("opengl", two)
+    before, other = first.see(camera), second.see(camera)
+    assert not np.array_equal(before.face, other.face)
+    second.close()
+    second.close()
+    np.testing.assert_array_equal(first.see(camera).range, before.range)
+    first.close()
+
+
+def test_threads_may_draw() -> None:
+    mesh = figure()
+    cameras = [RIG.placed(mesh.centre, View(255, azimuth))[0] for azimuth in range(0, 120, 20)]
+    expected = see("opengl", mesh, *cameras)
+    found: dict[int, list[Surface]] = {}
+    threads = [
+        threading.Thread(target=lambda i=i: found.update({i: see("opengl", figure(), *cameras)})) for i in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == [0, 1, 2]
+    for surfaces in found.values():
+        for surface, right in zip(surfaces, expected, strict=True):
+            np.testing.assert_array_equal(surface.range, right.range)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_a_hundred_meshes_leave_nothing_behind() -> None:
+    mesh = ball(subdivisions=5)
+    cameras = RIG.placed(mesh.centre, FRONT)
+    see("opengl", mesh, *cameras)
+    sizes = []
+    for _ in range(100):
+        see("opengl", mesh, *cameras)
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        sizes.append(pages * 4096 / 2**20)
+    assert sizes[-1] - sizes[9] < 10, "MiB; the mesh alone takes 1.7 MiB in the driver"
+
+
+def test_too_many_faces_for_three_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bodyseg_data.rendering.opengl._MOST_FACES", 1000)
+    with pytest.raises(BadMesh, match="mesh ball: OpenGL draws at most 1000 faces, found 5120"):
+        open_renderer("opengl", ball())
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
+def test_a_fork_is_told_so_instead_of_hanging() -> None:
+    script = (
+        "import os, sys\n"
+        "from shapes import ball\n"
+        "from bodyseg_data.core.errors import BadConfig\n"
+        "from bodyseg_data.rendering.renderer import open_renderer\n"
+        "parent = open_renderer('opengl', ball())\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    parent.close()\n"
+        "    try:\n"
+        "        open_renderer('opengl', ball())\n"
+        "    except BadConfig as error:\n"
+        "        os.write(1, str(error).encode())\n"
+        "        os._exit(7)\n"
+        "    os._exit(0)\n"
+        "os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    here = Path(__file__).parent
+    answer = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = [{str(here)!r}, {str(here.parent)!r}]\n{script}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert answer.returncode == 7, answer.stderr
+    assert "start workers by 'spawn' or 'forkserver'" in answer.stdout

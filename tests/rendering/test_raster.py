@@ -1,0 +1,86 @@
+"""Filling triangles against casting rays, and the compiled loops against the same loops in plain Python."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_views import check_filled
+from shapes import figure
+
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering import raster
+from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_data.core.rig import PlacedCamera, load_rig
+from bodyseg_data.core.views import View
+
+RIG = load_rig()
+
+
+@pytest.mark.parametrize(("place", "sees"), [((0.1, 1.3, 0.28), True), ((0.0, 1.3, 0.6), False)])
+def test_a_camera_with_the_body_on_both_sides_of_its_plane(place: tuple[float, float, float], sees: bool) -> None:
+    across = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+    assert (check_filled(figure(), PlacedCamera(RIG.camera, across, np.array(place))) > 1000) == sees
+
+
+def test_a_body_behind_the_camera_is_not_seen() -> None:
+    axes = np.diag([1.0, -1.0, -1.0])  # looks along -z, away from a body in front of z = 0.5
+    mesh = figure()
+    behind = RasterRenderer(mesh).see(PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, -0.5])))
+    assert not behind.range.any() and (behind.face == -1).all()
+    assert check_filled(mesh, PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, 0.2]))) > 1000, "the arm is behind it"
+
+
+def test_a_triangle_that_passes_the_cameras_plane_is_seen_up_to_the_frame() -> None:
+    """A floor of two triangles, from half a metre behind the camera to two in front of it."""
+    floor = np.array([[-1, 0, -2], [1, 0, -2], [1, 0, 0.5], [-1, 0, 0.5], [0, -0.6, -1]], np.float64)
+    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    camera = PlacedCamera(RIG.camera, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.3, 0.0]))
+    seen = RasterRenderer(Mesh("floor", floor, faces)).see(camera)
+    rows = np.arange(RIG.camera.rows) + 0.5 - RIG.camera.centre_px[1]
+    with np.errstate(divide="ignore"):
+        away = 0.3 * RIG.camera.focal_px / rows  # where the ray of a row in the middle column meets the floor
+    middle = seen.range[:, RIG.camera.columns // 2]
+    clear = (rows > 0) & (np.abs(away - 2) > 0.02)
+    np.testing.assert_allclose(middle[clear], np.where(away < 2, away, 0)[clear], rtol=1e-6)
+    assert (middle > 0).sum() > 100
+
+
+def test_triangles_without_area_are_not_seen() -> None:
+    plain = figure()
+    point = plain.vertices[[0, 0, 0]]
+    line = np.array([[0.0, 1.0, 0.5], [0.0, 1.1, 0.5], [0.0, 1.2, 0.5]])
+    count = len(plain.vertices)
+    faces = np.concatenate([plain.faces, count + np.arange(6).reshape(2, 3)])
+    mesh = Mesh("figure", np.concatenate([plain.vertices, point, line]), faces)
+    camera = RIG.placed(plain.centre, View(215, 0))[0]
+    with np.errstate(all="raise"):
+        seen, whole = RasterRenderer(mesh).see(camera), RasterRenderer(plain).see(camera)
+    assert np.isfinite(seen.range).all()
+    assert np.array_equal(seen.face, whole.face) and np.array_equal(seen.range, whole.range)
+
+
+def test_ranges_are_those_of_the_image() -> None:
+    mesh = figure()
+    camera = RIG.placed(mesh.centre, View(215, 0))[1]
+    seen = RasterRenderer(mesh).see(camera)
+    some = np.flatnonzero(np.random.default_rng(3).random(seen.range.size) < 0.2)
+    np.testing.assert_array_equal(RasterRenderer(mesh).ranges(camera, some), seen.range.take(some))
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_the_compiled_loops_give_the_bits_of_plain_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = figure()
+    placed = RIG.placed(mesh.centre, View(215, 30))[0]
+    device = replace(placed.camera, rows=64, columns=32, focal_px=75.0, centre_px=(16.2, 31.7))
+    cameras = [replace(placed, camera=device), PlacedCamera(device, placed.axes, np.array([0.1, 1.2, 0.5]))]
+    compiled = [RasterRenderer(mesh).see(camera) for camera in cameras]
+    monkeypatch.setattr(raster, "_project", raster._project_loop)
+    monkeypatch.setattr(raster, "_fill", raster._fill_loop)
+    plain = RasterRenderer(Mesh("part", mesh.vertices, mesh.faces))
+    for camera, expected in zip(cameras, compiled, strict=True):
+        seen = plain.see(camera)
+        assert (seen.face >= 0).sum() > 50
+        np.testing.assert_array_equal(seen.face, expected.face)
+        np.testing.assert_array_equal(seen.range, expected.range)

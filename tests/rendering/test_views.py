@@ -1,0 +1,60 @@
+"""The default renderer and Embree's rays from many cameras, each against all rays of the whole frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plain_views import check_filled, check_rays
+from shapes import ball, figure
+
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core.rig import PlacedCamera, load_rig
+from bodyseg_data.core.views import View
+
+RIG = load_rig()
+
+Check = Callable[[Mesh, PlacedCamera], int]
+
+pytestmark = pytest.mark.parametrize("check", [check_filled, check_rays])
+
+
+@pytest.mark.parametrize("azimuth", [0, 40, 90, 215])
+@pytest.mark.parametrize("distance", [150, 215, 295])
+def test_shapes_from_all_round(check: Check, azimuth: int, distance: int) -> None:
+    for mesh in (ball(subdivisions=1), figure()):
+        for camera in RIG.placed(mesh.centre, View(distance, azimuth)):
+            assert check(mesh, camera) > 5000
+
+
+@pytest.mark.parametrize("index", [0, 30, 300])
+def test_open_bodies(check: Check, index: int) -> None:
+    source = open_source("open")
+    mesh = source.build(source.bodies()[index]).mesh
+    for view in (View(215, 0), View(295, 130)):
+        for camera in RIG.placed(mesh.centre, view):
+            assert check(mesh, camera) > 10_000
+
+
+def test_a_real_frame(check: Check, mit_folder: Path) -> None:
+    source = open_source("mit", mit_folder)
+    mesh = source.build(source.bodies()[0]).mesh
+    for camera in RIG.placed(mesh.centre, View(255, 70)):
+        assert check(mesh, camera) > 10_000
+
+
+def test_bodies_cut_by_every_side_of_frames_of_any_size(check: Check) -> None:
+    mesh = figure()
+    placed = RIG.placed(mesh.centre, View(215, 20))[0]
+    draw = np.random.default_rng(7)
+    seen = 0
+    for _ in range(60):
+        rows, columns = draw.integers(1, 200, 2)
+        x, y = draw.uniform(-200, 400, 2)
+        device = replace(placed.camera, rows=int(rows), columns=int(columns), centre_px=(float(x), float(y)))
+        seen += check(mesh, replace(placed, camera=device)) > 0
+    assert 15 < seen < 60, "some frames hold a part of the body, some nothing"

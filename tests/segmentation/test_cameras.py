@@ -1,0 +1,47 @@
+"""Which camera took a sequence of frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import load_rig
+from bodyseg_model.segmentation.cameras import frame_camera
+
+
+def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
+    given = frame_camera((30, 40), "a.png", focal_px=50.0)
+    assert (given.camera.focal_px, given.camera.centre_px, given.assumed) == (50.0, (20.0, 15.0), False)
+    assert frame_camera((30, 40), "a.png", focal_px=50.0, centre_px=(19.0, 16.0)).camera.centre_px == (19.0, 16.0)
+    paper = frame_camera((640, 329), "a.png", rig="paper")
+    assert (paper.camera, paper.assumed) == (load_rig().camera, False)
+    told = {shape: frame_camera(shape, "a.png") for shape in ((640, 329), (480, 640), (424, 512))}
+    assert all(camera.assumed and camera.origin.startswith("assumed: ") for camera in told.values())
+    assert [camera.camera.focal_px for camera in told.values()] == pytest.approx([757.58, 525, 365], abs=0.01)
+    assert given.to_json() == {
+        "rows": 30,
+        "columns": 40,
+        "focal_px": 50.0,
+        "centre_px": [20.0, 15.0],
+        "origin": "given",
+    }
+
+
+@pytest.mark.parametrize(
+    ("shape", "options", "message"),
+    [
+        ((1, 1), {}, r"^frames of 1 x 1 pixels tell no sensor: give --focal or --rig \(a.png\)$"),
+        ((30, 40), {"rig": "paper"}, "frames must have the size of the rig's camera, 640 x 329, found 30 x 40: a.png"),
+        ((640, 329), {"rig": "paper", "focal_px": 5.0}, "^give either --rig or --focal and --centre$"),
+        ((640, 329), {"rig": "papr"}, "no rig is called 'papr'"),
+        ((30, 40), {"focal_px": 5.0, "centre_px": (1.0,)}, "^--centre takes two numbers, x and y, found 1$"),
+        ((30, 40), {"centre_px": (1.0, 2.0)}, "^--centre needs --focal$"),
+        ((30, 40), {"focal_px": -5.0}, "a focal length must be positive"),
+        ((30, 40), {"focal_px": float("nan")}, "a focal length must be positive"),
+    ],
+)
+def test_a_camera_that_cannot_be(shape: tuple[int, int], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        frame_camera(shape, "a.png", **options)

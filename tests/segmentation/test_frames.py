@@ -1,0 +1,256 @@
+"""Frames from files, folders and tars, whatever strangers put into them."""
+
+from __future__ import annotations
+
+import io
+import os
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pngs import RAMP, png
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.segmentation.frame_tars import list_tar
+from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
+
+
+def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:
+    """A tar of names, or of headers as given, with their bytes."""
+    data = b""
+    for entry, content in entries:
+        header = tarfile.TarInfo(entry) if isinstance(entry, str) else entry
+        header.size = header.size or len(content)
+        data += header.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % 512)
+    path.write_bytes(data + bytes(1024 if end else 0))
+    return path
+
+
+def linked(name: str, kind: bytes, target: str = "/etc/passwd") -> tarfile.TarInfo:
+    header = tarfile.TarInfo(name)
+    header.type, header.linkname = kind, target
+    return header
+
+
+def sized(name: str, size: int, kind: bytes = tarfile.REGTYPE) -> tarfile.TarInfo:
+    header = tarfile.TarInfo(name)
+    header.size, header.type = size, kind
+    return header
+
+
+def refusal(*paths: Path) -> str:
+    with pytest.raises(BadConfig) as caught:
+        find_frames(paths)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def names(frames: list[FrameFile]) -> list[str]:
+    return [frame.name for frame in frames]
+
+
+def test_a_frame_is_read_without_loss(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png())
+    (frame,) = find_frames([tmp_path / "a.png"])
+    image = frame.read()
+    assert image.dtype == np.uint16
+    np.testing.assert_array_equal(image, RAMP)
+
+
+def test_numbers_in_names_are_counted(tmp_path: Path) -> None:
+    for name in ("f10", "f9", "f2b", "f2a", "f02c", "f", "g1", "f100"):
+        (tmp_path / f"{name}.png").write_bytes(png())
+    assert names(find_frames([tmp_path])) == ["f", "f2a", "f2b", "f02c", "f9", "f10", "f100", "g1"]
+
+
+def test_folders_keep_only_frames_that_are_seen(tmp_path: Path) -> None:
+    for name in ("1.png", "2.PNG", ".3.png", "._1.png", "notes.txt", "legend.jpg"):
+        (tmp_path / name).write_bytes(png())
+    (tmp_path / "4.png").mkdir()
+    assert names(find_frames([tmp_path])) == ["1", "2"]
+
+
+def test_files_come_first_and_groups_as_they_are_given(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("z", "a")]
+    for folder in folders:
+        folder.mkdir()
+        for number in (10, 9):
+            (folder / f"{folder.name}{number}.png").write_bytes(png())
+    tar = tar_of(tmp_path / "m.tar", ("m2.png", png()), ("m1.png", png()))
+    for name in ("x11.png", "x3.png"):
+        (tmp_path / name).write_bytes(png())
+    found = find_frames([folders[0], tar, tmp_path / "x11.png", folders[1], tmp_path / "x3.png"])
+    assert names(found) == ["x3", "x11", "z9", "z10", "m1", "m2", "a9", "a10"]
+
+
+def test_what_is_not_there_or_empty_is_named(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "no.png") == f"cannot read {tmp_path / 'no.png'}: No such file or directory"
+    assert refusal(tmp_path / "no.tar") == f"cannot read {tmp_path / 'no.tar'}: No such file or directory"
+    assert refusal(tmp_path) == f"a folder of frames must hold .png files, found none in {tmp_path}"
+    tar = tar_of(tmp_path / "a.tar", ("a.txt", b"a"))
+    assert refusal(tar) == f"a tar of frames must hold .png files, found none in {tar}"
+    os.mkfifo(tmp_path / "pipe.png")
+    assert refusal(tmp_path / "pipe.png") == f"cannot read {tmp_path / 'pipe.png'}: not a regular file"
+
+
+def test_a_folder_that_cannot_be_listed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert refusal(tmp_path) == f"cannot read {tmp_path}: Permission denied"
+
+
+def test_two_frames_of_one_name_are_refused(tmp_path: Path) -> None:
+    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("right/1.png", png()))
+    assert "two frames must not have one name, as their results would" in refusal(tar)
+    assert f"{tar}: left/1.png, {tar}: right/1.png" in refusal(tar)
+
+
+@pytest.mark.parametrize("name", [" a.png", "a*b.png", "a\nb.png", "x" * 101 + ".png"])
+def test_a_name_must_do_for_the_results(name: str, tmp_path: Path) -> None:
+    assert refusal(tar_of(tmp_path / "a.tar", (name, png()))).startswith(
+        "a frame's name, which its results get, must be"
+    )
+
+
+def test_a_frame_that_cannot_be_opened_or_has_shrunk_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(png())
+    (frame,) = find_frames([path])
+    path.write_bytes(png()[:-3])
+    with pytest.raises(BadConfig, match=r"a\.png must still have the \d+ bytes it had, found \d+$"):
+        frame.read()
+    path.unlink()
+    with pytest.raises(BadConfig, match=r"^cannot read .*a\.png: No such file"):
+        frame.read()
+
+
+def test_files_beyond_reason_are_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "a.png").open("wb") as file:
+        file.truncate(1 << 29)
+    assert f"a frame must have at most {1 << 28} bytes, found {1 << 29} in" in refusal(tmp_path / "a.png")
+
+
+# Tars.
+
+
+def test_a_tar_is_read_in_place(tmp_path: Path) -> None:
+    images = [RAMP + np.uint16(number) for number in range(3)]
+    tar = tar_of(tmp_path / "a.tar", *((f"deep/er/f{number}.png", png(image)) for number, image in enumerate(images)))
+    before = sorted(tmp_path.rglob("*"))
+    for frame, image in zip(find_frames([tar]), images, strict=True):
+        np.testing.assert_array_equal(frame.read(), image)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("name", ["../../up.png", "/abs/up.png", "a/../up.png", "up.png"])
+def test_no_path_of_a_member_leads_anywhere(name: str, tmp_path: Path) -> None:
+    (frame,) = find_frames([tar_of(tmp_path / "a.tar", (name, png()))])
+    assert frame.name == "up"
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.FIFOTYPE])
+def test_links_and_devices_are_no_frames(kind: bytes, tmp_path: Path) -> None:
+    message = refusal(tar_of(tmp_path / "a.tar", ("b.png", png()), (linked("a.png", kind), b"")))
+    assert message == f"a frame in a tar must be a plain file, found a link or the like: {tmp_path / 'a.tar'}: a.png"
+
+
+def test_members_beyond_reason_are_not_read(tmp_path: Path) -> None:
+    tar = tar_of(tmp_path / "a.tar", (sized("a.png", 1 << 40), png()))
+    assert refusal(tar) == f"a tar's entries must lie behind one another and within it: {tar}, 'a.png'"
+    with tar_of(tmp_path / "b.tar", (sized("a.png", 1 << 29), b""), end=False).open("r+b") as file:
+        file.truncate((1 << 29) + 2048)
+    assert f"a frame must have at most {1 << 28} bytes, found {1 << 29} in" in refusal(tmp_path / "b.tar")
+
+
+@pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.XHDTYPE, tarfile.XGLTYPE])
+def test_long_headers_are_not_read_into_memory(kind: bytes, tmp_path: Path) -> None:
+    with tar_of(tmp_path / "a.tar", (sized("x", 1 << 30, kind), b""), end=False).open("r+b") as file:
+        file.truncate(1 << 31)
+    assert "a tar's header must have at most 16384 bytes, found" in refusal(tmp_path / "a.tar")
+
+
+def test_a_size_below_zero_ends(tmp_path: Path) -> None:
+    header = bytearray(sized("a.png", 512).tobuf(tarfile.GNU_FORMAT))
+    header[124:136] = b"\xff" * 10 + b"\xfc\x00"  # -1024 in base 256: the next header would be this one
+    header[148:156] = b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+    (tmp_path / "a.tar").write_bytes(bytes(header) + bytes(2048))
+    assert str(tmp_path / "a.tar") in refusal(tmp_path / "a.tar")
+
+
+def test_every_cut_through_a_tar_is_noticed(tmp_path: Path) -> None:
+    whole = tar_of(tmp_path / "whole.tar", ("1.png", png()), ("2.png", png())).read_bytes()
+    cut = tmp_path / "cut.tar"
+    entry = 512 * (1 + -(-len(png()) // 512))
+    for length in (
+        0,
+        1,
+        511,
+        512,
+        513,
+        entry - 1,
+        entry,
+        entry + 1,
+        entry + 511,
+        entry + 512,
+        2 * entry - 1,
+        2 * entry,
+    ):
+        cut.write_bytes(whole[:length])
+        assert str(cut) in refusal(cut)
+    cut.write_bytes(whole[: 2 * entry + 512])
+    assert names(find_frames([cut])) == ["1", "2"]
+
+
+def test_a_damaged_header_is_noticed(tmp_path: Path) -> None:
+    tar = tar_of(tmp_path / "a.tar", ("1.png", png()), ("2.png", png()))
+    data = bytearray(tar.read_bytes())
+    entry = 512 * (1 + -(-len(png()) // 512))
+    data[entry + 3] ^= 1
+    tar.write_bytes(data)
+    assert refusal(tar) == f"a tar must be whole, found it cut off or damaged at byte {entry}: {tar}"
+
+
+def test_a_packed_tar_is_not_a_tar(tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "a.tar", "w:gz") as tar:
+        tar.add(__file__, "a.png")
+    assert f"{tmp_path / 'a.tar'} must be an uncompressed tar" in refusal(tmp_path / "a.tar")
+
+
+def test_a_tar_may_hold_long_names_and_folders(tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "a.tar", "w", format=tarfile.PAX_FORMAT) as tar:
+        folder = tarfile.TarInfo("d.png")
+        folder.type = tarfile.DIRTYPE
+        tar.addfile(folder)
+        header = tarfile.TarInfo("ü" * 90 + "/" + "f" * 99 + ".png")
+        header.size = len(png())
+        tar.addfile(header, io.BytesIO(png()))
+    assert [member.name for member in list_tar(tmp_path / "a.tar")] == [header.name]
+    np.testing.assert_array_equal(find_frames([tmp_path / "a.tar"])[0].read(), RAMP)
+
+
+# Units.
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("mm", 1e-3), ("0.1mm", 1e-4), ("1 cm", 1e-2), (".2mm", 2e-4), ("0.001m", 1e-3), ("5mm", 5e-3)]
+)
+def test_units(unit: str, metres: float) -> None:
+    assert metres_a_step(unit) == pytest.approx(metres, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "unit", ["", "m", "inch", "0mm", "-1mm", "mm2", "1e-3m", "nan mm", "11cm", "0.0001mm", "9" * 400 + "mm"]
+)
+def test_what_is_no_unit(unit: str) -> None:
+    with pytest.raises(BadConfig, match="^a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found"):
+        metres_a_step(unit)
+
+
+def test_nothing_and_too_much_are_nothing() -> None:
+    ranges = to_metres(np.array([[0, 1, 2500, 65534, 65535]], np.uint16), 1e-3)
+    assert ranges.dtype == np.float32
+    np.testing.assert_allclose(ranges, [[0, 0.001, 2.5, 65.534, 0]], rtol=1e-6)

@@ -1,0 +1,279 @@
+"""`bodyseg segment`, as its users call it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from label_networks import Places
+from numpy.typing import NDArray
+from PIL import Image
+from pngs import png
+
+from bodyseg_data.commands import cli
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.networks.checkpoints import Trained, save_network
+from bodyseg_model.commands import segment
+from bodyseg_model.networks.registry import build
+
+Frame = NDArray[np.uint16]
+
+
+def standing(x: int, millimetres: int, shape: tuple[int, int] = (60, 80)) -> Frame:
+    """A block 40 pixels high and 12 wide, before a wall that fills the frame."""
+    frame = np.full(shape, 4000, np.uint16)
+    frame[10:50, x : x + 12] = millimetres
+    return frame
+
+
+def save(path: Path, frame: NDArray[Any]) -> Path:
+    Image.fromarray(frame).save(path)
+    return path
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Five frames; the block walks to the right."""
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    for number in range(7, 12):
+        save(folder / f"{number}.png", standing(2 * number, 2000))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
+    """Stands in for the network that ships: parts from the top down. One thread is enough for images this small."""
+    places = Places(axis=0, step=20)
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, {"network": "places", "seed": 3}))
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield places
+    torch.set_num_threads(before)
+
+
+def run(*words: str | Path) -> int:
+    return cli.main(["segment", *map(str, words)])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    assert run(*words) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith("bodyseg segment: ") and not any("Traceback" in line for line in lines)
+    return lines[-1].removeprefix("bodyseg segment: ")
+
+
+def pixels(path: Path) -> NDArray[Any]:
+    with Image.open(path) as picture:
+        return np.asarray(picture).copy()
+
+
+def report(out: Path) -> dict[str, Any]:
+    parsed: dict[str, Any] = json.loads((out / "summary.json").read_text())
+    return parsed
+
+
+def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "out"
+    assert run(recording, "--focal", "100", "--out", out, "--fps", "5") == 0
+    written = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    names = [str(number) for number in range(7, 12)]
+    assert written == {
+        *(f"labels/{name}.png" for name in names),
+        *(f"overlay/{name}.png" for name in names),
+        "legend.png",
+        "preview.gif",
+        "summary.json",
+    }
+    for name in names:
+        frame, labels, overlay = (
+            pixels(folder / f"{name}.png") for folder in (recording, out / "labels", out / "overlay")
+        )
+        assert labels.dtype == np.uint8 and labels.shape == frame.shape and overlay.shape == (60, 80, 3)
+        np.testing.assert_array_equal(labels != BACKGROUND, frame == 2000)
+        assert len(np.unique(labels)) > 10
+    with Image.open(out / "preview.gif") as animation:
+        assert (getattr(animation, "n_frames"), animation.info["duration"]) == (5, 200)  # noqa: B009  not in its type
+
+    facts = report(out)
+    assert facts["network"] == {"file": "shipped", "network": "places", "seed": 3}
+    assert (
+        facts["camera"]["focal_px"] == 100 and facts["camera"]["origin"] == "given" and not facts["camera"]["mirrored"]
+    )
+    assert facts["unit_m"] == 0.001 and facts["background"]["mode"] == "people"
+    assert facts["resampling"]["distance_m"] == 2.5 and facts["preview"] == {"frames": 5, "frames_per_second": 5.0}
+    assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
+    assert [frame["name"] for frame in facts["each"]] == names
+    assert {"read", "background", "resample", "network", "back", "write", "frame"} < set(facts["ms"])
+    assert facts["flicker"]["shared_pixels"] == 4 * 10 * 40 and facts["flicker"]["changed"] < 0.03
+    said = capsys.readouterr().err
+    assert "wrote 5 frames to" in said and "1 people a frame, mean confidence 100%" in said and "assumed" not in said
+
+
+def test_a_tar_and_single_files_give_the_same_labels(recording: Path, tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "all.tar", "w") as tar:
+        tar.add(recording, "some/where")
+    files = sorted(recording.iterdir(), reverse=True)
+    for out, frames in (("a", [recording]), ("b", [tmp_path / "all.tar"]), ("c", files)):
+        assert run(*frames, "--focal", "100", "--out", tmp_path / out) == 0
+    for name in ("labels", "overlay"):
+        for file in (tmp_path / "a" / name).iterdir():
+            assert file.read_bytes() == (tmp_path / "b" / name / file.name).read_bytes()
+            assert file.read_bytes() == (tmp_path / "c" / name / file.name).read_bytes()
+    order = [[frame["name"] for frame in report(tmp_path / out)["each"]] for out in "abc"]
+    assert order == [["7", "8", "9", "10", "11"]] * 3
+
+
+def test_a_unit_and_a_rig_may_be_given(tmp_path: Path, network: Places) -> None:
+    frame = np.zeros((640, 329), np.uint16)
+    frame[100:400, 114:215] = 25000
+    save(tmp_path / "a.png", frame)
+    assert run(tmp_path / "a.png", "--unit", "0.1mm", "--rig", "paper", "--out", tmp_path / "out") == 0
+    (body,) = report(tmp_path / "out")["each"][0]["bodies"]
+    assert (body["pixels"], body["box"]) == (30300, [100, 114, 400, 215])
+    assert (body["range_m"], body["turn_deg"], body["scale"]) == (2.5, 0.0, 1.0)
+    assert tuple(network.seen[0].shape) == (1, 1, 640, 329)
+
+
+def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
+    settings = {"patch": 8, "widths": [4], "blocks": [0]}
+    save_network(tmp_path / "network.safetensors", build("compact", settings), "compact", {"seed": 9, "secret": 1})
+    out = tmp_path / "out"
+    assert run(recording / "7.png", "--focal", "100", "--run", tmp_path, "--out", out, "--device", "cpu") == 0
+    assert report(out)["network"] == {"file": str(tmp_path), "network": "compact", "seed": 9}
+    labels = pixels(out / "labels" / "7.png")
+    np.testing.assert_array_equal(labels != BACKGROUND, pixels(recording / "7.png") == 2000)
+
+
+def test_confidence_limits_and_mirrors_are_options(recording: Path, tmp_path: Path, network: Places) -> None:
+    network.sure_m = 2.0
+    frame, options = recording / "7.png", ("--focal", "100")
+    assert run(frame, *options, "--confidence", "0.7", "--out", tmp_path / "sure") == 0
+    assert (pixels(tmp_path / "sure" / "labels" / "7.png") == BACKGROUND).all()
+    facts = report(tmp_path / "sure")
+    assert (facts["pixels"], facts["labelled"], facts["least_confidence"]) == (480, 0, 0.7)
+    assert facts["mean_confidence"] == pytest.approx(0.525, abs=0.001)
+    assert run(frame, *options, "--background", "limits", "--near", "3", "--far", "4", "--out", tmp_path / "wall") == 0
+    np.testing.assert_array_equal(pixels(tmp_path / "wall" / "labels" / "7.png") == BACKGROUND, pixels(frame) == 2000)
+    assert report(tmp_path / "wall")["background"] == {"mode": "limits", "near_m": 3.0, "far_m": 4.0}
+    assert run(frame, *options, "--mirrored", "--out", tmp_path / "mirrored") == 0
+    assert report(tmp_path / "mirrored")["camera"]["mirrored"]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [np.zeros((480, 640)), np.full((480, 640), 65535), np.full((480, 640), 2000), np.full((480, 640), 1)],
+    ids=["empty", "saturated", "constant", "nearly nothing"],
+)
+def test_where_nobody_is_results_are_empty(frame: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(tmp_path / "a.png", frame.astype(np.uint16))
+    assert run(tmp_path / "a.png", "--out", tmp_path / "out") == 0
+    assert (pixels(tmp_path / "out" / "labels" / "a.png") == BACKGROUND).all()
+    facts = report(tmp_path / "out")
+    assert facts["people"] == 0 and facts["mean_confidence"] is None
+    said = capsys.readouterr().err
+    assert "nobody was found: are --unit, --near and --far right?" in said
+    assert "camera assumed: Kinect v1, by the frames' size: --focal or --rig says otherwise" in said
+
+
+def test_a_bad_frame_stops_a_sequence_and_leaves_what_was_written(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, options = tmp_path / "out", ("--focal", "100", "--out", tmp_path / "out")
+    assert run(recording, *options) == 0
+    shutil.rmtree(out / "labels")
+    whole = (recording / "10.png").read_bytes()
+    bad = {
+        whole[:-20]: "a PNG must be whole, found it cut off after",
+        b"": "a frame must be a 16-bit grey PNG, found nothing at all",
+        png(standing(5, 2000, (60, 81))): "must have the camera's size, 60 x 80, found 60 x 81",
+        png(np.zeros((60, 80), np.uint8)): "a frame must be a 16-bit grey PNG, found 8-bit grey",
+    }
+    for data, message in bad.items():
+        (recording / "10.png").write_bytes(data)
+        said = refused(capsys, recording, *options)
+        assert message in said and str(recording / "10.png") in said
+        assert sorted(path.name for path in (out / "labels").iterdir()) == ["7.png", "8.png", "9.png"]
+        assert not (out / "summary.json").exists(), "a summary is of all that is there"
+
+
+def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(tmp_path / "a.png", np.full((480, 640), 60000, np.uint16))
+    said = refused(capsys, tmp_path / "a.png", "--background", "keep", "--out", tmp_path / "out")
+    assert said.startswith(f"{tmp_path / 'a.png'}: a body's view must be at most 2048 pixels wide and high")
+    assert not list((tmp_path / "out" / "labels").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--unit", "inch"], "a unit must be a length"),
+        (["--fps", "0"], "a preview shows 0.1 to 50 frames per second, found 0"),
+        (["--confidence", "70"], "a confidence must be 0 to 1, found 70"),
+        (
+            ["--near", "3", "--far", "2"],
+            "the near limit must be at least 0 m and less than the far one, found 3 and 2 m",
+        ),
+        (
+            ["--background", "keep", "--far", "2"],
+            "--near and --far limit what is kept: they contradict --background keep",
+        ),
+        (["--rig", "paper"], "give either --rig or --focal and --centre"),
+        (["--centre", "3"], "--centre takes two numbers"),
+        (["--device", "abacus"], "cannot compute on the device 'abacus'"),
+        (["--run", "nowhere"], "a network is a run's folder or a .safetensors file, found nowhere"),
+        (["--background", "none"], "argument --background: invalid choice: 'none'"),
+    ],
+)
+def test_bad_options_are_one_line(
+    words: list[str], message: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert message in refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out", *words)
+    assert not (tmp_path / "out").exists(), "nothing is made for options that cannot be"
+
+
+def test_an_out_that_cannot_be_written_is_named(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert f"cannot write {tmp_path / 'file'}" in refused(
+        capsys, recording, "--focal", "100", "--out", tmp_path / "file"
+    )
+    (tmp_path / "out" / "labels" / "9.png").mkdir(parents=True)
+    said = refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out")
+    assert said == f"cannot write {tmp_path / 'out' / 'labels' / '9.png'}: Is a directory"
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run("--help")
+    assert ended.value.code == 0
+    assert segment.EXAMPLE in capsys.readouterr().out
+
+
+REAL = Path(os.environ.get("BODYSEG_REAL", Path(__file__).parents[2] / "shared" / "data" / "real"))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "names", "least_pixels"),
+    [
+        ("kinect_v1", ["0000000000_depth.png", "0000000019_depth.png"], 40000),
+        ("kinect_v2", ["01.png", "03.png"], 19000),
+    ],
+)
+def test_real_frames_have_one_person_each(sequence: str, names: list[str], least_pixels: int, tmp_path: Path) -> None:
+    if not (REAL / sequence).is_dir():
+        pytest.skip(f"real frames are absent: no {sequence} in {REAL} (set BODYSEG_REAL to the folder that has it)")
+    files = [REAL / sequence / name for name in names]
+    assert run(*files, "--out", tmp_path / "out") == 0
+    for frame in report(tmp_path / "out")["each"]:
+        assert frame["people"] == 1 and frame["pixels"] > least_pixels
+        assert frame["bodies"][0]["range_m"] < 2, "not the wall"

@@ -1,0 +1,367 @@
+"""Where sets are, what of them is kept on this machine, and what happens when that is full."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bodyseg_data import RangeImages
+from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary
+from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
+from bodyseg_data.shards.cache.folder import ShardCache, default_folder
+from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.shards.stores.store import LocalFolder, open_file
+from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+
+fsspec = pytest.importorskip("fsspec")
+
+
+def record(number: int, size: int = 1024) -> ShardRecord:
+    """A shard of one sample whose bytes all are `number`."""
+    data = bytes([number]) * size
+    sha256 = hashlib.sha256(data).hexdigest()
+    return ShardRecord(f"train-{number:05d}.tar", "train", size, sha256, (f"k-{number}",), (0,), (512,), (0,), ())
+
+
+def fill(cache: ShardCache, shard: ShardRecord, age_s: float = 0.0) -> bool:
+    """Put a shard into the cache as its fetcher would; False if it is not wanted there."""
+    with cache.claim(shard) as handle:
+        if handle is None:
+            return False
+        os.write(handle, bytes([int(shard.name[6:11])]) * shard.size)
+        cache.finish(shard)
+    then = time.time() - age_s
+    os.utime(cache.path(shard), (then, then))
+    return True
+
+
+@pytest.fixture
+def memory(figures_set: Path) -> str:
+    """The set behind an address that needs no server."""
+    files = fsspec.filesystem("memory")
+    for file in figures_set.iterdir():
+        files.pipe_file(f"/sets/figures/{file.name}", file.read_bytes())
+    return "memory://sets/figures"
+
+
+@pytest.mark.parametrize(
+    ("path", "folder", "pattern"),
+    [
+        ("shards", "shards", "*"),
+        ("shards/", "shards", "*"),
+        ("shards/train-*.tar", "shards", "train-*.tar"),
+        ("shards/train-0000?.tar", "shards", "train-0000?.tar"),
+        ("shards/manifest.json", "shards", "*"),
+        ("train-00000.tar", ".", "train-00000.tar"),
+        ("file:///data/my%20shards/t*.tar", "/data/my shards", "t*.tar"),
+        ("FILE:///data", "/data", "*"),
+        ("http://host", "http://host", "*"),
+        ("http://[::1]:80", "http://[::1]:80", "*"),
+        ("HTTPS://host/a/shards//", "https://host/a/shards", "*"),
+        ("https://host/a/train-*.tar", "https://host/a", "train-*.tar"),
+        ("https://host/a/t*.tar?token=secret", "https://host/a", "t*.tar"),
+        ("https://host/a?token=secret", "https://host/a", "*"),
+        ("https://user:secret@host/manifest.json", "https://host", "*"),
+        ("memory://bucket/a/train-0000?.tar", "memory://bucket/a", "train-0000?.tar"),
+        ("memory://bucket/a/manifest.json", "memory://bucket/a", "*"),
+    ],
+)
+def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pattern: str) -> None:
+    store, found = open_store(path)
+    assert (store.name, found) == (folder, pattern)
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "message"),
+    [
+        ("nosuch://host/shards", {}, "nosuch://host/shards: Protocol not known: nosuch"),
+        ("file://data/shards", {}, "a file:// address has a path from the root on, like file:///data/shards, found"),
+        ("http://[::1/shards", {}, "not an address: Invalid IPv6 URL"),
+        ("shards", {"storage_options": {"key": "x"}}, "storage_options and patience are for remote sets, found them"),
+        ("shards", {"patience": Patience()}, "storage_options and patience are for remote sets, found them"),
+    ],
+)
+def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=f"^{re.escape(message)}"):
+        RangeImages(path, **options)
+
+
+def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="cache and cache_bytes are for remote sets, found them given for"):
+        RangeImages(figures_set, cache=tmp_path)
+    for wrong in (-1, 1.5, True, "10"):
+        with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
+            RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
+    for wrong_patience in ({"tries": 0}, {"tries": 1.5}, {"total_s": 0}, {"stall_s": float("nan")}, {"total_s": "5"}):
+        with pytest.raises(BadConfig, match="Patience: (tries|total_s|stall_s) must be a "):
+            Patience(**wrong_patience)
+
+
+@pytest.mark.parametrize("missing", ["fsspec", "aiohttp"])
+def test_a_missing_package_is_one_line(missing: str) -> None:
+    script = (
+        "import sys; sys.modules[sys.argv[1]] = None\n"
+        "from bodyseg_data.shards.cache.addresses import open_store\n"
+        "from bodyseg_data.core.errors import MissingLibrary\n"
+        "try: open_store('https://host/shards')\n"
+        "except MissingLibrary as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, missing], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("https:// addresses need packages: pip install 'bodyseg[remote]' has those"), (
+        done.stderr
+    )
+    assert done.stdout.count("\n") == 1
+
+
+def test_a_filesystem_without_its_package_is_one_line() -> None:
+    pytest.importorskip("fsspec")
+    with pytest.raises(MissingLibrary, match=r"gs:// addresses need packages: .*gcsfs"):
+        open_store("gs://bucket/shards")
+
+
+def test_whatever_fsspec_knows_is_read_with_the_same_bits(memory: str, figures_set: Path, tmp_path: Path) -> None:
+    local = RangeImages(figures_set, "noise")
+    some = local.manifest.shards[0].size + 1000
+    for options in ({"cache": tmp_path}, {"cache_bytes": 0}, {"cache": tmp_path, "cache_bytes": some}):
+        images = RangeImages(f"{memory}/t*.tar", "noise", **options)  # type: ignore[arg-type]  # of three kinds
+        assert images.keys == local.keys
+        for index in (0, 9, 23):
+            assert images.image(index).range.tobytes() == local.image(index).range.tobytes()
+
+
+def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path) -> None:
+    whole = (figures_set / "train-00000.tar").read_bytes()
+    for store in (LocalFolder(figures_set), open_store(memory)[0]):
+        assert store.size("train-00000.tar") == len(whole)
+        with open_file(store, "train-00000.tar") as file:
+            assert file.read(1000) + file.read() + file.read() == whole
+        assert store.whole("nothing.json", 10) is None
+        assert store.whole("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_manifest_larger_than_any_is_not_read(
+    remote: bool, memory: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bodyseg_data.shards.manifest._LARGEST_MANIFEST", 1000)
+    with pytest.raises(Exception, match=r"manifest.json.*at most 1000 bytes are read, found more"):
+        read_manifest(open_store(memory)[0] if remote else figures_set)
+
+
+def test_the_cache_is_where_the_system_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_folder() == tmp_path / "bodyseg"
+    monkeypatch.setenv("HOME", "/home/someone")
+    for relative in ("", "not/absolute"):
+        monkeypatch.setenv("XDG_CACHE_HOME", relative)
+        assert default_folder() == Path("/home/someone/.cache/bodyseg")
+
+
+def test_what_was_not_used_for_longest_goes_first(tmp_path: Path) -> None:
+    cache = ShardCache(tmp_path / "new" / "folder", 4096)
+    shards = [record(number) for number in range(6)]
+    for shard, age in zip(shards[:4], (400, 900, 600, 800), strict=True):
+        assert fill(cache, shard, age)
+    assert cache.read(shards[1], 0, 3) == b"\1\1\1", "reading counts as use"
+    assert fill(cache, shards[4], 700)
+    assert [cache.path(shard).exists() for shard in shards] == [True, True, True, False, True, False]
+    assert fill(cache, shards[5], 700)
+    assert [cache.path(shard).exists() for shard in shards] == [True, True, True, False, False, True]
+    assert cache.used_bytes() == 4096
+
+
+def test_what_is_in_use_stays_and_nothing_goes_in_vain(tmp_path: Path) -> None:
+    cache = ShardCache(tmp_path, 3072, in_use_s=60)
+    for number, age in enumerate((30, 500, 50)):
+        assert fill(cache, record(number), age)
+    assert not fill(cache, record(3, size=2048)), "one old shard would not be enough"
+    assert len(list(tmp_path.glob("*.tar"))) == 3
+    assert fill(cache, record(4))
+    assert not cache.path(record(1)).exists()
+    assert not fill(cache, record(5, size=5000)), "larger than the cache"
+
+
+def test_files_that_are_not_the_caches_own_stay(tmp_path: Path) -> None:
+    for name in ("thesis.tar", f"{'a' * 63}.tar", f"{'a' * 64}.tar.bak"):
+        (tmp_path / name).write_bytes(b"x" * 9999)
+        os.utime(tmp_path / name, (0, 0))
+    cache = ShardCache(tmp_path, 1024, in_use_s=0)
+    assert fill(cache, record(0), 10)
+    assert fill(cache, record(1), 10)
+    assert cache.used_bytes() == 1024
+    assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_a_part_counts_in_full_and_is_evicted_only_if_nobody_writes_it(tmp_path: Path) -> None:
+    cache = ShardCache(tmp_path, 3000, in_use_s=0)
+    part = cache.part(record(0, size=2048))
+    part.write_bytes(b"begun")
+    os.utime(part, (0, 0))
+    assert cache.used_bytes() == 2048
+    with part.open("rb") as writer:
+        fcntl.flock(writer, fcntl.LOCK_EX)
+        assert not fill(cache, record(1))
+        assert part.exists()
+    assert fill(cache, record(1))
+    assert not part.exists()
+
+
+def test_threads_that_want_one_shard_fetch_it_once(tmp_path: Path) -> None:
+    cache = ShardCache(tmp_path, 1 << 20)
+    fetched = []
+
+    def want() -> None:
+        with cache.claim(record(7)) as handle:
+            if handle is not None:
+                time.sleep(0.1)
+                os.write(handle, bytes([7]) * 1024)
+                fetched.append(cache.finish(record(7)))
+
+    threads = [threading.Thread(target=want) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10)
+    assert len(fetched) == 1
+    assert cache.read(record(7), 1020, 100) == b"\7" * 4
+
+
+def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(tmp_path: Path) -> None:
+    class Late(ShardCache):
+        def _open_part(self, wanted: ShardRecord) -> int | None:
+            assert fill(ShardCache(tmp_path, 4096), wanted)  # another process, just now
+            return super()._open_part(wanted)
+
+    with Late(tmp_path, 4096).claim(record(3)) as handle:
+        assert handle is None
+    assert [path.name for path in tmp_path.glob("*.*")] == [f"{record(3).sha256}.tar"], "no empty part takes room"
+
+
+def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
+    memory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = ShardCache(tmp_path, 1 << 20)
+    assert fill(cache, record(3))
+    cache.path(record(3)).write_bytes(b"spoiled")
+    store = CachedStore(RemoteFolder(memory, {}, Patience()), [record(3)], cache)
+    digest = hashlib.file_digest
+
+    def slowly(file: Any, name: str) -> Any:
+        found = digest(file, name)
+        cache.path(record(3)).unlink()
+        assert fill(cache, record(3))  # another process, meanwhile
+        return found
+
+    monkeypatch.setattr(hashlib, "file_digest", slowly)
+    assert store.doubt(record(3).name), "what was read was wrong"
+    assert cache.read(record(3), 1020, 100) == b"\3" * 4
+
+
+def test_a_fork_while_a_shard_is_fetched_keeps_nobody_waiting(tmp_path: Path) -> None:
+    cache = ShardCache(tmp_path, 1 << 20)
+    with cache.claim(record(1)) as handle:
+        assert handle is not None
+        child = os.fork()
+        if child == 0:
+            time.sleep(5)
+            os._exit(0)
+    try:  # not finished: the next one carries on though the child still holds what it inherited
+        begun = time.monotonic()
+        assert fill(cache, record(1))
+        assert time.monotonic() - begun < 3
+    finally:
+        os.kill(child, 9)
+        os.waitpid(child, 0)
+
+
+@pytest.fixture
+def manifest(figures_set: Path) -> Manifest:
+    return read_manifest(figures_set)
+
+
+@pytest.mark.parametrize("where", ["write", "fsync", "open"])
+def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
+    where: str, memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def fail(*_: object, **__: object) -> None:
+        raise full
+
+    with monkeypatch.context() as patch:
+        if where == "write":
+            patch.setattr(RemoteFolder, "fetch", fail)
+        else:
+            patch.setattr(os, where, fail)
+        with pytest.warns(RuntimeWarning, match=f"^{tmp_path}: No space left on device: shards are no longer kept"):
+            read = ShardReader(store, manifest).read(0, 0)
+    assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0, "what was begun takes no room"
+    ShardReader(store, manifest).read(1, 0)
+    assert not list(tmp_path.glob("*.tar"))
+
+
+def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path) -> None:
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)], capture_output=True, text=True
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")
+    try:
+        store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+        with pytest.warns(RuntimeWarning, match="No space left on device"):
+            read = ShardReader(store, manifest).read(0, 0)
+        assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
+        assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def test_a_cache_that_cannot_be_is_said_at_once(memory: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadConfig, match=r"file/cache: the cache's folder Not a directory; give another cache, or"):
+        RangeImages(memory, cache=tmp_path / "file" / "cache")
+    with pytest.raises(BadConfig, match=r"^/proc/cache: the cache's folder .*; give another cache, or cache_bytes=0"):
+        RangeImages(memory, cache="/proc/cache")
+    RangeImages(memory, cache_bytes=0).clean(0)
+
+
+def test_two_sets_never_mix_though_their_shards_have_the_same_names(
+    memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path
+) -> None:
+    """As when a set behind an address is replaced by another one."""
+    RangeImages(memory, cache=tmp_path).clean(0)
+    files = fsspec.filesystem("memory")
+    first, second = manifest.shards[:2]
+    files.copy(f"/sets/figures/{second.name}", f"/sets/figures/{first.name}")
+    changed = replace(manifest, shards=(replace(second, name=first.name),))
+    store = keep_shards(open_store(memory)[0], changed.shards, tmp_path, None)
+    assert ShardReader(store, changed).read(0, 0).key == second.keys[0]
+    assert ShardReader(keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None), manifest).read(0, 0)
+
+
+def test_a_manifest_at_odds_with_itself_empties_nobodys_cache(memory: str, manifest: Manifest, tmp_path: Path) -> None:
+    RangeImages(memory, cache=tmp_path).clean(0)
+    (held,) = tmp_path.glob("*.tar")
+    first = manifest.shards[0]
+    odd = replace(manifest, shards=(replace(first, crc32=(1, *first.crc32[1:])),))
+    store = keep_shards(open_store(memory)[0], odd.shards, tmp_path, None)
+    assert isinstance(store, CachedStore)
+    with pytest.raises(BadShard, match="altered: CRC-32 00000001 expected"):
+        ShardReader(store, odd).read(0, 0)
+    assert held.exists()

@@ -1,0 +1,441 @@
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import struct
+import zlib
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from strategies import same, samples
+
+from bodyseg_data.core import kernels
+from bodyseg_data.shards.sample_codec import CODECS, CodecName, check_codec, decode_sample, encode_sample
+from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
+from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels
+from bodyseg_data.shards.codecs.png import decode_png, encode_png
+from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
+from bodyseg_data.core.errors import BadConfig, BadSample
+from bodyseg_data.core.sample import Sample, SampleInfo
+
+GOLDEN = Path(__file__).parent / "golden"
+INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
+KERNELS = ("numpy", "compiled")
+
+
+@contextlib.contextmanager
+def computed_by(choice: str) -> Iterator[None]:
+    """By NumPy or by compiled loops, whatever the environment says."""
+    if choice == "compiled":
+        pytest.importorskip("numba")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(kernels.VARIABLE, choice)
+        kernels.use_compiled.cache_clear()
+        yield
+    kernels.use_compiled.cache_clear()
+
+
+def ramp_sample() -> Sample:
+    """Every 16-bit value once: a decoder that clips or shifts cannot hide."""
+    ranges = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    labels = (np.arange(65536) % 33).astype(np.uint8).reshape(256, 256)
+    labels[0, 0] = 255
+    facing = (ranges % 3 == 1) & (ranges > 0)
+    return Sample("open-A-posture-00-d215-a040", ranges, ranges[::-1].copy(), labels, facing, INFO)
+
+
+def figure_images() -> tuple[Any, Any, Any]:
+    """Two limbs of a smooth body, its label bytes and something before the projector."""
+    rows, columns = np.mgrid[0:90, 0:70]
+    ranges = (21000 + 7 * rows + 3 * columns + (rows - 40) ** 2 // 9).astype(np.uint16)
+    ranges[(np.abs(columns - 20) > 9) & (np.abs(columns - 45) > rows // 6)] = 0
+    ranges[:5] = ranges[80:] = 0
+    labels = np.where(ranges > 0, np.where(rows + columns % 3 > 50, 7, 31), 255).astype(np.uint8)
+    labels[(ranges > 0) & (columns > 44)] |= FACING_BIT
+    shading = np.where((rows > 20) & (rows < 40) & (columns > rows), 19456, 0).astype(np.uint16)
+    return ranges, labels, shading
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("codec", CODECS)
+def test_every_value_of_16_bits_survives(codec: CodecName, choice: str) -> None:
+    sample = ramp_sample()
+    sample.check()
+    with computed_by(choice):
+        assert same(decode_sample(sample.key, encode_sample(sample, codec)), sample)
+
+
+@given(sample=samples(), codec=st.sampled_from(CODECS))
+def test_any_sample_survives(sample: Sample, codec: CodecName) -> None:
+    sample.check()
+    members = encode_sample(sample, codec)
+    for choice in KERNELS:
+        with computed_by(choice):
+            assert same(decode_sample(sample.key, members), sample)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("choice", KERNELS)
+def test_the_projectors_range_is_read_only_if_it_is_wanted(codec: CodecName, choice: str) -> None:
+    sample = ramp_sample()
+    with computed_by(choice):
+        decoded = decode_sample(sample.key, encode_sample(sample, codec), projector=False)
+    assert decoded.projector_range is None
+    assert np.array_equal(decoded.range, sample.range) and np.array_equal(decoded.labels, sample.labels)
+    with pytest.raises(BadSample, match="the projector's range is needed, the sample was read without it"):
+        encode_sample(decoded, codec)
+
+
+def test_labels_that_contradict_the_range_cannot_be_stored() -> None:
+    ranges, labels, shading = figure_images()
+    sample = Sample("k", ranges, shading, np.full_like(labels, 3), ranges < 0, INFO)
+    with pytest.raises(BadSample, match="k: labels must be 255 exactly where range is 0"):
+        encode_sample(sample)
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+def test_the_stored_bytes_are_pinned(choice: str) -> None:
+    """A change of these bytes is a change of format and needs another magic."""
+    ranges, labels, shading = figure_images()
+    stored = (GOLDEN / "figure.bsi").read_bytes()
+    with computed_by(choice):
+        decoded = decode_images(stored, projector=True)
+    for image, expected in zip(decoded[:4], (ranges, *split_labels(labels), shading), strict=True):
+        assert image is not None and image.dtype == expected.dtype and np.array_equal(image, expected)
+    assert stored[:4] == b"BSI2" and struct.unpack_from("<I", stored, 4) == (zlib.crc32(stored[8:]),)
+    encoded = encode_images(ranges, labels, shading)
+    assert encoded[8:40] == stored[8:40] and encoded[44:64] == stored[44:64]  # zstd's own bytes may change
+
+
+def test_a_reader_written_from_the_format_alone_agrees() -> None:
+    """A pixel at a time, as docs/shard_format.md has it."""
+    images = figure_images()
+    decoded = _by_the_book(encode_images(*images))
+    for image, expected in zip(decoded, images, strict=True):
+        assert np.array_equal(image, expected)
+
+
+def _by_the_book(data: bytes) -> tuple[Any, Any, Any]:
+    rows, columns, top, left, height, width, *counts = struct.unpack_from("<6H6I", data, 8)
+    runs, long, starts, pixels, escapes, frame = counts
+    numbers = iter(zstandard.ZstdDecompressor().decompress(data[64 : 64 + frame]))
+
+    def row(count: int, planes: int = 1) -> list[int]:
+        found = [[next(numbers) for _ in range(count)] for _ in range(planes)]
+        return [sum(plane[i] << 8 * place for place, plane in enumerate(found)) for i in range(count)]
+
+    values, lengths, longs = row(runs), row(runs), row(long, 4)
+    firsts, steps, large = row(starts, 2), row(pixels - starts), row(escapes, 2)
+    assert next(numbers, None) is None
+    ranges, labels = np.zeros((rows, columns), np.uint16), np.full((rows, columns), 255, np.uint8)
+    place, previous, above = 0, 0, [0] * width
+    inside = False
+    for value, length in zip(values, lengths, strict=True):
+        for _ in range(longs.pop(0) if length == 255 else length):
+            y, x = divmod(place, width)
+            if value == 255:
+                inside = False
+            elif not inside:
+                coded, inside = firsts.pop(0), True
+                here = previous = (previous + (coded >> 1 if coded % 2 == 0 else -(coded >> 1) - 1)) % 65536
+            else:
+                coded = steps.pop(0)
+                coded = large.pop(0) if coded == 255 else coded
+                above[x] += coded >> 1 if coded % 2 == 0 else -(coded >> 1) - 1
+                here = (here + above[x]) % 65536
+            if value != 255:
+                ranges[top + y, left + x], labels[top + y, left + x] = here, value
+            place += 1
+    assert not (firsts or steps or large or longs)
+    rows, columns, top, left, height, width, runs, long = struct.unpack_from("<6H2I", data, 44)
+    numbers = iter(zstandard.ZstdDecompressor().decompress(data[64 + frame :]))
+    values, lengths, longs = row(runs, 2), row(runs), row(long, 4)
+    shading = np.zeros((rows, columns), np.uint16)
+    flat: list[int] = []
+    for value, length in zip(values, lengths, strict=True):
+        flat += [value] * (longs.pop(0) if length == 255 else length)
+    shading[top : top + height, left : left + width] = np.reshape(flat, (height, width))
+    return ranges, labels, shading
+
+
+def test_small_differences_of_either_sign_become_small_numbers() -> None:
+    changes = np.array([0, -1, 1, -2, 2, -32768, 32767]).astype(np.uint16)
+    assert zigzag(changes).tolist() == [0, 1, 2, 3, 4, 65535, 65534]
+    every = np.arange(65536, dtype=np.uint16)
+    assert np.array_equal(unzigzag(zigzag(every)), every)
+
+
+def test_png_members_open_in_any_image_tool() -> None:
+    sample = ramp_sample()
+    members = encode_sample(sample, "png")
+    assert sorted(members) == ["json", "labels.png", "projector.png", "range.png"]
+    picture = np.asarray(Image.open(io.BytesIO(members["range.png"])))
+    assert np.array_equal(picture, sample.range)
+
+
+def test_the_facing_bit_leaves_labels_and_background_alone() -> None:
+    stored = np.array([[0, 32, 32 | FACING_BIT, FACING_BIT, 255]], np.uint8)
+    labels, facing = split_labels(stored)
+    assert labels.tolist() == [[0, 32, 32, 0, 255]]
+    assert facing.tolist() == [[False, False, True, True, False]]
+    assert np.array_equal(join_labels(labels, facing), stored)
+
+
+def _frame(numbers: bytes) -> bytes:
+    return zstandard.ZstdCompressor().compress(numbers)
+
+
+_CAMERA = {"rows": 4, "columns": 4, "top": 0, "left": 0, "height": 1, "width": 4}
+_CAMERA |= {"runs": 2, "long": 0, "starts": 1, "pixels": 3, "escapes": 0}
+_PROJECTOR = {"rows": 3, "columns": 2, "top": 0, "left": 0, "height": 0, "width": 0, "runs": 0, "long": 0}
+# Runs of 3 and 1; one first range, two steps.
+_NUMBERS = bytes([5, 255, 3, 1, 8, 0, 2, 2])
+
+
+def _images(
+    numbers: bytes = _NUMBERS, frame: bytes | None = None, shading: bytes | None = None, **changes: int
+) -> bytes:
+    """A file whose header says what it likes, with the right checksum; p_ is for the projector's fields."""
+    camera = _CAMERA | {name: value for name, value in changes.items() if name in _CAMERA}
+    projector = _PROJECTOR | {name[2:]: value for name, value in changes.items() if name.startswith("p_")}
+    first = _frame(numbers) if frame is None else frame
+    header = struct.pack("<6H6I", *camera.values(), len(first)) + struct.pack("<6H2I", *projector.values())
+    checked = header + first + (_frame(b"") if shading is None else shading)
+    return b"BSI2" + struct.pack("<I", zlib.crc32(checked)) + checked
+
+
+def test_the_hand_made_file_is_sound() -> None:
+    ranges, labels, facing, shading, *_ = decode_images(_images(), projector=True)
+    assert ranges.tolist()[0] == [4, 5, 6, 0]
+    assert labels.tolist()[0] == [5, 5, 5, 255] and not facing.any()
+    assert shading is not None and shading.shape == (3, 2) and not shading.any()
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "have a header of 64 bytes, found 0"),
+        (b"BSI1" + _images()[4:], "start with b'BSI2', found b'BSI1'"),
+        (_images()[:-1], "altered: CRC-32 [0-9a-f]{8} expected, found [0-9a-f]{8}"),
+        (_images(rows=0), "side is 1 to 8192 pixels, found 0 x 4"),
+        (_images(rows=60000, columns=60000), "side is 1 to 8192 pixels, found 60000 x 60000"),
+        (_images(top=4), "box of 1 x 4 at 4, 0 does not fit 4 x 4"),
+        (_images(left=1), "box of 1 x 4 at 0, 1 does not fit 4 x 4"),
+        (_images(runs=5), "1 x 4 pixels cannot have 5 runs"),
+        (_images(long=1), "cannot have 2 runs .1 long."),
+        (_images(starts=2), "cannot have 2 runs .0 long. and 2 stretches"),
+        (_images(pixels=5), "stretches of 5 pixels"),
+        (_images(escapes=4), "4 escaped"),
+        (_images(height=2), "runs of 4 pixels do not fill 2 x 4"),
+        (_images(bytes([5, 255, 3, 2, 8, 0, 2, 2])), "runs of 5 pixels do not fill 1 x 4"),
+        (_images(bytes([5, 255, 4, 0, 8, 0, 2, 2])), "runs of 4 pixels do not fill 1 x 4"),
+        (_images(bytes([5, 255, 255, 1, 8, 0, 2, 2])), "1 numbers are escaped, found 0"),
+        (_images(bytes([5, 6, 3, 1, 8, 0, 2, 2])), "1 stretches of 4 pixels of body, found 1 first ranges and 2"),
+        (_images(bytes([255, 5, 3, 1, 8, 0, 2, 2])), "1 stretches of 1 pixels of body"),
+        (_images(bytes([255, 255, 3, 1, 8, 0, 2, 2])), "0 stretches of 0 pixels of body, found 1 first"),
+        (_images(bytes([5, 255, 3, 1, 8, 0, 2, 255])), "1 numbers are escaped, found 0"),
+        (_images(pixels=2), "7 bytes of numbers expected, the frame claims 8"),
+        (_images(frame=b"junk that is no frame"), "zstd cannot decode"),
+        (_images(frame=_frame(_NUMBERS)[:-2]), "zstd cannot decode"),
+        (_images(bytes(1 << 27)), "8 bytes of numbers expected, the frame claims 134217728"),
+        (_images(p_rows=9000), "side is 1 to 8192 pixels, found 9000 x 2"),
+        (_images(p_height=4), "box of 4 x 0 at 0, 0 does not fit 3 x 2"),
+        (_images(p_runs=1), "0 x 0 pixels cannot have 1 runs"),
+        (_images(p_height=1, p_width=2, p_runs=1, shading=_frame(bytes([1, 2, 3]))), "runs of 3 pixels do not fill"),
+        (_images(shading=b""), "zstd cannot decode"),
+    ],
+)
+def test_bytes_that_are_no_images_are_refused(data: bytes, message: str, choice: str) -> None:
+    with computed_by(choice), pytest.raises(ValueError, match=message):
+        decode_images(data, projector=True)
+
+
+def test_the_projectors_frame_is_left_alone_if_it_is_not_wanted() -> None:
+    ranges, _, _, shading, *_ = decode_images(_images(shading=b"junk"), projector=False)
+    assert ranges.any() and shading is None
+
+
+def spoiled(data: bytes, generator: np.random.Generator, edits: int) -> bytes:
+    """Some bytes replaced, the checksum made right."""
+    edited = bytearray(data)
+    for place in generator.integers(8, len(data), edits):
+        edited[place] = generator.integers(256)
+    edited[4:8] = struct.pack("<I", zlib.crc32(edited[8:]))
+    return bytes(edited)
+
+
+def test_whatever_the_bytes_both_decoders_agree_or_refuse() -> None:
+    """Also on numbers that no encoder makes: compiled code must stay within its arrays, whatever it is given."""
+    generator = np.random.default_rng(0)
+    ranges, labels, shading = figure_images()
+    data = encode_images(ranges, labels, shading)
+    frame = struct.unpack_from("<I", data, 40)[0]
+    numbers = bytearray(zstandard.ZstdDecompressor().decompress(data[64 : 64 + frame]))
+    read = 0
+    for number in range(400):
+        if number % 2:
+            given = spoiled(data, generator, int(generator.integers(1, 4)))
+        else:
+            edited = bytearray(numbers)
+            for place in generator.integers(0, len(edited), 3):
+                edited[place] = generator.choice((0, 1, 254, 255, int(generator.integers(256))))
+            given = _reframed(data, bytes(edited), frame)
+        answers = [_answer(given, choice) for choice in KERNELS]
+        assert answers[0] == answers[1]
+        read += isinstance(answers[0], list)
+    assert 20 < read < 380
+
+
+def _reframed(data: bytes, numbers: bytes, frame: int) -> bytes:
+    other = _frame(numbers)
+    checked = data[8:40] + struct.pack("<I", len(other)) + data[44:64] + other + data[64 + frame :]
+    return data[:4] + struct.pack("<I", zlib.crc32(checked)) + checked
+
+
+def _answer(data: bytes, choice: str) -> list[bytes] | str:
+    with computed_by(choice):
+        try:
+            return [image.tobytes() for image in decode_images(data, projector=True)[:4] if image is not None]
+        except ValueError as error:
+            return str(error)
+
+
+def test_any_flipped_bit_is_seen() -> None:
+    data = encode_images(*figure_images())
+    generator = np.random.default_rng(0)
+    for place in [*range(70), *generator.integers(0, len(data), 200).tolist()]:
+        edited = bytearray(data)
+        edited[place] ^= 1 << int(generator.integers(8))
+        with pytest.raises(ValueError, match="start with|altered"):
+            decode_images(bytes(edited), projector=True)
+
+
+@given(cut=st.integers(0, 400), place=st.integers(0, 400), value=st.integers(1, 255))
+def test_a_damaged_png_decodes_to_an_image_or_is_refused_but_never_surprises(cut: int, place: int, value: int) -> None:
+    data = bytearray(encode_png(np.arange(400, dtype=np.uint16).reshape(20, 20)))
+    data[place % len(data)] ^= value
+    with contextlib.suppress(ValueError):
+        assert decode_png(bytes(data[: len(data) - cut])).dtype in (np.uint8, np.uint16)
+
+
+def test_a_png_that_claims_a_huge_image_is_refused_before_it_is_opened() -> None:
+    data = bytearray(encode_png(np.zeros((4, 4), np.uint16)))
+    data[16:24] = struct.pack(">II", 20_000, 20_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    with pytest.raises(ValueError, match="side is 1 to 8192 pixels, found 20000 x 20000"):
+        decode_png(bytes(data))
+
+
+def test_threads_may_decode_at_once() -> None:
+    sample = ramp_sample()
+    members = encode_sample(sample)
+    with ThreadPoolExecutor(8) as executor:
+        decoded = list(executor.map(lambda _: decode_sample(sample.key, members), range(200)))
+    assert all(same(one, sample) for one in decoded)
+
+
+def _members(codec: CodecName = "bsi", **changes: bytes | None) -> dict[str, bytes]:
+    members = {**encode_sample(ramp_sample(), codec), **changes}
+    return {name: data for name, data in members.items() if data is not None}
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        (_members(json=None), "a sample has the members bsi, json or json, labels.png, .*, found bsi$"),
+        (_members(bsi=None), "found json$"),
+        ({}, "found none$"),
+        (_members("png", **{"range.png": None}), "found json, labels.png, projector.png$"),
+        (_members(**{"range.png": b""}), "found bsi, json, range.png$"),
+        (_members(**{"extra.bsi": b""}), "found bsi, extra.bsi, json$"),
+        ({"json": b"{}", "gif": b""}, "found gif, json$"),
+        (
+            _members("png", **{"labels.png": _members("png")["range.png"]}),
+            "labels.png: must be uint8, found uint16",
+        ),
+        (_members(bsi=b"x"), "bsi: images have a header"),
+        (_members(json=b"{"), "json: "),
+        (_members(json=b"[" * 100_000), "json: "),
+        (_members(json=b"[]"), "the description must have exactly"),
+        (_members(json=json.dumps({"source": "open"}).encode()), "the description must have exactly"),
+    ],
+)
+def test_broken_members_are_refused_by_name(members: dict[str, bytes], message: str) -> None:
+    with pytest.raises(BadSample, match=f"^k: .*{message}"):
+        decode_sample("k", members)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("distance_cm", "215", "'distance_cm' must be int, found '215'"),
+        ("azimuth_deg", True, "'azimuth_deg' must be int, found True"),
+        ("split", "val", "'split' must be one of train, test, found 'val'"),
+    ],
+)
+def test_broken_descriptions_are_refused_by_field(field: str, value: object, message: str) -> None:
+    members = encode_sample(ramp_sample())
+    tree = {**json.loads(members["json"]), field: value}
+    with pytest.raises(BadSample, match=message):
+        decode_sample("k", {**members, "json": json.dumps(tree).encode()})
+
+
+def test_a_png_of_colours_is_refused() -> None:
+    buffer = io.BytesIO()
+    Image.new("RGB", (4, 4)).save(buffer, "PNG")
+    with pytest.raises(ValueError, match="must be 8- or 16-bit greyscale, found mode RGB"):
+        decode_png(buffer.getvalue())
+
+
+def test_unknown_codecs_are_refused() -> None:
+    with pytest.raises(BadConfig, match="must be one of bsi, png, found 'jpg'"):
+        check_codec("jpg")
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+@given(first=samples(), second=samples())
+def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_anything(
+    choice: str, first: Sample, second: Sample
+) -> None:
+    with computed_by(choice):
+        for sample in (first, second, first):  # whatever the one before has left behind
+            stored = encode_sample(sample)
+            into = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
+            decoded = decode_sample(sample.key, stored, into=into)
+            assert decoded.range is into[0]
+            assert decoded.labels is into[1]
+            assert same(replace(decoded, known=None), decode_sample(sample.key, stored))
+            assert decoded.known is not None
+            assert decoded.known.texels is not None
+            assert np.array_equal(decoded.known.texels, np.flatnonzero(sample.projector_range))
+            if choice == "compiled":
+                assert decoded.known.edges is not None
+                begin, end = decoded.known.edges.reshape(-1, 2).T
+                assert (begin < end).all()
+                assert (begin[1:] >= end[:-1]).all()
+                held = [np.arange(*edges) for edges in zip(begin, end, strict=True)]
+                assert np.array_equal(np.concatenate([*held, np.zeros(0, int)]), np.flatnonzero(sample.range))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
+    sample = ramp_sample()
+    stored = encode_sample(sample, codec)
+    shape = sample.range.shape
+    wrong = np.zeros((2, 2), np.uint16), np.zeros(shape, np.uint8)
+    striped = np.zeros((shape[0], 2 * shape[1]), np.uint16)[:, ::2], np.zeros(shape, np.uint8)
+    for into in (wrong, striped):
+        assert same(replace(decode_sample(sample.key, stored, into=into), known=None), sample)
+        assert not into[0].any()
+        assert not into[1].any()

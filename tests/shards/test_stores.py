@@ -1,0 +1,520 @@
+"""Sets behind a real nginx and an S3-compatible server, which fail in every way that networks do."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from servers import Nginx, Reply, free_port, nginx, s3_server
+from torch.utils.data import DataLoader
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.commands.cli import main
+from bodyseg_data.core.errors import BadShard, Unreachable
+from bodyseg_data.shards.manifest import Manifest, read_manifest
+from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.shards.stores.store import LocalFolder
+from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+
+QUICK = Patience(tries=12, first_wait_s=0.001, stall_s=0.3)
+
+
+@pytest.fixture(scope="module")
+def server(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nginx]:
+    pytest.importorskip("aiohttp")
+    with nginx(figures_set, tmp_path_factory.mktemp("nginx") / "work") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def s3(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nginx]:
+    """An S3-compatible server behind an nginx that answers two requests in five with 503."""
+    pytest.importorskip("s3fs")
+    work = tmp_path_factory.mktemp("s3") / "work"
+    with s3_server(figures_set, "bucket", "shards") as port, nginx(figures_set, work, port) as running:
+        yield running
+
+
+def s3_options(s3: Nginx) -> dict[str, Any]:
+    return {"key": "AKID-EXAMPLE", "secret": "very-secret", "endpoint_url": s3.url("").rstrip("/")}
+
+
+@pytest.fixture
+def web(server: Nginx) -> Nginx:
+    server.forget()
+    return server
+
+
+@pytest.fixture(scope="module")
+def manifest(figures_set: Path) -> Manifest:
+    return read_manifest(figures_set)
+
+
+def bits(images: RangeImages) -> list[tuple[str, bytes, bytes]]:
+    return [
+        (image.key, image.range.tobytes(), image.labels.tobytes()) for image in map(images.image, range(len(images)))
+    ]
+
+
+@pytest.fixture(scope="module")
+def expected(figures_set: Path) -> list[tuple[str, bytes, bytes]]:
+    return bits(RangeImages(figures_set, "noise"))
+
+
+def cached(url: str, manifest: Manifest, cache: Path, limit: int = 10**9, patience: Patience = QUICK) -> CachedStore:
+    store = keep_shards(RemoteFolder(url, {}, patience), manifest.shards, cache, limit)
+    assert isinstance(store, CachedStore)
+    return store
+
+
+def test_shards_are_fetched_once_and_then_read_from_the_cache(
+    web: Nginx, manifest: Manifest, tmp_path: Path, expected: Any
+) -> None:
+    for _ in range(2):
+        assert bits(RangeImages(web.url("good/"), "noise", cache=tmp_path / "cache")) == expected
+    assert [(line.status, line.sent) for line in web.log(".tar")] == [(206, shard.size) for shard in manifest.shards]
+    assert len(web.log("manifest.json")) == 2
+    held = {path.name: path.read_bytes() for path in (tmp_path / "cache").glob("*.tar")}
+    assert sorted(held) == sorted(f"{shard.sha256}.tar" for shard in manifest.shards)
+    assert sorted(map(len, held.values())) == sorted(shard.size for shard in manifest.shards)
+
+
+def test_without_a_cache_samples_are_read_by_range(web: Nginx, manifest: Manifest, expected: Any) -> None:
+    assert bits(RangeImages(web.url("good"), "noise", cache_bytes=0)) == expected
+    assert [line.sent for line in web.log(".tar")] == [length for shard in manifest.shards for length in shard.lengths]
+
+
+def contents(store: Any, manifest: Manifest) -> list[bytes]:
+    """What a reader reads, sample by sample."""
+    places = ((shard, index) for shard in manifest.shards for index in range(len(shard)))
+    return [store.read(shard.name, shard.offsets[index], shard.lengths[index]) for shard, index in places]
+
+
+@pytest.fixture(scope="module")
+def stored(figures_set: Path, manifest: Manifest) -> list[bytes]:
+    return contents(LocalFolder(figures_set), manifest)
+
+
+@pytest.mark.parametrize("location", ["failing", "limited", "moved", "slow"])
+def test_trouble_that_passes_does_not_show(
+    location: str, web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+) -> None:
+    if location in ("slow", "limited"):
+        manifest = replace(manifest, shards=manifest.shards[:2])
+    read = contents(cached(web.url(location), manifest, tmp_path), manifest)
+    assert read == stored[: len(read)]
+    assert len(list(tmp_path.glob("*.tar"))) == len(manifest.shards)
+    assert not list(tmp_path.glob("*.part"))
+    errors = {"failing": 500, "limited": 429}.get(location)
+    if errors is not None:
+        read = contents(RemoteFolder(web.url(location), {}, QUICK), manifest)
+        assert read == stored[: len(read)]
+        assert sum(line.status == errors for line in web.log()) > 0
+
+
+def cut(reply: Reply, before: int) -> Reply:
+    """The connection breaks after 8 kB, every time but every fourth."""
+    return reply if before % 4 == 3 else replace(reply, body=reply.body[:8_000])
+
+
+def cut_after_much(reply: Reply, before: int) -> Reply:
+    """Every time, but never before something has come."""
+    return replace(reply, body=reply.body[:12_000])
+
+
+def short(reply: Reply, before: int) -> Reply:
+    """A body that is too short and does not say so."""
+    half = len(reply.body) // 2
+    return reply if half < 5000 else replace(reply, body=reply.body[:half], length=half)
+
+
+def nothing(reply: Reply, before: int) -> Reply:
+    return reply if before % 3 == 2 else replace(reply, body=b"")
+
+
+def busy(reply: Reply, before: int) -> Reply:
+    return reply if before % 3 == 2 else replace(reply, status=503, body=b"", length=0)
+
+
+def elsewhere(reply: Reply, before: int) -> Reply:
+    """Other bytes than asked for, and it says so."""
+    return reply if before % 2 else replace(reply, body=bytes(512), length=512, content_range="bytes 77-588/4096")
+
+
+def altered(reply: Reply, before: int) -> Reply:
+    """A bit flipped in the middle, the first time."""
+    body = bytearray(reply.body)
+    body[len(body) // 2] ^= 1 if before % 2 == 0 else 0
+    return replace(reply, body=bytes(body))
+
+
+def stalled(reply: Reply, before: int) -> Reply:
+    return reply if before else replace(reply, body=reply.body[:1000], pause_s=1.0)
+
+
+@pytest.mark.parametrize("direct", [False, True])
+@pytest.mark.parametrize("act", [cut, cut_after_much, short, nothing, busy, elsewhere, altered])
+def test_replies_that_break_do_not_show(
+    act: Any,
+    direct: bool,
+    web: Nginx,
+    manifest: Manifest,
+    tmp_path: Path,
+    figures_set: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("bodyseg_data.shards.stores.remote._PROGRESS_BYTES", 10_000)  # the shards are small
+    web.faults.act = act
+    url = web.url("faulty")
+    reader = ShardReader(RemoteFolder(url, {}, QUICK) if direct else cached(url, manifest, tmp_path), manifest)
+    local = ShardReader(figures_set, manifest)
+    for shard, record in enumerate(manifest.shards[:2]):
+        for index in range(len(record)):
+            ours, theirs = reader.read(shard, index), local.read(shard, index)
+            assert (ours.range == theirs.range).all() and (ours.labels == theirs.labels).all()
+    served = sum(line.sent for line in web.log(".tar"))
+    whole = sum(shard.size for shard in manifest.shards[:2])
+    assert served < (2.1 if act is altered else 1.03) * whole, "only what is missing is fetched again"
+    asked = sum(web.faults.asked.values())
+    assert asked > (10 if direct else 2), "something broke"
+
+
+def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
+    web: Nginx, manifest: Manifest, tmp_path: Path
+) -> None:
+    web.faults.act = stalled
+    shard = manifest.shards[0]
+    begun = time.monotonic()
+    cached(web.url("faulty"), manifest, tmp_path).read(shard.name, 0, 512)
+    assert web.faults.asked[shard.name] == 2
+    assert time.monotonic() - begun < 1
+    assert [line.start for line in web.log(".tar")][-1] == 1000
+
+
+def test_a_server_without_ranges_corrupts_nothing(
+    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+) -> None:
+    store = cached(web.url("rangeless"), manifest, tmp_path)
+    shard = manifest.shards[0]
+    part = tmp_path / f"{shard.sha256}.{shard.size}.part"
+    part.write_bytes(stored[0][:333])  # begun when the server still knew ranges
+    assert contents(store, manifest) == stored
+    assert {line.status for line in web.log()} == {200}
+    with pytest.raises(Unreachable, match=r"rangeless/train-00000.tar: the server ignores byte ranges; a cache with"):
+        RemoteFolder(web.url("rangeless"), {}, QUICK).read(shard.name, 512, 512)
+
+
+def test_a_part_of_another_object_is_found_out(
+    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+) -> None:
+    """As when the shard was changed on the server between a cut and the resumption."""
+    store = cached(web.url("good"), manifest, tmp_path)
+    shard = manifest.shards[0]
+    good = stored[0] + stored[1]
+    (tmp_path / f"{shard.sha256}.{shard.size}.part").write_bytes(good + b"from an older shard")
+    assert contents(store, manifest) == stored
+    first, again = web.log(shard.name)
+    assert (first.start, again.start) == (len(good) + 19, len(good)), "what is right is not fetched again"
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_bytes_altered_on_the_server_are_an_error_that_says_all(
+    direct: bool, web: Nginx, manifest: Manifest, tmp_path: Path
+) -> None:
+    def always(reply: Reply, before: int) -> Reply:
+        body = bytearray(reply.body)
+        if len(body) > 700:
+            body[700] ^= 1
+        return replace(reply, body=bytes(body))
+
+    web.faults.act = always
+    url = web.url("faulty")
+    store = RemoteFolder(url, {}, QUICK) if direct else cached(url, manifest, tmp_path)
+    line = r"train-00000.tar: open-\S+: offset 0: altered: CRC-32 [0-9a-f]{8} expected, found [0-9a-f]{8}"
+    warned = contextlib.nullcontext() if direct else pytest.warns(RuntimeWarning, match=rf"{line} \(fetched 3 times\)")
+    with warned, pytest.raises(BadShard, match=f"^{line}$"):
+        ShardReader(store, manifest).read(0, 0)
+    assert web.faults.asked == {"train-00000.tar": 3 if direct else 6}
+    assert not list(tmp_path.glob("*.tar"))
+
+
+def test_one_sample_altered_on_the_server_spoils_no_other(
+    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+) -> None:
+    shard = manifest.shards[0]
+    place = shard.offsets[2] + 700
+
+    def third(reply: Reply, before: int) -> Reply:
+        start = int(reply.content_range[6:].partition("-")[0])
+        body = bytearray(reply.body)
+        if 0 <= place - start < len(body):
+            body[place - start] ^= 1
+        return replace(reply, body=bytes(body))
+
+    web.faults.act = third
+    reader = ShardReader(cached(web.url("faulty"), manifest, tmp_path), manifest)
+    with pytest.warns(RuntimeWarning, match=f"{shard.keys[2]}: offset {shard.offsets[2]}: altered.*not kept"):
+        reader.read(0, 0)
+    for index in (1, 3, 4):
+        assert reader.read(0, index).key == shard.keys[index]
+    with pytest.raises(
+        BadShard, match=f"^train-00000.tar: {shard.keys[2]}: offset {shard.offsets[2]}: altered: CRC-32"
+    ):
+        reader.read(0, 2)
+    fetched = [line.start for line in web.log(shard.name)][:3]
+    assert fetched == [0, shard.offsets[2], shard.offsets[2]], "what is right is not fetched again"
+
+
+@pytest.mark.parametrize(
+    ("location", "message"),
+    [
+        ("forbidden", "manifest.json: 403 Forbidden"),
+        ("private", "manifest.json: 401 Unauthorized"),
+        ("nowhere", " holds no manifest.json: not a set of shards, or its packing has not ended"),
+        ("silent", r"manifest.json: ServerDisconnectedError: Server disconnected \(3 attempts\)"),
+        ("packed", r"manifest.json: the server sends it packed \(gzip\), though asked not to"),
+    ],
+)
+def test_what_cannot_be_had_is_one_clear_line(location: str, message: str, web: Nginx, tmp_path: Path) -> None:
+    with pytest.raises((Unreachable, BadShard), match=f"^{web.url(location)}.?{message}$"):
+        RangeImages(web.url(location), patience=Patience(tries=3, first_wait_s=0.001), cache=tmp_path)
+    assert (len(web.log()) > 1) == (location == "silent"), "only trouble that may pass is tried again"
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: Nginx, tmp_path: Path) -> None:
+    web.faults.act = lambda reply, before: replace(reply, status=404)
+    images = RangeImages(web.url("faulty"), cache=tmp_path, patience=QUICK)
+    with pytest.raises(Unreachable, match=r"^http://127.0.0.1:\d+/faulty/train-0000\d.tar: 404 Not Found$"):
+        list(loader(images, 8, workers))
+
+
+def test_a_row_of_failures_is_bounded_in_number_and_time(web: Nginx, manifest: Manifest) -> None:
+    web.faults.act = lambda reply, before: replace(reply, status=500)
+    for patience, least, most in (
+        (Patience(tries=4, first_wait_s=0.001), 4, 4),
+        (Patience(tries=99, first_wait_s=0.02, total_s=0.2), 3, 7),
+    ):
+        web.faults.asked.clear()
+        with pytest.raises(Unreachable, match=r"train-00000.tar: 500 Internal Server Error \(\d attempts\)$"):
+            RemoteFolder(web.url("faulty"), {}, patience).read("train-00000.tar", 0, 512)
+        assert least <= web.faults.asked["train-00000.tar"] <= most
+
+
+def test_nobody_listening_is_one_clear_line(tmp_path: Path) -> None:
+    url = f"http://127.0.0.1:{free_port()}/shards"
+    with pytest.raises(
+        Unreachable, match=r"manifest.json: ClientConnectorError: .*Connect call failed.*\(2 attempts\)$"
+    ):
+        RangeImages(url, cache=tmp_path, patience=Patience(tries=2, first_wait_s=0.001))
+
+
+def test_secrets_are_used_and_never_shown(web: Nginx, tmp_path: Path) -> None:
+    host = web.url("").removeprefix("http://")
+    for url, options in (
+        (f"http://someone:pass-word@{host}private", {}),
+        (f"http://{host}private", {"headers": {"Authorization": "Basic c29tZW9uZTpwYXNzLXdvcmQ="}}),
+        (f"http://{host}signed/train-*.tar?token=hush-hush", {}),
+    ):
+        images = RangeImages(url, cache=tmp_path, storage_options=options, patience=QUICK)
+        images.clean(0)
+        text = f"{images.path} {images.urls()}"
+        wrong = url.replace("pass-word", "false-word").replace("hush", "tush")
+        if options:
+            options = {"headers": {"Authorization": "Basic ZmFsc2U6d29yZA=="}}
+        with pytest.raises(Unreachable, match="40[13]") as caught:
+            RangeImages(wrong, cache=tmp_path, storage_options=options, patience=QUICK)
+        text += str(caught.value)
+        assert not any(secret in text for secret in ("word", "hush", "tush", "Basic", "someone", "token"))
+
+
+def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
+    web: Nginx, figures_set: Path, tmp_path: Path
+) -> None:
+    for choice in ("", "train-*.tar", "test-00001.tar", "manifest.json"):
+        ours, theirs = RangeImages(web.url(f"good/{choice}"), cache=tmp_path), RangeImages(figures_set / choice)
+        assert ours.keys == theirs.keys
+        assert [url.rpartition("/")[2] for url in ours.urls()] == [url.rpartition("/")[2] for url in theirs.urls()]
+    assert len(web.log()) == 4, "nothing but manifests is fetched before it is needed"
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_workers_read_remote_sets_however_they_are_started(
+    method: str, web: Nginx, manifest: Manifest, tmp_path: Path, expected: Any
+) -> None:
+    images = RangeImages(web.url("good"), "noise", cache=tmp_path, patience=QUICK)
+    images.image(0)  # the parent has a connection of its own
+    batches = DataLoader(images, 6, num_workers=2 if method == "fork" else 1, multiprocessing_context=method)
+    ranges = torch.cat([batch["range"] for batch in batches])
+    images.image(23)
+    local = torch.stack(
+        [torch.frombuffer(bytearray(image[1]), dtype=torch.uint16).view(1, 640, -1) for image in expected]
+    )
+    assert torch.equal(ranges, local.to(torch.float32) * 1e-4)
+    assert len(web.log(".tar")) == len(manifest.shards), "each shard is fetched once, whoever needs it"
+
+
+def test_forked_workers_read_by_range_while_their_parent_does(web: Nginx, expected: Any) -> None:
+    images = RangeImages(web.url("good"), "noise", cache_bytes=0, patience=QUICK)
+    keys = []
+    for batch in loader(images, 4, 2):
+        keys += batch["key"]
+        assert images.image(len(keys) - 1).range.tobytes() == expected[len(keys) - 1][1]
+    assert keys == [image[0] for image in expected]
+
+
+READER = """
+import sys
+from pathlib import Path
+from bodyseg_data.addresses import open_store
+from bodyseg_data.cached_store import keep_shards
+from bodyseg_data.manifest import read_manifest
+store, _ = open_store(sys.argv[1])
+manifest = read_manifest(store)
+kept = keep_shards(store, manifest.shards, sys.argv[2], None)
+for shard in manifest.shards[: int(sys.argv[3])]:
+    assert len(kept.read(shard.name, 0, 512)) == 512
+"""
+
+
+def start(url: str, cache: Path, shards: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-c", READER, url, str(cache), str(shards)])
+
+
+def test_two_processes_fetch_each_shard_once(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+    readers = [start(web.url("slow"), tmp_path / "cache", 2) for _ in range(2)]
+    assert [reader.wait(30) for reader in readers] == [0, 0]
+    assert sorted(line.sent for line in web.log(".tar")) == sorted(shard.size for shard in manifest.shards[:2])
+
+
+def test_a_killed_download_is_carried_on(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+    shard = manifest.shards[0]
+    part = tmp_path / f"{shard.sha256}.{shard.size}.part"
+    reader = start(web.url("crawling"), tmp_path, 1)
+    while not part.exists() or part.stat().st_size < shard.size // 4:
+        assert reader.poll() is None
+        time.sleep(0.01)
+    reader.send_signal(signal.SIGKILL)
+    reader.wait(10)
+    have = part.stat().st_size
+    assert shard.size // 4 <= have < shard.size
+    time.sleep(0.1)  # until nginx has seen it and logged what it sent
+    cached(web.url("good"), manifest, tmp_path).read(shard.name, 0, 512)
+    before, after = web.log(".tar")
+    assert (after.start, after.sent) == (have, shard.size - have)
+    assert before.sent < shard.size
+    assert [path.name for path in tmp_path.glob(f"{shard.sha256}*")] == [f"{shard.sha256}.tar"]
+
+
+def test_what_has_no_room_is_read_by_range(web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]) -> None:
+    limit = sum(shard.size for shard in manifest.shards[:2]) + 1000
+    store = cached(web.url("good"), manifest, tmp_path, limit)
+    for _ in range(2):
+        assert contents(store, manifest) == stored
+    fetched = [line.sent for line in web.log(".tar") if line.path.endswith(("train-00000.tar", "train-00001.tar"))]
+    assert fetched == [shard.size for shard in manifest.shards[:2]]
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= limit
+    others = sum(len(shard) for shard in manifest.shards[2:])
+    assert len(web.log(".tar")) == 2 + 2 * others
+
+
+def test_a_spoiled_cache_is_mended(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+    store = cached(web.url("good"), manifest, tmp_path)
+    reader = ShardReader(store, manifest)
+    reader.read(0, 0)
+    path = tmp_path / f"{manifest.shards[0].sha256}.tar"
+    whole = path.read_bytes()
+    for spoiled in (whole[:700] + b"?" + whole[701:], whole[:700], b""):
+        path.write_bytes(spoiled)
+        reader.read(0, 0)
+        assert path.read_bytes() == whole
+
+
+def test_a_reader_is_pickled_without_connections_but_with_its_options(web: Nginx, manifest: Manifest) -> None:
+    options = {"headers": {"Authorization": "Basic c29tZW9uZTpwYXNzLXdvcmQ="}}
+    reader = ShardReader(RemoteFolder(web.url("private"), options, QUICK), manifest)
+    first = reader.read(0, 0)
+    again = pickle.loads(pickle.dumps(reader)).read(0, 0)
+    assert (first.range == again.range).all()
+
+
+def test_commands_take_addresses(
+    web: Nginx, manifest: Manifest, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert main(["verify", web.url("good/")]) == 0
+    assert f"{web.url('good')}: 24 samples in 6 shards" in capsys.readouterr().out
+    assert main(["inspect", web.url("good/test-*.tar"), "--json"]) == 0
+    assert '"samples": 8' in capsys.readouterr().out
+    assert len(list((tmp_path / "bodyseg").glob("*.tar"))) == 2
+    out = tmp_path / "gallery.png"
+    assert main(["gallery", web.url("good/test-*.tar"), "--views", "2", "--out", str(out)]) == 0
+    assert out.exists()
+    web.faults.act = lambda reply, before: replace(reply, body=b"x" + reply.body[1:])
+    assert main(["verify", web.url("faulty")]) == 1
+    assert "train-00000.tar: open-" in capsys.readouterr().out
+    web.faults.act = lambda reply, before: replace(reply, status=404)
+    assert main(["verify", web.url("faulty")]) == 1
+    assert "train-00000.tar: -: offset 0: cannot be read: http://127.0.0.1" in capsys.readouterr().out
+
+
+def test_a_set_in_a_bucket_is_read_like_any_other(s3: Nginx, tmp_path: Path, manifest: Manifest, expected: Any) -> None:
+    s3.forget()
+    for limit in (None, 0):
+        images = RangeImages(
+            "s3://bucket/shards/",
+            "noise",
+            cache=None if limit == 0 else tmp_path,
+            cache_bytes=limit,
+            storage_options=s3_options(s3),
+            patience=replace(QUICK, stall_s=10),
+        )
+        assert bits(images) == expected
+    gone = [line for line in s3.log(".tar") if line.status == 206]
+    assert len(gone) == 6 + 24
+    assert sum(line.sent for line in gone) == sum(shard.size + sum(shard.lengths) for shard in manifest.shards)
+    assert sum(line.status == 503 for line in s3.log()) > 2
+
+
+def test_workers_read_buckets(s3: Nginx, tmp_path: Path, expected: Any) -> None:
+    options, patience = s3_options(s3), replace(QUICK, stall_s=10)
+    images = RangeImages(
+        "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, patience=patience
+    )
+    images.image(0)
+    assert [key for batch in loader(images, 4, 2) for key in batch["key"]] == [image[0] for image in expected]
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "message"),
+    [
+        ("s3://bucket/nowhere", {}, "s3://bucket/nowhere holds no manifest.json"),
+        ("s3://elsewhere/shards", {}, "s3://elsewhere/shards holds no manifest.json|403|Forbidden|404"),
+        ("s3://bucket/shards", {"key": None}, "PartialCredentialsError"),
+        ("s3://Bucket!/shards", {}, "ParamValidationError"),
+    ],
+)
+def test_what_a_bucket_refuses_is_one_clear_line(
+    url: str, options: dict[str, Any], message: str, s3: Nginx, tmp_path: Path
+) -> None:
+    with pytest.raises((Unreachable, BadShard), match=message) as caught:
+        RangeImages(url, cache=tmp_path, storage_options={**s3_options(s3), **options}, patience=QUICK)
+    assert "very-secret" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_webdataset_pipeline_reads_addresses(web: Nginx, tmp_path: Path, expected: Any) -> None:
+    pytest.importorskip("webdataset")
+    images = RangeImages(web.url("good"), "noise", cache=tmp_path)
+    assert [sample["key"] for sample in images.webdataset()] == [image[0] for image in expected]

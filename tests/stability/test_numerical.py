@@ -1,0 +1,202 @@
+"""Networks that are known to notice one thing, and the ways of computing that must make them notice it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from small_rig import SMALL
+from torch import nn
+
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts.variants import Artifacts
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_model.networks.compact import Compact, CompactSettings
+from bodyseg_model.networks.registry import predict
+from bodyseg_model.stability.numerical import BATCH_SIZES, Whole, numerical
+
+NOTHING = {"changed": 0.0, "accuracy_change": 0.0}
+FEWER_BITS = {"bf16, autocast", "bf16 throughout", "fp16, autocast", "fp16 throughout", "weights kept in fp16"}
+AS_MANY = {"two threads", "channels last"}
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    views = ViewGrid((215, 295), span_deg=360, azimuths=3, count=3)
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, meshes=2, views=views)
+
+
+@pytest.fixture(scope="module")
+def images(shards: Path) -> RangeImages:
+    return RangeImages(shards, "all")
+
+
+class Told(nn.Module):
+    """Gives every pixel of a batch the label that a function says."""
+
+    def __init__(self, label: Callable[[torch.Tensor], int]) -> None:
+        super().__init__()
+        self.label = label
+        self.eval()
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        scores = torch.zeros(len(range_m), PART_COUNT, *range_m.shape[2:])
+        scores[:, self.label(range_m)] = 1
+        return scores
+
+
+class Close(nn.Module):
+    """Scores that differ by less than 16 bits can tell, the last one highest."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.head = nn.Conv2d(1, PART_COUNT, 1, bias=False)
+        self.head.weight.data = 1 + 1e-6 * torch.arange(PART_COUNT)[:, None, None, None]
+        self.eval()
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        scores: torch.Tensor = self.head(range_m)
+        return scores
+
+
+class Widths(Compact):
+    """Labels say how wide a window is shown."""
+
+    margin = 8  # type: ignore[misc]  # images here are small
+
+    def coarse(self, range_m: torch.Tensor) -> torch.Tensor:
+        rows, columns = (-(-side // self.stride) for side in range_m.shape[2:])
+        scores = torch.zeros(len(range_m), PART_COUNT, rows, columns)
+        scores[:, columns % PART_COUNT] = 1
+        return scores
+
+
+def test_whole_numbers_are_the_same_in_every_way(images: RangeImages) -> None:
+    done: list[tuple[int, int]] = []
+    found = numerical(Told(lambda range_m: 3), images, 3, lambda *numbers: done.append(numbers))
+    assert (found["images"], found["variant"], found["split"], found["seed"]) == (3, "all", None, 0)
+    assert set(found["ways"]) == FEWER_BITS | AS_MANY
+    assert all(way == NOTHING for way in found["ways"].values())
+    assert set(found["batches"]) == {str(size) for size in BATCH_SIZES}
+    for batch in found["batches"].values():
+        assert batch == {"batch": NOTHING, "window": NOTHING, "arithmetic": NOTHING}
+    shown = [images[int(index)]["labels"] for index in images.order(0)[:3]]
+    assert found["pixels"] == sum(int((labels != BACKGROUND).sum()) for labels in shown)
+    parts = {part for labels in shown for part in labels[labels != BACKGROUND].tolist()}
+    assert 3 in parts and found["accuracy"] == pytest.approx(1 / len(parts), abs=1e-5)
+    assert done == [(count, 10) for count in range(1, 11)]
+
+
+def test_fewer_bits_change_what_hangs_on_the_last_ones(images: RangeImages) -> None:
+    found = numerical(Close(), images, 2)
+    for name in FEWER_BITS:
+        assert found["ways"][name]["changed"] == 1, name
+    for name in AS_MANY:
+        assert found["ways"][name] == NOTHING, name
+
+
+def test_a_change_of_accuracy_is_that_of_the_labels(images: RangeImages) -> None:
+    labels = images[int(images.order(0)[0])]["labels"]
+    shown = set(labels[labels != BACKGROUND].tolist())
+    there, hidden = min(shown), min(set(range(PART_COUNT)) - shown)
+    found = numerical(Told(lambda range_m: there if range_m.dtype == torch.float32 else hidden), images, 1)
+    assert found["ways"]["bf16 throughout"] == {
+        "changed": 1.0,
+        "accuracy_change": pytest.approx(-1 / len(shown), abs=1e-6),
+    }
+    assert found["ways"]["bf16, autocast"] == NOTHING
+
+
+def test_a_network_that_counts_the_batch_changes_by_arithmetic(images: RangeImages) -> None:
+    found = numerical(Told(len), images, 3)
+    assert all(way == NOTHING for way in found["ways"].values())
+    # Of three images, two make a batch and the last is alone; or all make one.
+    for batch in found["batches"].values():
+        assert batch["window"] == NOTHING
+        assert batch["batch"] == batch["arithmetic"]
+        assert batch["batch"]["changed"] > 0.5
+    assert found["batches"]["2"]["batch"]["changed"] < found["batches"]["7"]["batch"]["changed"] == 1
+
+
+def test_a_network_that_sees_the_window_changes_by_it(images: RangeImages) -> None:
+    network = Widths(CompactSettings(widths=(4,), blocks=(0,))).eval()
+    found = numerical(network, images, 4)
+    shown = [images[int(index)]["range"][None] for index in images.order(0)[:4]]
+    alone = torch.cat([predict(network, image).labels for image in shown])
+    together = predict(network, torch.cat(shown)).labels
+    body = alone != BACKGROUND
+    changed = float((alone != together)[body].float().mean())
+    assert 0 < changed < 1, "some body is as wide as all of them together"
+    for size in ("7", "16"):
+        batch = found["batches"][size]
+        assert batch["arithmetic"] == NOTHING
+        assert batch["window"] == batch["batch"]
+        assert batch["window"]["changed"] == pytest.approx(changed, abs=1e-6)
+
+
+def test_a_hidden_network_says_the_same_without_being_cut_to_bodies(images: RangeImages) -> None:
+    torch.manual_seed(1)
+    network = Compact(CompactSettings(widths=(8,), blocks=(1,))).eval()
+    image = images[0]["range"][None]
+    assert torch.equal(predict(Whole(network), image[:, :, :, 30:]).labels > 32, image[:, 0, :, 30:] == 0)
+    widths: list[int] = []
+    network.register_forward_pre_hook(lambda module, inputs: widths.append(inputs[0].shape[3]))
+    predict(Whole(network), image)
+    assert widths == [image.shape[3]]
+
+
+def test_what_cannot_be_computed_is_null_with_a_reason(images: RangeImages) -> None:
+    def refuse(range_m: torch.Tensor) -> int:
+        if range_m.dtype != torch.float32:
+            raise RuntimeError(f"no kernel for {range_m.dtype}\nand a long tail")
+        return 3
+
+    ways = numerical(Told(refuse), images, 1)["ways"]
+    for name, kind in (("bf16 throughout", "bfloat16"), ("fp16 throughout", "float16")):
+        assert ways[name] == {"changed": None, "accuracy_change": None, "reason": f"no kernel for torch.{kind}"}
+    assert ways["fp16, autocast"] == NOTHING
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_threads_are_one_but_where_two_are_tried_and_then_as_before(images: RangeImages) -> None:
+    seen: list[int] = []
+
+    def count(range_m: torch.Tensor) -> int:
+        seen.append(torch.get_num_threads())
+        return seen[-1]
+
+    ways = numerical(Told(count), images, 2)["ways"]
+    assert torch.get_num_threads() == 2
+    assert sorted(seen) == [1] * (len(seen) - 2) + [2, 2]
+    assert ways["two threads"]["changed"] == 1 and ways["bf16, autocast"]["changed"] == 0
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5])
+def test_there_must_be_images(images: RangeImages, count: Any) -> None:
+    with pytest.raises(BadConfig, match="the number of images must be a whole number of at least 1"):
+        numerical(Close(), images, count)
+
+
+def test_something_must_be_measured(shards: Path) -> None:
+    nothing = RangeImages(shards, "md", artifacts=Artifacts(missing_data=MissingData((1.0,))))
+    with pytest.raises(BadConfig, match="comparing labels needs measured pixels, found none in 2 images"):
+        numerical(Close(), nothing, 2)
+
+
+def test_a_network_must_not_be_in_training(images: RangeImages) -> None:
+    with pytest.raises(BadConfig, match="needs a network in evaluation mode"):
+        numerical(Close().train(), images)

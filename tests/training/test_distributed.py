@@ -1,0 +1,245 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_ranks
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import permutation
+
+
+class Numbers:
+    """So many samples, and nothing to see in them."""
+
+    split = "train"
+    epoch = 0
+    epochs_set = 1
+
+    def __init__(self, count: int, seed: int = 0) -> None:
+        self.count, self.seed = count, seed
+
+    def __len__(self) -> int:
+        return self.count
+
+    def order(self, epoch: int, shuffle: bool) -> NDArray[np.int64]:
+        return permutation(self.count, self.seed, epoch) if shuffle else np.arange(self.count)
+
+    def identity(self) -> dict[str, Any]:
+        return {"seed": self.seed}
+
+
+def orders(images: Numbers, batch_size: int, ranks: int, **options: Any) -> list[BatchOrder]:
+    return [BatchOrder(images, batch_size, rank=rank, ranks=ranks, **options) for rank in range(ranks)]
+
+
+def one_pass(order: BatchOrder) -> list[list[int]]:
+    return [[index for _, index in batch] for batch in order]
+
+
+def put_together(batches: list[list[list[Any]]]) -> list[list[Any]]:
+    """The global batches that the ranks' batches make up."""
+    return [[index for batch in side_by_side for index in batch] for side_by_side in zip(*batches, strict=True)]
+
+
+@given(st.integers(1, 300), st.integers(0, 2**63 - 1), st.integers(0, 2**40))
+def test_an_order_is_a_permutation(count: int, seed: int, epoch: int) -> None:
+    order = permutation(count, seed, epoch)
+    assert np.array_equal(np.sort(order), np.arange(count))
+    assert np.array_equal(order, permutation(count, seed, epoch))
+    if count > 20:  # the chance that two are the same is 1 in 20!
+        assert not np.array_equal(order, permutation(count, seed, epoch + 1))
+        assert not np.array_equal(order, permutation(count, (seed + 1) % 2**63, epoch))
+
+
+def test_every_sample_is_as_likely_in_every_place() -> None:
+    count, epochs = 24, 4800
+    seen = np.zeros((count, count))
+    for epoch in range(epochs):
+        seen[np.arange(count), permutation(count, 5, epoch)] += 1
+    expected = epochs / count
+    chi2 = ((seen - expected) ** 2 / expected).sum()
+    # (count - 1)**2 degrees of freedom, near enough normal: five standard deviations either way.
+    freedom = (count - 1) ** 2
+    assert abs(chi2 - freedom) < 5 * np.sqrt(2 * freedom)
+
+
+def test_samples_of_one_shard_are_spread_over_the_whole_pass() -> None:
+    places = np.argsort(permutation(1000, 0, 3))
+    for shard in places.reshape(10, 100):
+        assert 400 < shard.mean() < 600
+        assert shard.min() < 50 < 950 < shard.max()
+
+
+@settings(deadline=None)
+@given(st.integers(1, 200), st.integers(1, 9), st.integers(1, 7), st.booleans(), st.integers(0, 3))
+def test_ranks_share_an_epoch_out_without_loss(
+    count: int, batch_size: int, ranks: int, drop_last: bool, epoch: int
+) -> None:
+    images = Numbers(count)
+    try:
+        shares = orders(images, batch_size, ranks, drop_last=drop_last)
+    except BadConfig:
+        short = batch_size == 1 and count % ranks and not drop_last
+        assert count < ranks or short or (drop_last and count < batch_size * ranks)
+        return
+    for order in shares:
+        order.set_epoch(epoch)
+    batches = [one_pass(order) for order in shares]
+    assert [len(rank) for rank in batches] == [len(shares[0])] * ranks
+    assert all(1 <= len(batch) <= batch_size for rank in batches for batch in rank)
+    together = put_together(batches)
+    single = BatchOrder(images, batch_size * ranks, drop_last=drop_last, rank=0, ranks=1)
+    single.set_epoch(epoch)
+    alone = one_pass(single)
+    flat = [index for batch in together for index in batch]
+    kept = count // (batch_size * ranks) * batch_size * ranks if drop_last else count
+    assert flat == images.order(epoch, True).tolist()[:kept]
+    if drop_last or not 0 < count % (batch_size * ranks) < ranks:
+        assert together == alone
+    else:  # the last batch has borrowed from the one before
+        assert together[:-2] == alone[:-2]
+        assert len(together) == len(alone)
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_a_pass_goes_on_with_other_ranks_and_batch_sizes(data: st.DataObject) -> None:
+    images = Numbers(data.draw(st.integers(8, 150)), seed=data.draw(st.integers(0, 5)))
+    first = orders(images, data.draw(st.integers(2, 7)), data.draw(st.integers(1, 4)))
+    done = data.draw(st.integers(0, len(first[0])))
+    part = put_together([one_pass(order)[:done] for order in first])
+    states = [order.state_dict(batches=done) for order in first]
+    assert all(state == states[0] for state in states), "a place is the same on every rank"
+    state = json.loads(json.dumps(states[0]))
+    left = len(images) - sum(map(len, part))
+    others = orders(images, data.draw(st.integers(2, 7)), data.draw(st.integers(1, 4)))
+    if 0 < left < len(others):
+        with pytest.raises(BadConfig, match=f"{left} samples cannot give each of {len(others)} ranks a batch"):
+            others[0].load_state_dict(state)
+        return
+    for order in others:
+        order.load_state_dict(state)
+        assert order.epoch == (1 if left == 0 else 0)
+    rest = put_together([one_pass(order) for order in others])
+    flat = [index for batch in (rest if left == 0 else part + rest) for index in batch]
+    assert flat == images.order(0 if left else 1, True).tolist()
+    assert [order.epoch for order in others] == [1 if left else 2] * len(others)
+
+
+def test_cuts_cost_no_more_in_the_middle() -> None:
+    assert cuts(100, 0, 5, 4, False) == [0, 20, 40, 60, 80, 100]
+    assert cuts(100, 40, 5, 4, False) == [40, 60, 80, 100]
+    assert cuts(102, 0, 5, 4, False) == [0, 20, 40, 60, 80, 98, 102], "one a rank, borrowed from the batch before"
+    assert cuts(102, 0, 5, 4, True) == [0, 20, 40, 60, 80, 100]
+    assert cuts(3, 0, 5, 4, True) == [0]
+    assert cuts(7, 7, 5, 4, False) == [7]
+
+
+def test_an_epoch_asked_for_again_keeps_the_place_of_a_loaded_state() -> None:
+    images = Numbers(20)
+    order = BatchOrder(images, 4, rank=0, ranks=1)
+    whole = one_pass(order)
+    state = order.state_dict(batches=3)
+    for epoch, expected in ((0, whole[3:]), (1, None)):
+        other = BatchOrder(images, 4, rank=0, ranks=1)
+        other.load_state_dict(state)
+        other.set_epoch(epoch)
+        found = one_pass(other)
+        assert found == expected if expected is not None else len(found) == 5
+
+
+def test_states_of_something_else_are_refused() -> None:
+    order = BatchOrder(Numbers(20), 4, rank=0, ranks=1)
+    state = order.state_dict()
+    cases: list[tuple[Any, str]] = [
+        (None, "'format' must be 'bodyseg loader 1', found 'NoneType'"),
+        ({}, "'format' must be 'bodyseg loader 1', found None"),
+        ({**state, "format": "bodyseg loader 9"}, "found 'bodyseg loader 9'"),
+        ({**state, "samples": 21}, "belongs to another run: samples 21, here 20"),
+        ({**state, "seed": 1}, "belongs to another run: seed 1, here 0"),
+        ({**state, "shuffle": False}, "belongs to another run: shuffle False, here True"),
+        ({**state, "position": 21}, "must be whole numbers, found 0 and 21"),
+        ({**state, "position": True}, "must be whole numbers, found 0 and True"),
+        ({**state, "epoch": -1}, "must be whole numbers, found -1 and 0"),
+        ({**state, "epoch": "0"}, "must be whole numbers, found '0' and 0"),
+    ]
+    for wrong, message in cases:
+        with pytest.raises(BadConfig, match=message):
+            order.load_state_dict(wrong)
+    with pytest.raises(BadConfig, match="batches must be a number of batches of the pass under way, found 2"):
+        order.state_dict(batches=2)
+
+
+def test_ranks_come_from_arguments_or_surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RANK", raising=False)
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    assert find_ranks() == (0, 1)
+    monkeypatch.setenv("RANK", "1")
+    assert find_ranks() == (0, 1), "a rank of nothing is none"
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    assert find_ranks() == (1, 3)
+    assert find_ranks(0, 2) == (0, 2)
+    monkeypatch.setenv("RANK", "one")
+    with pytest.raises(BadConfig, match="RANK and WORLD_SIZE must be whole numbers, found 'one' and '3'"):
+        find_ranks()
+    for rank, ranks, message in (
+        (1, None, "given together or not at all"),
+        (2, 2, "rank must be less than ranks, found 2 of 2"),
+        (-1, 2, "rank must be a whole number"),
+        (0, 0, "ranks must be a whole number of at least 1"),
+    ):
+        with pytest.raises(BadConfig, match=message):
+            find_ranks(rank, ranks)
+
+
+def test_impossible_shares_are_refused() -> None:
+    with pytest.raises(BadConfig, match="3 samples are fewer than 4 ranks"):
+        BatchOrder(Numbers(3), 2, rank=0, ranks=4)
+    with pytest.raises(BadConfig, match="7 samples cannot be shared out to 3 ranks in equally many batches of 1"):
+        BatchOrder(Numbers(7), 1, rank=0, ranks=3)
+    assert len(BatchOrder(Numbers(7), 1, drop_last=True, rank=0, ranks=3)) == 2
+
+
+def test_fewer_shards_than_ranks_and_workers(figures_set: Path) -> None:
+    images = RangeImages(figures_set / "train-00000.tar", "all")
+    alone = [batch["key"] for batch in loader(images, 5, shuffle=True)]
+    shared = [[batch["key"] for batch in loader(images, 1, 0, True, rank=rank, ranks=5)] for rank in range(5)]
+    assert put_together(shared) == alone
+
+
+def test_two_processes_of_torchrun_and_going_on_with_one_and_three(figures_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(figures_set, "all")
+    expected = [batch["key"] for batch in loader(images, 6, shuffle=True)]
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    script = str(Path(__file__).with_name("rank_worker.py"))
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*command, script, str(tmp_path), str(figures_set), "2"],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    ranks = [json.loads((tmp_path / f"{rank}-of-2.json").read_text()) for rank in range(2)]
+    assert ranks[0]["state"] == ranks[1]["state"]
+    assert put_together([rank["keys"] for rank in ranks]) == expected[:2]
+    for count in (1, 3):
+        shares = []
+        for rank in range(count):
+            order = loader(images, 12 // count // 2, shuffle=True, rank=rank, ranks=count)
+            order.load_state_dict(ranks[0]["state"])
+            shares.append([batch["key"] for batch in order])
+        assert put_together(shares) == expected[2:]

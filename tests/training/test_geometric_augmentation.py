@@ -1,0 +1,97 @@
+"""Bodies turned, zoomed and cut."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.training.geometric_augmentation import Placements
+
+KEYS = [f"body-{number}" for number in range(60)]
+
+
+def bodies(rows: int = 60, columns: int = 40) -> tuple[torch.Tensor, torch.Tensor]:
+    """A block in the middle of each image, ranges and labels both telling where a pixel came from."""
+    labels = torch.full((len(KEYS), rows, columns), 255, dtype=torch.uint8)
+    range_m = torch.zeros(len(KEYS), 1, rows, columns)
+    for row in range(20, 40):
+        labels[:, row, 12:28] = row - 20
+        range_m[:, 0, row, 12:28] = 2 + row / 100
+    return range_m, labels
+
+
+def test_no_placement_leaves_a_batch_alone() -> None:
+    range_m, labels = bodies()
+    seen, named = Placements()(range_m, labels, 0, 0, KEYS)
+    assert seen is range_m
+    assert named is labels
+
+
+def test_range_and_label_of_a_pixel_stay_together_and_none_is_made_up() -> None:
+    range_m, labels = bodies()
+    seen, named = Placements(roll_deg=30, zoom=0.3, stretch=0.2, cut=0.5)(range_m, labels, 1, 0, KEYS)
+    assert named.dtype == torch.uint8
+    assert torch.equal(named == 255, seen[:, 0] == 0)
+    body = named != 255
+    assert torch.equal(seen[:, 0][body], range_m[0, 0, 20:40, 12][named[body].long()])
+
+
+def test_sizes_stay_within_what_was_asked_for() -> None:
+    range_m, labels = bodies()
+    seen, _ = Placements(zoom=0.25, stretch=0.1)(range_m, labels, 2, 0, KEYS)
+    heights = (seen[:, 0] > 0).any(2).sum(1) / 20
+    widths = (seen[:, 0] > 0).any(1).sum(1) / 16
+    assert heights.min() >= 1 / 1.25 - 0.06
+    assert heights.max() <= 1.25 + 0.06
+    assert heights.std() > 0.08
+    ratio = widths / heights
+    assert ratio.min() >= 1 / 1.1 - 0.12
+    assert ratio.max() <= 1.1 + 0.12
+
+
+def test_a_turn_keeps_lengths() -> None:
+    """In an image that is not square, too: the block stays as large, and its longest diagonal as long."""
+    range_m, labels = bodies()
+    seen, _ = Placements(roll_deg=40)(range_m, labels, 3, 0, KEYS)
+    areas = (seen[:, 0] > 0).sum((1, 2)) / (20 * 16)
+    assert (areas - 1).abs().max() < 0.04
+    for image in seen[:10, 0]:
+        places = torch.nonzero(image > 0).float()
+        assert torch.cdist(places, places).max() == pytest.approx(math.hypot(19, 15), abs=1.6)
+
+
+def test_a_cut_hides_one_side_at_most_half_way() -> None:
+    range_m, labels = torch.full((60, 1, 20, 20), 2.0), torch.zeros(60, 20, 20, dtype=torch.uint8)
+    seen, _ = Placements(cut=1.0)(range_m, labels, 4, 0, KEYS)
+    sides = set()
+    for image in seen[:, 0] > 0:
+        hidden = torch.nonzero(~image)
+        assert len(hidden) <= 200
+        for name, edge in (
+            ("top", ~image[0]),
+            ("bottom", ~image[-1]),
+            ("left", ~image[:, 0]),
+            ("right", ~image[:, -1]),
+        ):
+            if bool(edge.all()) and len(hidden):
+                sides.add(name)
+    assert sides == {"top", "bottom", "left", "right"}
+
+
+def test_draws_belong_to_samples() -> None:
+    range_m, labels = bodies()
+    move = Placements(roll_deg=20, zoom=0.2)
+    seen, _ = move(range_m, labels, 5, 0, KEYS)
+    backwards, _ = move(range_m, labels, 5, 0, KEYS[::-1])
+    assert torch.equal(backwards, seen.flip(0))
+    assert not torch.equal(move(range_m, labels, 5, 1, KEYS)[0], seen)
+    assert not torch.equal(move(range_m, labels, 6, 0, KEYS)[0], seen)
+
+
+@pytest.mark.parametrize(("name", "value"), [("roll_deg", -1), ("zoom", 1.5), ("stretch", math.nan), ("cut", 2)])
+def test_bad_strengths_are_refused(name: str, value: float) -> None:
+    with pytest.raises(BadConfig, match=f"{name} must be from 0 to"):
+        Placements(**{name: value})

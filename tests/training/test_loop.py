@@ -1,0 +1,304 @@
+"""Training: what it learns, that it carries on with the same bits, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from bodyseg_data import RangeImages
+from bodyseg_data.commands.cli import main
+from bodyseg_data.core.errors import BadConfig, Diverged
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.core.rig import Camera, load_rig
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_model.training import loop as training
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training.distributed import Ranks
+from bodyseg_model.training.recipes import Recipe, recipe_for
+from bodyseg_model.training.run_folder import RunFolder
+from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.training.loop import Course, Figures, Training
+
+ONE = Ranks(0, 1, torch.device("cpu"))
+TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}
+SGD = Recipe(
+    steps=5,
+    batch=2,
+    accumulate=2,
+    optimiser="sgd",
+    rate=1e-2,
+    graded=0.01,
+    momentum=0.9,
+    decay=5e-4,
+    warmup=0.2,
+    cosine=True,
+    clip=1.0,
+    crop=True,
+    mirror=True,
+    balance=0.5,
+    bf16=False,
+    every=1,
+    placements=Placements(roll_deg=20, zoom=0.2, stretch=0.1, cut=0.5),
+)
+
+
+def train(
+    data: Path, out: Path, recipe: Recipe = SGD, resume: bool = False, course: Course | None = None, **options: Any
+) -> list[Figures]:
+    torch.manual_seed(3)
+    network = options.pop("network", None) or build("compact", options.pop("settings", TINY))
+    images = RangeImages(data, options.pop("variant", "all"), "train", seed=options.get("seed", 0))
+    said: list[Figures] = []
+    made = Training(
+        network, "compact", images, recipe, RunFolder(out), ONE, course=course or Course(2, 2, 0), **options
+    )
+    made.run(resume, said.append, {"commit": "none"})
+    return said
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name.startswith("network")}
+
+
+def quarter(camera: Camera) -> Camera:
+    """The camera with a quarter of its pixels each way."""
+    return dataclasses.replace(camera, rows=160, columns=82, focal_px=camera.focal_px / 4, centre_px=(41.0, 80.0))
+
+
+def test_four_bodies_are_learned(tmp_path: Path) -> None:
+    paper = load_rig()
+    rig = dataclasses.replace(paper, name="quarter", camera=quarter(paper.camera), projector=quarter(paper.projector))
+    bodies = Packing("open", meshes=4, views=ViewGrid((215,), azimuths=4, span_deg=120), rig=rig)
+    with ThreadPoolExecutor(1) as executor:
+        pack(bodies, tmp_path / "shards", executor, 1)
+    changes = {"steps": 300, "batch": 8, "rate": 6e-3, "mirror": False, "placements": Placements()}
+    torch.manual_seed(3)
+    network = build("compact", {"patch": 4, "widths": [32, 48, 64], "blocks": [1, 1, 1]})
+    images = RangeImages(tmp_path / "shards", "occ")
+    course = Course(100, 1000, 0)
+    Training(
+        network, "compact", images, recipe_for("compact", **changes), RunFolder(tmp_path / "run"), ONE, course=course
+    ).run(False, lambda figures: None, {})
+    trained = load_network(tmp_path / "run")
+    matrix = ConfusionMatrix()
+    for index in range(len(images)):
+        image = images.image(index)
+        range_m = torch.from_numpy(image.range.astype("float32") * 1e-4)[None, None]
+        matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
+    assert matrix.average_per_class_accuracy() > 0.95
+    assert trained.card["variant"] == "occ"
+
+
+@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
+def test_a_training_carries_on_with_the_same_bits(figures_set: Path, tmp_path: Path, optimiser: Any) -> None:
+    recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser == "adamw")
+    train(figures_set, tmp_path / "whole", recipe)
+    cut = tmp_path / "cut"
+
+    class CutError(Exception):
+        pass
+
+    def stop(figures: Figures) -> None:
+        if figures.step == 4:
+            raise CutError  # after the checkpoint of step 2, before that of step 4
+
+    torch.manual_seed(3)
+    images = RangeImages(figures_set, "all", "train")
+    made = Training(build("compact", TINY), "compact", images, recipe, RunFolder(cut), ONE, course=Course(2, 2, 0))
+    with pytest.raises(CutError):
+        made.run(False, stop, {})
+    assert json.loads((cut / "checkpoint.json").read_text())["step"] == 2
+    train(figures_set, cut, recipe, resume=True, network=build("compact", TINY))
+    assert files(cut) == files(tmp_path / "whole")
+    steps = [json.loads(line)["step"] for line in (cut / "log.jsonl").read_text().splitlines()]
+    assert steps == [2, 4, 5]
+
+
+def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
+    """The paper's network draws while it learns; what was drawn elsewhere must not matter."""
+    recipe = dataclasses.replace(SGD, steps=2, batch=1, accumulate=1)
+
+    def go(name: str, resume: bool, until: int) -> None:
+        torch.manual_seed(1)
+        network = build("fcn_alexnet", {"width": 1 / 16})
+        torch.manual_seed(until)
+        images = RangeImages(figures_set, "all", "train")
+        folder = RunFolder(tmp_path / name)
+        made = Training(network, "fcn_alexnet", images, recipe, folder, ONE, course=Course(1, 1, 0))
+
+        def stop(figures: Figures) -> None:
+            if figures.step > until:
+                raise KeyboardInterrupt
+
+        made.run(resume, stop, {})
+
+    go("whole", False, 2)
+    with pytest.raises(KeyboardInterrupt):
+        go("cut", False, 1)
+    go("cut", True, 3)
+    assert files(tmp_path / "cut") == files(tmp_path / "whole")
+
+
+def test_a_killed_training_carries_on(figures_set: Path, tmp_path: Path) -> None:
+    def command(out: Path, *more: str) -> list[str]:
+        words = ["train", "--data", str(figures_set), "--out", str(out), "--settings", json.dumps(TINY), "--steps", "6"]
+        return [
+            *words,
+            "--batch",
+            "2",
+            "--workers",
+            "1",
+            "--log-every",
+            "1",
+            "--keep-every",
+            "1",
+            "--threads",
+            "1",
+            *more,
+        ]
+
+    assert main(command(tmp_path / "whole")) == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bodyseg_data", *command(tmp_path / "cut")], stderr=subprocess.PIPE
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "cut" / "checkpoint.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert main(command(tmp_path / "cut", "--resume")) == 0
+    assert (tmp_path / "cut/network.safetensors").read_bytes() == (tmp_path / "whole/network.safetensors").read_bytes()
+
+
+def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two processes with half of each batch give the weights of one with all of it, but for rounding."""
+    settings = {"width": 1 / 16}
+    words = ["train", "--data", str(figures_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
+    words += ["--steps", "2", "--batch", "2", "--accumulate", "2", "--workers", "0", "--device", "cpu", "--seed", "4"]
+    worker = Path(__file__).with_name("train_worker.py")
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(worker)]
+    done = subprocess.run(
+        [*torchrun, *words, "--out", str(tmp_path / "two")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    monkeypatch.setattr(torch.nn.Dropout, "forward", lambda self, x: x)  # as in the worker
+    assert main([*words, "--out", str(tmp_path / "one")]) == 0
+    one, two = (load_network(tmp_path / name).network.state_dict() for name in ("one", "two"))
+    for name, weight in one.items():
+        torch.testing.assert_close(two[name], weight, atol=2e-5, rtol=1e-3)
+
+
+def test_what_does_not_shape_the_result_may_change(figures_set: Path, tmp_path: Path) -> None:
+    train(figures_set, tmp_path / "a", course=Course(1, 1, 0))
+    train(figures_set, tmp_path / "b", course=Course(5, 100, 2))
+    assert files(tmp_path / "a") == files(tmp_path / "b")
+
+
+def test_a_loss_that_is_no_number_stops_with_step_and_samples(figures_set: Path, tmp_path: Path) -> None:
+    network = build("compact", TINY)
+    with torch.no_grad():
+        network.get_parameter("head.bias")[4] = float("nan")
+    with pytest.raises(Diverged, match=r"the loss is nan in step 1, with the samples \S+, \S+"):
+        train(figures_set, tmp_path / "run", network=network)
+    assert not (tmp_path / "run" / "network.safetensors").exists()
+    assert not (tmp_path / "run" / "checkpoint.json").exists()
+
+
+def test_another_training_is_not_overwritten(figures_set: Path, tmp_path: Path) -> None:
+    train(figures_set, tmp_path / "run")
+    before = files(tmp_path / "run")
+    with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
+        train(figures_set, tmp_path / "run")
+    with pytest.raises(BadConfig, match="holds another training: seed was 0, now 1"):
+        train(figures_set, tmp_path / "run", resume=True, seed=1)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("dear")
+    with pytest.raises(BadConfig, match="holds files but no training"):
+        train(figures_set, tmp_path / "full")
+    assert files(tmp_path / "run") == before
+
+
+def test_a_damaged_checkpoint_is_refused(figures_set: Path, tmp_path: Path) -> None:
+    train(figures_set, tmp_path / "run")
+    (file,) = (tmp_path / "run").glob("checkpoint-*.safetensors")
+    data = bytearray(file.read_bytes())
+    data[-1] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(BadConfig, match="is damaged: SHA-256"):
+        train(figures_set, tmp_path / "run", resume=True)
+
+
+def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -> None:
+    train(figures_set, tmp_path / "run")
+    before = files(tmp_path / "run")
+    assert train(figures_set, tmp_path / "run", resume=True) == []
+    assert files(tmp_path / "run") == before
+
+
+def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    with pytest.raises(BadConfig, match="a batch of 2 images cannot be shared out evenly to 3 processes"):
+        Training(build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), Ranks(0, 3, torch.device("cpu")))
+
+
+def test_a_batch_larger_than_the_set_is_refused(figures_set: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="they do not fill one batch of 64"):
+        train(figures_set, tmp_path / "run", dataclasses.replace(SGD, batch=64))
+
+
+def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all", "train")
+    counts = training._part_pixels(images)
+    assert counts.sum() == sum((images.clean(index).labels < 33).sum() for index in range(len(images)))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--steps", "0"], "steps must be at least 1, found 0"),
+        (["--rate", "nan"], "rate must be from 1e-09 to 10, found nan"),
+        (["--settings", "{"], "--settings must be JSON"),
+        (["--settings", "[]"], "--settings must be a JSON object"),
+        (["--threads", "0"], "--threads must be at least 1, found 0"),
+        (["--device", "cuda:77"], "cannot compute on the device 'cuda:77'"),
+        (["--pretrained", "x.onnx"], "--pretrained is for fcn_alexnet, not compact"),
+        (["--log-every", "0"], "log_every must be a whole number of at least 1, found 0"),
+        (["--network", "unet"], "--network"),
+    ],
+)
+def test_bad_arguments_get_one_line(
+    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    assert main(["train", "--data", str(figures_set), "--out", str(tmp_path / "run"), *words]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_tensorboard_gets_the_figures(figures_set: Path, tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    words = ["--data", str(figures_set), "--out", str(tmp_path), "--settings", json.dumps(TINY), "--steps", "2"]
+    assert main(["train", *words, "--batch", "2", "--workers", "0", "--log-every", "1"]) == 0
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    for name in ("loss", "accuracy", "images_per_second", "waited"):
+        assert [event.value for event in events.Scalars(name)] == pytest.approx([line[name] for line in logged])

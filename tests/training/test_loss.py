@@ -1,0 +1,133 @@
+"""The loss: against the whole image's, computed plainly."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F  # noqa: N812
+
+from bodyseg_model.networks.compact import Compact, CompactSettings
+from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
+from bodyseg_model.training.loss import Objective, part_weights, shifted
+
+
+def batch(rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
+    draw = torch.Generator().manual_seed(1)
+    labels = torch.randint(0, 33, (2, rows, columns), generator=draw).to(torch.uint8)
+    labels[torch.rand(labels.shape, generator=draw) < 0.4] = 255
+    return torch.where(labels == 255, 0.0, 2.0 + labels / 100)[:, None], labels
+
+
+class PixelScores(torch.nn.Module):
+    """Scores of its own for every pixel."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        super().__init__()
+        self.scores = torch.randn(2, 33, rows, columns, generator=torch.Generator().manual_seed(2))
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        return self.scores
+
+
+def test_the_loss_is_the_weighted_mean_surprise_of_each_image() -> None:
+    range_m, labels = batch(6, 5)
+    network, weights = PixelScores(6, 5), torch.rand(33) + 0.5
+    loss, counts = Objective(network, weights)(range_m, labels, torch.zeros(2))
+    means = []
+    for image, scores in zip(labels, network.scores, strict=True):
+        sums = [0.0, 0.0]
+        for row, column in itertools.product(range(6), range(5)):
+            label = int(image[row, column])
+            if label != 255:
+                sums[0] += float(-weights[label] * scores[:, row, column].log_softmax(0)[label])
+                sums[1] += float(weights[label])
+        means.append(sums[0] / sums[1])
+    assert float(loss) == pytest.approx(sum(means) / 2, rel=1e-5)
+    assert int(counts.sum()) == int((labels != 255).sum())
+    right = (network.scores.argmax(1) == labels) & (labels != 255)
+    assert int(counts.trace()) == int(right.sum())
+
+
+def test_looking_everywhere_in_turn_gives_the_loss_of_the_interpolated_image() -> None:
+    """Of a network whose scores are coarser than the image, in sum over the body's pixels."""
+    torch.manual_seed(0)
+    network = Compact(CompactSettings(patch=8, widths=(4,), blocks=(0,))).eval()
+    range_m, labels = batch(24, 16)
+    with torch.no_grad():
+        full = network(range_m)
+        expected = F.cross_entropy(full, labels.long(), ignore_index=255, reduction="sum")
+        total, seen = torch.zeros(()), 0
+        for row, column in itertools.product(range(4), range(4)):
+            place = torch.tensor([(row + 0.5) / 4, (column + 0.5) / 4])
+            one = labels.clone()
+            one[1] = 255  # one image alone, whose mean times its pixels is its sum
+            two = labels.clone()
+            two[0] = 255
+            for part in (one, two):
+                loss, counts = Objective(network, torch.ones(33))(range_m, part, place)
+                total += loss * 2 * counts.sum()
+                seen += int(counts.sum())
+    assert seen == int((labels != 255).sum())
+    assert float(total) == pytest.approx(float(expected), rel=1e-4)
+
+
+def test_an_image_without_a_body_costs_nothing() -> None:
+    network = Compact(CompactSettings(patch=8, widths=(4,), blocks=(0,)))
+    empty = torch.full((1, 16, 16), 255, dtype=torch.uint8)
+    loss, counts = Objective(network, torch.ones(33))(torch.zeros(1, 1, 16, 16), empty, torch.zeros(2))
+    loss.backward()
+    assert float(loss.detach()) == 0
+    assert not counts.any()
+
+
+@pytest.mark.parametrize("by", [-0.375, -0.125, 0.0, 0.125, 0.375])
+def test_shifting_is_linear_interpolation(by: float) -> None:
+    scores = torch.randn(1, 1, 4, 6, dtype=torch.float64)
+    places = np.clip(np.arange(6) + by, 0, 5)
+    expected = np.stack([np.interp(places, np.arange(6), row) for row in scores[0, 0].numpy()])
+    np.testing.assert_allclose(shifted(scores, by, 3)[0, 0].numpy(), expected)
+
+
+def test_rare_parts_weigh_more_and_a_mean_pixel_weighs_one() -> None:
+    counts = np.full(33, 100)
+    counts[3], counts[4] = 400, 0
+    weights = part_weights(counts, 0.5).numpy()
+    assert weights[0] / weights[3] == pytest.approx(2)
+    assert weights[4] == weights[0]
+    seen = np.maximum(counts, 100)
+    assert (weights * seen).sum() / seen.sum() == pytest.approx(1, rel=1e-5)
+    assert part_weights(counts, 0.0).tolist() == pytest.approx([1.0] * 33)
+
+
+def test_of_scores_for_every_pixel_it_may_look_at_one_in_sixteen() -> None:
+    """All the places together are the whole image, each pixel once."""
+    range_m, labels = batch(8, 12)
+    network = PixelScores(8, 12)
+    counts = sum(
+        Objective(network, torch.ones(33), every=4)(range_m, labels, torch.tensor([row, column]) / 4).counts
+        for row, column in itertools.product(range(4), range(4))
+    )
+    assert torch.equal(counts, Objective(network, torch.ones(33))(range_m, labels, torch.zeros(2)).counts)
+
+
+def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
+    torch.manual_seed(0)
+    network = FcnAlexnet(width=1 / 16).eval()
+    range_m, labels = batch(50, 35)
+    with torch.no_grad():
+        whole = PixelScores(50, 35)
+        whole.scores = network(range_m)
+        for place in (torch.zeros(2), torch.tensor([0.3, 0.99])):
+            loss, counts = Objective(network, torch.ones(33), every=4)(range_m, labels, place)
+            expected = Objective(whole, torch.ones(33), every=4)(range_m, labels, place)
+            assert float(loss) == pytest.approx(float(expected.loss), rel=1e-5)
+            assert torch.equal(counts, expected.counts)
+
+
+def test_an_image_may_be_smaller_than_the_square_of_which_one_pixel_is_looked_at() -> None:
+    range_m, labels = batch(2, 5)
+    loss, counts = Objective(PixelScores(2, 5), torch.ones(33), every=4)(range_m, labels, torch.tensor([0.9, 0.0]))
+    assert float(loss) == 0 and not counts.any()

@@ -1,0 +1,1 @@
+"""Benches and charts of a checkout: measurements beside baselines, not installed."""

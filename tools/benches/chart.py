@@ -1,0 +1,85 @@
+"""`bodyseg chart`: speed against accuracy, one chart a choice, from what the benches measured."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bodyseg_data.core.provenance import write_figures
+from benches.charts.choices import CHOICES
+from benches.charts.drawing import Picture, draw
+from benches.charts.fields import read_fields
+from benches.charts.page import render_page
+from benches.charts.report import described
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_result
+from bodyseg_data.commands.options import option
+
+EXAMPLE = "bodyseg chart --in docs/results --out charts"
+
+_ALL = "charts.json"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    in_: Path = option("folder of the benches' figures, BENCH.json each")
+    out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
+    page: Path | None = option("also fill the template PATH.in with numbers of --in, and write it to this file", None)
+
+
+def run(options: Options) -> int:
+    """Draw all that there are figures for. Returns 2 if there are none."""
+    if not options.in_.is_dir():
+        raise BadConfig(f"--in must be a folder, found {options.in_}")
+    if options.out.resolve() == options.in_.resolve():
+        raise BadConfig(f"--out must be another folder than --in, where pictures have the same names: {options.out}")
+    drawn: dict[str, Picture] = {}
+    told: dict[str, Any] = {}
+    left_out: dict[str, str] = {}
+    for choice in CHOICES:
+        file = options.in_ / f"{choice.bench}.json"
+        if not file.exists():
+            left_out[choice.name] = f"no {file.name}, which `bodyseg bench {choice.bench} --json {file}` makes"
+            continue
+        fields = read_fields(file)
+        panels = choice.panels(fields)
+        if not panels:
+            left_out[choice.name] = f"nothing to compare in {file}"
+            continue
+        source = {name: fields[name].text() for name in ("command", "commit", "hardware")}
+        drawn[choice.name] = draw(choice, panels, source)
+        told[choice.name] = described(choice, panels, {"file": file.name, **source})
+    for name, why in left_out.items():
+        sys.stderr.write(f"chart {name} is left out: {why}\n")
+    if not drawn:
+        return 2
+    _write(options.out, drawn, {"charts": told, "left_out": sorted(left_out)})
+    sys.stderr.write(f"wrote {len(drawn)} charts into {options.out}\n")
+    if options.page is not None:  # last: it may quote charts.json
+        _fill_page(options.page, options.in_)
+        sys.stderr.write(f"wrote {options.page}\n")
+    return 0
+
+
+def _fill_page(page: Path, figures: Path) -> None:
+    template = page.with_name(page.name + ".in")
+    try:
+        text = template.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"--page needs a template of UTF-8 text: {template}: {error}") from error
+    write_result(page, render_page(text, figures).encode())
+
+
+def _write(out: Path, drawn: dict[str, Picture], told: dict[str, Any]) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadConfig(f"cannot make the folder {out}: {error.strerror or error}") from error
+    for name, picture in drawn.items():
+        write_result(out / f"{name}.svg", picture.svg)
+        write_result(out / f"{name}.png", picture.png)
+    write_figures(out / _ALL, told)

@@ -1,0 +1,310 @@
+"""The choices that are charted, and how each one's points are read out of its bench's figures."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from benches.charts.fields import Field
+from benches.charts.fronts import Axis, Point
+from benches.charts.scales import shown
+from bodyseg_data.core.errors import BadConfig
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Something that is no way to do the same thing, drawn as a line across the chart at its x."""
+
+    name: str
+    x: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Ways that were measured under the same circumstances. default: the name of a point; None if it has none here."""
+
+    name: str
+    points: tuple[Point, ...]
+    default: str | None
+    limits: tuple[Limit, ...] = ()
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One chart. bench: what measures it, into BENCH.json. note: what is compared, under the title. read: panels
+    from the figures; none if they hold nothing to compare. shared: which axes all panels have in common.
+    """
+
+    name: str
+    bench: str
+    title: str
+    note: str
+    x: Axis
+    y: Axis
+    read: Callable[[Field], tuple[Panel, ...]]
+    shared: Literal["xy", "y", ""] = "xy"
+
+    def panels(self, figures: Field) -> tuple[Panel, ...]:
+        """What `read` finds. Raises BadConfig, naming the file, if a default is none of its panel's points."""
+        found = self.read(figures)
+        for panel in found:
+            if panel.default is not None and panel.default not in {point.name for point in panel.points}:
+                raise BadConfig(f"{figures.file}: the default {panel.default!r} is not among: {panel.name}")
+        return found
+
+
+_FAMILIES: Final = {
+    "compact": "compact: ours",
+    "fcn_alexnet": "FCN-AlexNet: the paper's",
+    "segformer": "SegFormer-B0",
+    "deeplab": "DeepLabV3+, MobileNetV2",
+    "forest": "random forest of depth differences",
+}
+
+_LOADERS: Final = {
+    "ours_all": "bodyseg, all\nmade on the fly",
+    "webdataset_png": "WebDataset, PNG",
+    "mds_raw": "MosaicML Streaming, raw",
+    "mds_zstd": "MosaicML Streaming, zstd\n(keeps both forms)",
+    "litdata": "LitData, raw",
+    "png_files": "loose PNG files",
+}
+_LOADER_LIMITS: Final = {"ours_none": "bodyseg, no artifacts", "memory": "tensors in memory"}
+
+_LABEL_LETTERS: Final = 24  # of a line of a long name
+
+_NAMED_CODECS: Final = ("bsi, NumPy", "PNG", "JPEG-LS", "LERC", "JPEG XL, effort 1", "Blosc2: bytes, zstd 5")
+
+
+def _renderer(figures: Field) -> tuple[Panel, ...]:
+    panels = []
+    if (alone := figures.get("renderers")) is not None:
+        points = [
+            _rendered(name, row["ms_per_view"].number(above=0), row["range_error_mm"], row["silhouette_error"])
+            for name, row in alone.items().items()
+        ]
+        panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"].text()))
+    if figures.get("range_error_mm") is not None:  # null where pyrender, which it is measured with, cannot draw
+        speeds, plain = figures["views_per_second"], figures["plain_errors"]
+        ours, rival = (
+            _rendered("bodyseg shard", _ms(speeds["ours"]), figures["range_error_mm"], figures["silhouette_error"]),
+            _rendered("pyrender, PNG files", _ms(speeds["plain"]), plain["range_mm"], plain["silhouette"]),
+        )
+        processes = f"{figures['workers'].number():.0f} processes"
+        panels.append(Panel(f"from bodies to files, {processes}", (ours, rival), ours.name))
+    return tuple(panels)
+
+
+def _rendered(name: str, ms: float, range_mm: Field, silhouette: Field) -> Point:
+    label = f"{name}\n(silhouette off by {silhouette.number():.3%})".replace("%", " %")
+    return Point(name, ms, range_mm.number(), label, named=True)
+
+
+def _shadow_test(figures: Field) -> tuple[Panel, ...]:
+    points, limits = [], []
+    for row in figures["methods"].rows():
+        x, family = row["us_per_view"].number(above=0), row["family"].text()
+        if family == "exact mask":
+            limits.append(Limit(row["name"].text(), x, "exact mask, stored:\nno error, for one rig"))
+        else:
+            y = row["wrong_pixels"].number()
+            points.append(Point(_shadow_name(row), x, y, _shadow_label(row), family))
+    title, default = f"{len(points)} ways, ordinary views", _shadow_name(figures["default"])
+    return (Panel(title, tuple(points), default, tuple(limits)),)
+
+
+def _shadow_label(row: Field) -> str:
+    scale = row["projector_scale"].number(above=0)
+    form = [] if row["form"].text() == "compiled" else ["NumPy"]
+    words = [row["name"].text(), f"{row['bias'].number():g} mm", *([f"×{scale:g}"] if scale != 1 else ()), *form]
+    return textwrap.fill(", ".join(words), _LABEL_LETTERS)
+
+
+def _shadow_name(row: Field) -> str:
+    """With all settings, so that no two ways have one name."""
+    slope, step, scale = (row[key].number() for key in ("slope", "step_mm", "projector_scale"))
+    bit = "facing bit" if row["facing_bit"].flag() else "no facing bit"
+    more = f"×{scale:g}, {bit}, slope {slope:g}, steps of {step:g} mm, stored: {row['stored'].text()}"
+    return f"{row['name'].text()}, {row['bias'].number():g} mm, {more}, {row['form'].text()}"
+
+
+def _partition(figures: Field) -> tuple[Panel, ...]:
+    default, panels = figures["default"].text(), []
+    groups = [(f"open bodies ({len(figures['open'].rows())})", figures["methods"])]
+    if (frames := figures.get("mit", "frames")) is not None:  # text where no folder of frames was given
+        groups.append((f"MIT frames ({len(frames.rows())})", figures["mit"]["methods"]))
+    for name, methods in groups:
+        points = [
+            Point(method, row["partition_ms"].number(above=0), row["wrong_surface"].number(), method, named=True)
+            for method, row in methods.items().items()
+        ]
+        panels.append(Panel(name, tuple(points), default))
+    return tuple(panels)
+
+
+_KINDS: Final = {"open": "open bodies", "mit": "MIT frames", "rough scan": "scan with 0.3 mm noise"}
+_BY_SHARE: Final = "share of the triangles, given"
+_BY_TOLERANCE: Final = "tolerance given, share searched for"
+
+
+def _mesh_resolution(figures: Field) -> tuple[Panel, ...]:
+    chosen, least = _within(figures["default"]["tolerance_mm"]), figures["default"]["from_triangles"].number()
+    panels = []
+    for kind, figure in figures["kinds"].items().items():
+        points, triangles = [], 0.0
+        for row in figure["shares"].rows():
+            share = row["share"].number(above=0)
+            triangles = max(triangles, row["triangles"].number())
+            name = "whole mesh" if share == 1 else f"{share:.0%} of the triangles".replace("%", " %")
+            points.append(_coarser(name, _BY_SHARE, row))
+        tolerances = figure["tolerances"].rows()
+        points += [_coarser(_within(row["tolerance_mm"]), _BY_TOLERANCE, row) for row in tolerances]
+        title = f"{_KINDS.get(kind, kind)}, {shown(triangles)} triangles"
+        panels.append(Panel(title, tuple(points), "whole mesh" if triangles < least else chosen))
+    return tuple(panels)
+
+
+def _within(tolerance: Field) -> str:
+    return f"within {tolerance.number():g} mm"
+
+
+def _coarser(name: str, family: str, row: Field) -> Point:
+    x, y = _ms(row["views_per_second"]), row["p95_mm"].number()
+    return Point(name, x, y, name.removesuffix(" of the triangles").removeprefix("within "), family, named=True)
+
+
+def _codec(figures: Field) -> tuple[Panel, ...]:
+    points = [
+        Point(name, row["decode_ms"].number(above=0), row["bytes"].number(above=0), name, named=name in _NAMED_CODECS)
+        for name, row in figures["codecs"].items().items()
+    ]
+    views = figures["views"].number()
+    return (Panel(f"{views:.0f} samples of bare and dressed bodies", tuple(points), figures["default"].text()),)
+
+
+def _loader(figures: Field) -> tuple[Panel, ...]:
+    speeds, sizes = figures["samples_per_second"], figures["kept_bytes_per_sample"]
+    panels = []
+    for workers in speeds["ours_all"].items():
+        found = {name: speeds.get(name, workers) for name in (*_LOADERS, *_LOADER_LIMITS)}  # null: not installed
+        points = [
+            Point(name, rate.number(above=0), sizes[name].number(above=0), _LOADERS[name], named=True)
+            for name, rate in found.items()
+            if rate is not None and name in _LOADERS
+        ]
+        limits = [
+            Limit(name, rate.number(above=0), _LOADER_LIMITS[name])
+            for name, rate in found.items()
+            if rate is not None and name in _LOADER_LIMITS
+        ]
+        title = "no worker processes" if workers == "0" else f"{workers} worker processes"
+        panels.append(Panel(title, tuple(points), "ours_all", tuple(limits)))
+    return tuple(panels)
+
+
+def _networks(figures: Field) -> tuple[Panel, ...]:
+    networks = figures["networks"].items()
+    defaults = [name for name, row in networks.items() if row["default"].flag()]
+    if len(defaults) != 1:
+        raise BadConfig(f"{figures.file}: one of the networks must be the default, found {len(defaults)}")
+    panels = []
+    for device, key in (("CPU", "cpu_ms"), ("GPU", "gpu_ms")):
+        points = []
+        for name, row in networks.items():
+            time, accuracy, family = row.get(key), row["accuracy_all"], row["family"].text()
+            if time is not None:
+                mean, spread = accuracy["mean"].number(), accuracy.get("sd")
+                group, label = _FAMILIES.get(family, family), row["label"].text()
+                points.append(
+                    Point(
+                        name,
+                        time.number(above=0),
+                        mean,
+                        label,
+                        group,
+                        named=True,
+                        y_sd=None if spread is None else spread.number(),
+                    )
+                )
+        if points:
+            default = defaults[0] if defaults[0] in {point.name for point in points} else None
+            panels.append(Panel(device, tuple(points), default))
+    return tuple(panels)
+
+
+def _ms(per_second: Field) -> float:
+    return round(1000 / per_second.number(above=0), 4)
+
+
+CHOICES: Final = (
+    Choice(
+        "renderer",
+        "render",
+        "Which renderer?",
+        "The error is that of the camera's ranges against one exact sample a pixel; files round to 0.1 mm.",
+        Axis("ms a view", "time"),
+        Axis("range error, mm (median)", "error"),
+        _renderer,
+        shared="y",
+    ),
+    Choice(
+        "shadow_test",
+        "occlusion",
+        "Which test for the projector's shadow?",
+        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: not what exact shadow rays say.",
+        Axis("µs of processor a view, decoding and test", "time"),
+        Axis("wrong pixels, % of the foreground", "error", factor=100),
+        _shadow_test,
+    ),
+    Choice(
+        "partition",
+        "partition",
+        "Which distance along the surface?",
+        "Wrong is the surface that is labelled differently from the exact answer.",
+        Axis("ms of processor a mesh", "time"),
+        Axis("wrong surface, %", "error", factor=100),
+        _partition,
+    ),
+    Choice(
+        "mesh_resolution",
+        "reduction",
+        "How fine a mesh?",
+        "One core, reduction and partition shared by a body's views. The error is against the whole mesh.",
+        Axis("ms of processor a view", "time"),
+        Axis("range error, mm: 95 % of pixels", "error"),
+        _mesh_resolution,
+        shared="",
+    ),
+    Choice(
+        "codec",
+        "codec",
+        "Which lossless codec?",
+        "The three images of a sample: range, labels and the projector's range.",
+        Axis("decoding a sample, ms of processor", "time"),
+        Axis("kB a sample", "size", factor=1e-3),
+        _codec,
+    ),
+    Choice(
+        "loader",
+        "loader",
+        "Which loader?",
+        "All but ours read a set made before, with the same noise in every epoch; ours makes `all` from clean samples.",
+        Axis("samples a second", "speed", more_is_better=True),
+        Axis("kB a sample on disk", "size", factor=1e-3),
+        _loader,
+    ),
+    Choice(
+        "networks",
+        "architectures",
+        "Which network?",
+        "Trained the same way, tested on `all`; bars: standard deviation over seeds.",
+        Axis("ms a frame", "time"),
+        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
+        _networks,
+        shared="y",
+    ),
+)
+"""In the order of the page."""

@@ -1,0 +1,236 @@
+"""`bench codec`: bytes and time of every way to store a sample's images, on views of bare and dressed open bodies.
+
+All times are of the processor, the best of several rounds in which the codecs take turns.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import kernels
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from benches.data.codec.baselines import Rival, rivals
+from bodyseg_data.bodies.sources import open_source
+from benches.charts.fronts import unbeaten
+from bodyseg_data.shards.sample_codec import encode_sample
+from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
+from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.codecs.png import encode_png
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.packing.coarsening import coarsened
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.packing.occluder_range import exact_range, shadow_test
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import Sample, steps
+from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
+from bodyseg_data.core.views import ViewGrid
+
+DEFAULT: Final = "bsi, compiled"
+_IMAGES: Final = ("range", "labels", "projector")
+_VIEWS_A_BODY: Final = 3
+_ROUNDS: Final = 5
+_BLOCK: Final = 512  # of a tar: a header takes one, contents whole ones
+
+Images = tuple[NDArray[np.uint16], NDArray[np.uint8], NDArray[np.uint16]]
+"""Camera range, label bytes, projector range."""
+
+
+@dataclass
+class _Costs:
+    """Bytes and seconds of one kind of image, one entry a sample."""
+
+    bytes: list[int] = field(default_factory=list)
+    encode_s: list[float] = field(default_factory=list)
+    decode_s: list[float] = field(default_factory=list)
+
+    def row(self) -> dict[str, float]:
+        times = {name: statistics.mean(getattr(self, f"{name}_s")) for name in ("encode", "decode")}
+        return {"bytes": round(statistics.mean(self.bytes))} | {
+            f"{name}_ms": round(1e3 * seconds, 4) for name, seconds in times.items()
+        }
+
+
+def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+    """Every codec on `views` samples: mean bytes, ms to encode and decode, of all three images and of each kind.
+
+    front: codecs that none beats in both bytes and decoding. projector: what rounding it to what the shadows need
+    saves. png_sets: the five sets of the paper as PNG files against the one that is stored. Raises BadConfig for no
+    views, MissingLibrary without imagecodecs.
+    """
+    if views < 1:
+        raise BadConfig(f"at least one view must be measured, found {views}")
+    others = rivals()
+    costs = {rival.name: {kind: _Costs() for kind in _IMAGES} for rival in others}
+    ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
+    sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
+    for done, (sample, exact) in enumerate(_samples(views), start=1):
+        images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.shading_range()
+        for turn in range(len(others)):
+            rival = others[(turn + done) % len(others)]
+            _measure(rival, images, costs[rival.name])
+        for name, kinds in ours.items():
+            with _computed_by("compiled" if name == DEFAULT else "numpy"):
+                _measure_ours(images, kinds)
+        sizes.add(sample)
+        rounding.add(sample, *exact)
+        progress(done, views)
+    rows = {name: _summed(kinds) for name, kinds in (ours | costs).items()}
+    return {
+        "default": DEFAULT,
+        "codecs": rows,
+        "front": _front(rows),
+        "projector": rounding.row(),
+        "png_sets": sizes.row(),
+        "views": views,
+    }
+
+
+def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
+    """Samples from all over the open source, bare and dressed, and what `coarsened` made of the projector's range."""
+    source, rig = open_source("open"), load_rig()
+    bodies, grid = source.bodies(), list(ViewGrid(span_deg=360, azimuths=18))
+    meshes = -(-count // _VIEWS_A_BODY)
+    for number in range(meshes):
+        ref = bodies[number * len(bodies) // meshes]
+        body = source.build(ref)
+        with closing(open_renderer("raster", body.mesh)) as renderer:
+            sampler = Sampler(renderer, rig, body.mesh, partition(body.mesh, body.landmarks), source.name, ref)
+            for turn in range(_VIEWS_A_BODY * number, min(_VIEWS_A_BODY * (number + 1), count)):
+                # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
+                view = grid[turn * 23 % len(grid)]
+                sample = sampler.take(view)
+                _, projector = rig.placed(body.mesh.centre, view)
+                exact = exact_range(
+                    shadow_test(rig),
+                    sample.range,
+                    sample.faces_projector,
+                    lambda texels, at=projector, seen=renderer: steps(seen.ranges(at, texels), "bench"),  # type: ignore[misc]
+                )
+                yield sample, exact
+
+
+@contextmanager
+def _computed_by(choice: str) -> Iterator[None]:
+    former = os.environ.get(kernels.VARIABLE)
+    os.environ[kernels.VARIABLE] = choice
+    kernels.use_compiled.cache_clear()
+    try:
+        yield
+    finally:
+        del os.environ[kernels.VARIABLE]
+        if former is not None:
+            os.environ[kernels.VARIABLE] = former
+        kernels.use_compiled.cache_clear()
+
+
+def _measure(rival: Rival, images: Images, costs: dict[str, _Costs]) -> None:
+    several: list[NDArray[Any]] = [*images]
+    for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
+        rounds = 1 if "19" in rival.name or "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
+        encode_s, data = _timed(lambda image=image, background=background: rival.encode(image, background), 1)  # type: ignore[misc]
+        decode_s, decoded = _timed(lambda data=data: rival.decode(data), rounds)  # type: ignore[misc]
+        if not np.array_equal(decoded, image):
+            raise AssertionError(f"{rival.name} is not lossless")
+        cost = costs[kind]
+        cost.bytes.append(len(data))
+        cost.encode_s.append(encode_s)
+        cost.decode_s.append(decode_s)
+
+
+def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
+    """The projector's share is what is more when it is there: one file holds all."""
+    camera, labels, projector = images
+    nothing = np.zeros_like(projector)
+    before = 0, 0.0, 0.0
+    for kind, shading in (("range and labels", nothing), ("projector", projector)):
+        encode_s, data = _timed(lambda shading=shading: encode_images(camera, labels, shading), _ROUNDS)  # type: ignore[misc]
+        wanted = kind == "projector"
+        decode_s, _ = _timed(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
+        costs[kind].bytes.append(len(data) - before[0])
+        costs[kind].encode_s.append(encode_s - before[1])
+        costs[kind].decode_s.append(decode_s - before[2])
+        before = len(data), encode_s, decode_s
+
+
+def _timed(work: Callable[[], Any], rounds: int) -> tuple[float, Any]:
+    best, answer = float("inf"), None
+    for _ in range(rounds):
+        start = time.process_time()
+        answer = work()
+        best = min(best, time.process_time() - start)
+    return best, answer
+
+
+def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
+    rows = {kind: costs.row() for kind, costs in kinds.items()}
+    whole = {name: round(sum(row[name] for row in rows.values()), 4) for name in ("bytes", "encode_ms", "decode_ms")}
+    without = sum(row["decode_ms"] for kind, row in rows.items() if kind != "projector")
+    return whole | {"decode_ms_without_projector": round(without, 4), "images": rows}
+
+
+def _front(rows: dict[str, Any]) -> list[str]:
+    best = unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"]))
+    return sorted(best, key=lambda name: rows[name]["bytes"])
+
+
+class _Sizes:
+    """Five sets of PNG files against one set that makes them."""
+
+    def __init__(self) -> None:
+        self._augmentations = [Augmentation(load_rig(), variant) for variant in VARIANTS]
+        self._png, self._images, self._tar, self._pixels = 0, 0, 0, 0
+        self._samples = 0
+
+    def add(self, sample: Sample) -> None:
+        for augmentation in self._augmentations:
+            image = augmentation(sample)
+            self._png += len(encode_png(image.range)) + len(encode_png(image.labels))
+        members = encode_sample(sample)
+        self._images += len(members["bsi"])
+        self._tar += sum(_BLOCK + -(-len(data) // _BLOCK) * _BLOCK for data in members.values())
+        self._pixels += int((sample.range > 0).sum())
+        self._samples += 1
+
+    def row(self) -> dict[str, Any]:
+        means = {"five_png_sets": self._png, "images": self._images, "in_the_tar": self._tar, "pixels": self._pixels}
+        sizes: dict[str, Any] = {f"{name}_a_sample": round(total / self._samples) for name, total in means.items()}
+        return sizes | {"times_smaller": round(self._png / self._images, 2)}
+
+
+class _Rounding:
+    """What rounding the projector's range saves, costs and changes."""
+
+    def __init__(self, test: ShadowTest) -> None:
+        self._test = test
+        self._exact, self._coarse, self._texels, self._kept, self._differing = 0, 0, 0, 0, 0
+        self._seconds: list[float] = []
+
+    def add(self, sample: Sample, image: NDArray[np.uint16], *points: Any) -> None:
+        seconds, coarse = _timed(lambda: coarsened(image, *points), _ROUNDS)
+        self._seconds.append(seconds)
+        self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
+        self._coarse += len(encode_sample(sample)["bsi"])
+        self._texels, self._kept = self._texels + int((image > 0).sum()), self._kept + int((coarse > 0).sum())
+        masks = [self._test.lit(sample.range, shading, sample.faces_projector) for shading in (image, coarse)]
+        self._differing += int((masks[0] != masks[1]).sum())
+
+    def row(self) -> dict[str, Any]:
+        count = len(self._seconds)
+        return {
+            "bytes_saved": round((self._exact - self._coarse) / count),
+            "exact_texels": round(self._texels / count),
+            "coarse_texels": round(self._kept / count),
+            "ms": round(1e3 * statistics.mean(self._seconds), 2),
+            "pixels_in_another_light": self._differing,
+        }

@@ -1,0 +1,1 @@
+"""Loaders side by side."""

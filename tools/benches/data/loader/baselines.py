@@ -1,0 +1,172 @@
+"""What `bench loader` measures against: how each opponent stores a pre-made set and reads it again.
+
+All are given the same images, write them once, and deliver what a training loop takes: float32 metres and uint8 labels,
+shuffled as for training. Metres are made where their documentation puts a transform: in the data set.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch.utils.data import DataLoader, Dataset, default_collate
+
+from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.artifacts.variants import RangeImage
+
+
+class Premade(Sequence[RangeImage]):
+    """The images of the set that opponents store: those of this project's first epoch, made when asked for."""
+
+    def __init__(self, images: RangeImages) -> None:
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: Any) -> Any:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        return self._images.image(index, 0)
+
+
+class Rival(Protocol):
+    """One way to store and read a set of images that are made already."""
+
+    def write(self, images: Premade, folder: Path) -> int:
+        """Store the set in an empty folder; bytes taken. Raises ImportError if a package is absent."""
+
+    def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
+        """Batches of the set, pass after pass, by workers that stay alive between passes."""
+
+    def close(self) -> None:
+        """Leave nothing behind of what `open` made, once its answer is gone."""
+
+
+def example(key: str, steps: NDArray[np.uint16], labels: NDArray[np.uint8]) -> dict[str, Any]:
+    """One sample as a data set gives it to the collation: float32 [1, H, W] metres with the bits that this project's
+    loader gives, uint8 [H, W] labels, key.
+    """
+    metres = np.multiply(steps, np.float32(RANGE_STEP_M), dtype=np.float32)
+    return {"range": torch.from_numpy(metres[None]), "labels": torch.from_numpy(labels), "key": key}
+
+
+def torch_loader(dataset: Dataset[Any], batch: int, workers: int, shuffle: bool) -> DataLoader[Any]:
+    """PyTorch's own loader with its defaults. shuffle: False for data sets that shuffle themselves."""
+    return DataLoader(dataset, batch, shuffle=shuffle, num_workers=workers, persistent_workers=workers > 0)
+
+
+def folder_bytes(folder: Path) -> int:
+    """Bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+class Memory(Dataset[dict[str, Any]]):
+    """The limit: tensors in memory, float32 and uint8, that workers inherit when they are forked."""
+
+    def write(self, images: Premade, folder: Path) -> int:
+        """Nothing is written; the bytes are those of the tensors."""
+        examples = [example(image.key, image.range, image.labels) for image in images]
+        self._keys = [one["key"] for one in examples]
+        self._ranges = torch.stack([one["range"] for one in examples])
+        self._labels = torch.stack([one["labels"] for one in examples])
+        return self._ranges.nbytes + self._labels.nbytes
+
+    def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
+        """A plain DataLoader."""
+        return torch_loader(self, batch, workers, shuffle=True)
+
+    def close(self) -> None:
+        """The tensors stay for the next one who opens it."""
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        return {"range": self._ranges[index], "labels": self._labels[index], "key": self._keys[index]}
+
+
+class PngFiles:
+    """Two PNG files a sample, read by a plain data set with Pillow."""
+
+    def write(self, images: Premade, folder: Path) -> int:
+        """KEY.range.png of 16 bits and KEY.labels.png of 8."""
+        for image in images:
+            Image.fromarray(image.range).save(folder / f"{image.key}.range.png")
+            Image.fromarray(image.labels).save(folder / f"{image.key}.labels.png")
+        return folder_bytes(folder)
+
+    def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
+        """A plain DataLoader."""
+        return torch_loader(_PngFolder(folder), batch, workers, shuffle=True)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _PngFolder(Dataset[dict[str, Any]]):
+    def __init__(self, folder: Path) -> None:
+        self._paths = [str(path).removesuffix(".range.png") for path in sorted(folder.glob("*.range.png"))]
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        path = self._paths[index]
+        return example(Path(path).name, _pixels(f"{path}.range.png"), _pixels(f"{path}.labels.png"))
+
+
+def _pixels(file: Any) -> NDArray[Any]:
+    with Image.open(file) as image:
+        return np.array(image)
+
+
+class Webdataset:
+    """Tars of PNG files, decoded by Pillow in a map: webdataset's own decoders cut 16 bits down to 8."""
+
+    SHARDS: Final = 16
+
+    def write(self, images: Premade, folder: Path) -> int:
+        """Sixteen shards of nearly equal length, so that up to sixteen workers have equal work."""
+        import webdataset
+
+        for shard, chunk in enumerate(np.array_split(np.arange(len(images)), min(self.SHARDS, len(images)))):
+            with webdataset.TarWriter(str(folder / f"all-{shard:03d}.tar")) as tar:
+                for place in chunk.tolist():
+                    image = images[place]
+                    members = {"range.png": png(image.range), "labels.png": png(image.labels)}
+                    tar.write({"__key__": image.key, **members})
+        return folder_bytes(folder)
+
+    def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
+        """Batched in the workers, as its documentation recommends for speed."""
+        import webdataset
+
+        shards = [str(path) for path in sorted(folder.glob("*.tar"))]
+        images = webdataset.WebDataset(shards, shardshuffle=len(shards)).shuffle(100).map(_decoded)
+        batches = images.batched(batch, collation_fn=default_collate)
+        loader: Iterable[Batch] = webdataset.WebLoader(
+            batches, batch_size=None, num_workers=workers, persistent_workers=workers > 0
+        )
+        return loader
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def _decoded(raw: dict[str, Any]) -> dict[str, Any]:
+    return example(raw["__key__"], _pixels(io.BytesIO(raw["range.png"])), _pixels(io.BytesIO(raw["labels.png"])))
+
+
+def png(array: NDArray[Any]) -> bytes:
+    """An image as Pillow writes it by default."""
+    file = io.BytesIO()
+    Image.fromarray(array).save(file, "PNG")
+    return file.getvalue()

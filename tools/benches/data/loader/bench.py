@@ -1,0 +1,215 @@
+"""Loaders side by side: this project's, which makes `all` on the fly, and others, which read an `all` set made before.
+
+Every contender delivers the same: batches of float32 metres and uint8 labels in the consumer's process, which does
+nothing with them. All are opened at once, with workers that stay alive; a first pass, unmeasured, fills the page cache
+and is compared with the stored images, bit for bit. Then every round runs each contender once, in a new order, over the
+whole set. The clock of a pass starts when each worker has delivered one batch, so that what a loader does once a pass
+is no part of it.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import torch
+
+from benches.data.loader.limits import five_png_bytes, limits, ratio
+from benches.data.loader.litdata import LitData
+from benches.data.loader.mds import Mds
+from benches.data.loader.passes import Passes, checksum_of, run_rounds
+from benches.data.loader.baselines import Memory, PngFiles, Premade, Rival, Webdataset, folder_bytes
+from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.loader import loader
+from bodyseg_data.core.machine import processors
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.core.views import ViewGrid
+
+_BATCH: Final = 20
+_ROUNDS: Final = 7
+_VIEWS_A_BODY: Final = 18
+_PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
+
+Progress = Callable[[int, int], None]
+
+
+def rivals() -> dict[str, Rival]:
+    """The opponents by name."""
+    return {
+        "webdataset_png": Webdataset(),
+        "mds_raw": Mds(),
+        "mds_zstd": Mds("zstd"),
+        "litdata": LitData(),
+        "png_files": PngFiles(),
+        "memory": Memory(),
+    }
+
+
+def bench_loader(
+    views: int = 1080, workers: Sequence[int] = (0, 2), progress: Progress = lambda done, total: None
+) -> dict[str, Any]:
+    """Samples a second of every contender with each number of workers, medians of seven rounds, and bytes a sample.
+
+    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the answer's keys
+    hold. A contender whose package is absent has null everywhere, and a line on standard error says so. Raises
+    BadConfig if there are too few samples for so many workers.
+    """
+    meshes = -(-views // _VIEWS_A_BODY)
+    check_counts(meshes * _VIEWS_A_BODY, _BATCH, workers)
+    packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
+    load = round(os.getloadavg()[0], 2)
+    with TemporaryDirectory(prefix="bodyseg-loader-") as folder:
+        with open_engine(PROCESSES, None, packing) as on:
+            pack(packing, Path(folder) / "ours", on.executor, on.workers)
+        found = measure(Path(folder) / "ours", Path(folder), workers, progress=progress)
+    return {**found, "load_before": load}
+
+
+def check_counts(samples: int, batch: int, workers: Sequence[int]) -> None:
+    """Raise BadConfig unless each worker has at least four batches a pass, one of them before the clock starts."""
+    if not workers or min(workers) < 0 or len(set(workers)) < len(workers):
+        raise BadConfig(f"--workers takes different numbers of at least 0, found {' '.join(map(str, workers))}")
+    least = 4 * batch * max(1, *workers)
+    if samples < least:
+        raise BadConfig(f"at least {least} samples are needed with {max(workers)} workers, found {samples}")
+
+
+def measure(
+    packed: Path,
+    scratch: Path,
+    workers: Sequence[int] = (0, 2),
+    batch: int = _BATCH,
+    rounds: int = _ROUNDS,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """`bench_loader` on the set in `packed`; opponents' sets go to new folders in `scratch`."""
+    images = {variant: RangeImages(packed, variant) for variant in VARIANTS}
+    check_counts(len(images["all"]), batch, workers)
+    known = rivals()
+    done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(VARIANTS)) * (rounds + 1)
+
+    def tick() -> None:
+        nonlocal done
+        progress(done := done + 1, total)
+
+    five_pngs = five_png_bytes(images)
+    expected = {f"ours_{v}": {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
+    tick()
+    stored: dict[str, int | None] = {f"ours_{variant}": folder_bytes(packed) for variant in VARIANTS}
+    for name, rival in known.items():
+        stored[name] = _written(name, rival, Premade(images["all"]), scratch / name)
+        tick()
+    there = {name: rival for name, rival in known.items() if stored[name] is not None}
+    expected |= dict.fromkeys(there, expected["ours_all"])
+    found: dict[int, dict[str, Passes]] = {}
+    with _threads(max(1, processors() - max(workers))) as threads:
+        for count in workers:
+            opens = _openings(packed, there, scratch, batch, count)
+            try:
+                found[count] = run_rounds(opens, count, rounds, expected, tick)
+            finally:
+                for rival in there.values():
+                    rival.close()
+    progress(total, total)
+    kept = stored | {name: folder_bytes(scratch / name) for name in there if name != "memory"}
+    counts = {"samples": len(images["all"]), "batch": batch, "rounds": rounds, "threads": threads}
+    return _answer(found, stored, kept, five_pngs, counts)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[int]:
+    """Gives PyTorch in this process `count` threads at most: without a processor of their own they wait by spinning,
+    which slows down those contenders most that leave their collation to PyTorch.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(min(count, before))
+    try:
+        yield torch.get_num_threads()
+    finally:
+        torch.set_num_threads(before)
+
+
+def _written(name: str, rival: Rival, images: Premade, folder: Path) -> int | None:
+    folder.mkdir()
+    try:
+        return rival.write(images, folder)
+    except ImportError as error:
+        sys.stderr.write(f"{name}: not installed: tools/install_rivals ({error})\n")
+        return None
+
+
+def _openings(
+    packed: Path, there: Mapping[str, Rival], scratch: Path, batch: int, workers: int
+) -> dict[str, Callable[[], Iterable[Batch]]]:
+    """Name -> what opens the contender."""
+
+    def ours(variant: VariantName) -> Iterable[Batch]:
+        return loader(RangeImages(packed, variant), batch, workers, shuffle=True)
+
+    opens: dict[str, Callable[[], Iterable[Batch]]] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
+    return opens | {name: partial(rival.open, scratch / name, batch, workers) for name, rival in there.items()}
+
+
+def _answer(
+    found: Mapping[int, Mapping[str, Passes]],
+    stored: Mapping[str, int | None],
+    kept: Mapping[str, int | None],
+    five_pngs: float,
+    counts: Mapping[str, int],
+) -> dict[str, Any]:
+    def table(value: Callable[[Passes], Any]) -> dict[str, dict[str, Any]]:
+        return {
+            name: {str(n): value(passes[name]) if name in passes else None for n, passes in found.items()}
+            for name in stored
+        }
+
+    def each(sizes: Mapping[str, int | None]) -> dict[str, int | None]:
+        return {name: None if size is None else round(size / counts["samples"]) for name, size in sizes.items()}
+
+    rounds = {name: {str(n): p[name].rates for n, p in found.items() if name in p} for name in stored}
+    sizes = each(stored)
+    return {
+        "samples_per_second": table(lambda one: round(statistics.median(one.rates), 1)),
+        "bytes_per_sample": sizes,
+        "kept_bytes_per_sample": each(kept),
+        "five_png_bytes_per_sample": round(five_pngs),
+        "processor_ms_per_sample": table(
+            lambda one: None if one.seconds is None else round(one.seconds / one.samples * 1e3, 4)
+        ),
+        "worker_mb": table(lambda one: one.worker_mb),
+        "all_over_none": {str(n): ratio(rounds, str(n), "ours_none", "ours_all") for n in found},
+        "ours_all_over": {
+            name: {str(n): ratio(rounds, str(n), "ours_all", name) for n in found}
+            for name in stored
+            if name != "ours_all"
+        },
+        "spread": table(lambda one: _spread(one.rates)),
+        "limits": limits(rounds, sizes, five_pngs),
+        "rounds_of": table(lambda one: [round(rate, 1) for rate in one.rates]),
+        "missing": [name for name, size in stored.items() if size is None],
+        "versions": {name: _version(name) for name in _PACKAGES},
+        **counts,
+    }
+
+
+def _spread(rates: Sequence[float]) -> float:
+    """Largest less smallest, over the median."""
+    return round((max(rates) - min(rates)) / statistics.median(rates), 3)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

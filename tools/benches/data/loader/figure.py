@@ -1,0 +1,110 @@
+"""Draws what `bodyseg bench loader` measured: `--figure FILE.png`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.drawing.style import new_chart, save_chart
+
+_OURS: Final = "#1f5ac8"
+_RIVALS: Final = "#6e6e76"
+_TITLES: Final = {
+    "ours_none": "bodyseg, none",
+    "ours_occ": "bodyseg, occ",
+    "ours_noise": "bodyseg, noise",
+    "ours_md": "bodyseg, md",
+    "ours_all": "bodyseg, all: made on the fly",
+    "memory": "float32 tensors in memory",
+    "mds_raw": "MosaicML Streaming, raw",
+    "mds_zstd": "MosaicML Streaming, zstd",
+    "litdata": "LitData, raw",
+    "webdataset_png": "WebDataset, PNG",
+    "png_files": "loose PNG files",
+}
+"""In the order of the rows, from the top."""
+
+
+def draw_loader(figures: dict[str, Any], path: Path) -> None:
+    """Write a PNG of `bench_loader`'s answer: samples a second beside bytes a sample, a row a contender.
+
+    Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
+    """
+    figure = new_chart(12, 6.2)
+    speed, size = figure.subplots(1, 2, width_ratios=(3, 1.35), sharey=True)
+    _speeds(speed, figures)
+    _sizes(size, figures)
+    for axis in (speed, size):
+        axis.spines[["top", "right", "left"]].set_visible(False)
+        axis.tick_params(axis="y", length=0)
+    save_chart(figure, path, dpi=120)
+
+
+def _speeds(axis: Any, figures: dict[str, Any]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    speeds = figures["samples_per_second"]
+    counts = list(next(iter(speeds.values())))
+    for place, name in enumerate(_TITLES):
+        colour = _colour(name)
+        axis.axhline(place, color="#e4e4e8", linewidth=0.8, zorder=0)
+        values = [speeds[name][count] for count in counts]
+        if None in values:
+            axis.text(0.02, place, "not installed", transform=axis.get_yaxis_transform(), va="center", fontsize=9)
+            continue
+        axis.plot(values, [place] * len(values), color=colour, linewidth=2.2, zorder=1)
+        # The more workers, the darker the inside of a dot.
+        for number, value in enumerate(values):
+            full = number / max(1, len(values) - 1)
+            axis.plot(value, place, "o", markersize=9, color=colour, fillstyle="full", zorder=2)
+            axis.plot(value, place, "o", markersize=6, color="white", alpha=1 - full, zorder=3)
+        order = sorted(values)
+        axis.annotate(
+            f"{order[0]:,.0f}",
+            (order[0], place),
+            (-8, 0),
+            textcoords="offset points",
+            ha="right",
+            va="center",
+            fontsize=9,
+        )
+        if len(values) > 1:
+            axis.annotate(
+                f"{order[-1]:,.0f}", (order[-1], place), (8, 0), textcoords="offset points", va="center", fontsize=9
+            )
+    axis.set_xscale("log")
+    low, high = axis.get_xlim()
+    axis.set_xlim(low / 1.25, high * 1.35)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_yticks(range(len(_TITLES)), _TITLES.values(), fontsize=10)
+    axis.set_ylim(len(_TITLES) - 0.5, -0.5)
+    for label, name in zip(axis.get_yticklabels(), _TITLES, strict=True):
+        label.set_fontweight("bold" if name == "ours_all" else "normal")
+    shades = "hollow: no workers, full: 2" if counts == ["0", "2"] else f"hollow to full: {', '.join(counts)} workers"
+    axis.set_title(f"Samples a second, batches of {figures['batch']} ({shades})", loc="left", fontsize=11)
+
+
+def _sizes(axis: Any, figures: dict[str, Any]) -> None:
+    kept, sent = figures["kept_bytes_per_sample"], figures["bytes_per_sample"]
+    most = max(value for value in kept.values() if value is not None) / 1000
+    for place, name in enumerate(_TITLES):
+        if kept[name] is None:
+            continue
+        value = kept[name] / 1000
+        axis.barh(place, value, color=_colour(name), height=0.5)
+        text = f" {value:,.0f}"
+        if kept[name] > 1.02 * sent[name]:
+            text += f" ({sent[name] / 1000:,.0f} compressed)"
+        inside = value > 0.55 * most
+        axis.text(
+            value, place, text + " " * inside, va="center", fontsize=9,
+            ha="right" if inside else "left", color="white" if inside else "black",
+        )  # fmt: skip
+    axis.set_xlim(0, 1.05 * most)
+    axis.set_title("kB a sample, on disk or in memory", loc="left", fontsize=11)
+
+
+def _colour(name: str) -> str:
+    return _OURS if name.startswith("ours") else _RIVALS

@@ -1,0 +1,60 @@
+"""What the loader is asked to reach beside its rivals, and whether it does."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from benches.data.loader.baselines import png
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts.variants import VariantName
+
+_PNG_SAMPLES: Final = 60
+
+Rounds = Mapping[str, Mapping[str, Sequence[float]]]
+"""Name -> number of workers -> samples a second, round by round."""
+
+
+def ratio(rounds: Rounds, workers: str, fast: str, slow: str) -> float | None:
+    """Median of the rounds' ratios, since what else a machine does changes from one round to the next."""
+    if workers not in rounds[fast] or workers not in rounds[slow]:
+        return None
+    pairs = zip(rounds[fast][workers], rounds[slow][workers], strict=True)
+    return round(statistics.median(above / below for above, below in pairs), 3)
+
+
+def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pngs: float) -> list[dict[str, Any]]:
+    """Every limit with what was measured; holds is None where a contender is missing."""
+    counts = sorted({count for by_workers in rounds.values() for count in by_workers}, key=int)
+    found = [
+        _limit(f"all / webdataset_png, {n} workers", ratio(rounds, n, "ours_all", "webdataset_png"), 2.5)
+        for n in counts
+    ]
+    if "2" in counts:
+        found.append(_limit("all / mds_raw, 2 workers", ratio(rounds, "2", "ours_all", "mds_raw"), 1.0))
+        found.append(_limit("all / memory, 2 workers", ratio(rounds, "2", "ours_all", "memory"), 0.75))
+    for n in counts:
+        cost = ratio(rounds, n, "ours_none", "ours_all")
+        found.append(_limit(f"time of all / time of none, {n} workers", cost, 1.35, most=True))
+    ours = bytes_per_sample["ours_all"]
+    found.append(_limit("bytes a sample", ours, 50_000, most=True))
+    share = None if ours is None else round(ours / five_pngs, 4)
+    found.append(_limit("bytes / bytes of five PNG sets", share, round(1 / 6, 4), most=True))
+    return found
+
+
+def _limit(what: str, measured: float | None, asked: float, most: bool = False) -> dict[str, Any]:
+    holds = None if measured is None else (measured <= asked if most else measured >= asked)
+    return {"what": what, "at_most" if most else "at_least": asked, "measured": measured, "holds": holds}
+
+
+def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:
+    """Bytes a sample that PNG images of all variants take, on at most 60 samples of the set."""
+    total, length = 0, len(images["all"])
+    count = min(_PNG_SAMPLES, length)
+    for seen in images.values():
+        for number in range(count):
+            image = seen.image((2 * number + 1) * length // (2 * count), 0)
+            total += len(png(image.range)) + len(png(image.labels))
+    return total / count

@@ -1,0 +1,1 @@
+"""Shadow tests side by side."""

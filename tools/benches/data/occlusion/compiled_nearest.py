@@ -1,0 +1,75 @@
+"""The default's closest rival compiled as the default is: the nearest texel, which must not be nearer than the bias."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
+from bodyseg_data.artifacts.scratch import scratch_for
+from benches.data.occlusion.baselines import Images
+from bodyseg_data.core.kernels import compiled
+from bodyseg_data.core.sample import RANGE_STEP_M
+
+_NONE: Final = np.float32(0)
+_HALF: Final = np.float32(0.5)
+_ONE: Final = np.float32(1)
+_FARTHEST: Final = np.float32(65535)
+_kernel = partial(compiled, feature="bench occlusion")
+
+
+@_kernel
+def nearest_image(shadow: Any, bias: Any, scratch: Any, answer: Any) -> None:
+    """Whether each pixel is lit, into `answer`, flat; bias: float32, in steps."""
+    camera_range, projector_range = shadow.camera_range, shadow.projector_range
+    edges, marks, start = scratch.edges, scratch.marks, scratch.start
+    x, y, away = scratch.floats[0], scratch.floats[1], scratch.floats[2]
+    runs = find_runs(camera_range, scratch.changes, edges)
+    count: Any = np.uint64(0)
+    for run in range(np.uint64(runs)):
+        first = np.uint64(edges[np.uint64(2) * run])
+        length = np.uint64(edges[np.uint64(2) * run + np.uint64(1)]) - first
+        for i in range(length):
+            away[count + i] = np.float32(camera_range[first + i]) * shadow.forward[first + i] + shadow.offset_z
+        for i in range(length):
+            x[count + i] = (np.float32(camera_range[first + i]) * shadow.across[first + i] + shadow.offset_x) / away[
+                count + i
+            ]
+        for i in range(length):
+            y[count + i] = (np.float32(camera_range[first + i]) * shadow.down[first + i] + shadow.offset_y) / away[
+                count + i
+            ]
+        for i in range(length):
+            marks[count + i] = shadow.facing[first + i]
+        count += length
+    last_x, last_y = np.float32(shadow.columns) - _HALF, np.float32(shadow.rows) - _HALF
+    for point in range(count):
+        inside = (away[point] > _NONE) & (x[point] >= -_HALF) & (x[point] < last_x)
+        inside &= (y[point] >= -_HALF) & (y[point] < last_y)
+        column = min(np.int32(x[point] + _HALF), np.int32(shadow.columns - 1)) if inside else np.int32(0)
+        row = min(np.int32(y[point] + _HALF), np.int32(shadow.rows - 1)) if inside else np.int32(0)
+        start[point] = row * np.int32(shadow.columns) + column
+        marks[point] &= np.uint8(inside)
+    for point in range(count):
+        # One step off, an empty texel wraps round to 65535, which is behind every point, as it should be.
+        texel = np.float32(np.uint16(projector_range[np.uint64(start[point])] - np.uint16(1)))
+        marks[point] &= np.uint8(texel >= min(away[point] - _ONE, _FARTHEST) - bias)
+    answer[:] = False
+    place: Any = np.uint64(0)
+    for run in range(np.uint64(runs)):
+        for pixel in range(edges[np.uint64(2) * run], edges[np.uint64(2) * run + np.uint64(1)]):
+            answer[pixel] = marks[place] != 0
+            place += np.uint64(1)
+
+
+def lit(test: ShadowTest, images: Images, bias_mm: float) -> NDArray[np.bool_]:
+    """The mask, bool [H, W], as the NumPy form of the rule with the facing bit gives it."""
+    shadow = shadow_of(test, *images)
+    answer = np.empty(images[0].shape, np.bool_)
+    scratch = scratch_for(images[0].size, images[1].size)
+    nearest_image(shadow, np.float32(round(bias_mm / 1000 / RANGE_STEP_M)), scratch, answer.ravel())
+    return answer

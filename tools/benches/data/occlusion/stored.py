@@ -1,0 +1,212 @@
+"""What a sample must hold for a way to make the shadow: images, their bytes, the time to decode them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.occlusion import FARTHEST, Floats, ShadowTest, framed
+from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
+from benches.data.occlusion.views import ExactView
+from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
+from bodyseg_data.shards.codecs.labels import join_labels, split_labels
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.packing.coarsening import coarsened
+from bodyseg_data.core.sample import RANGE_STEP_M
+
+MASK_IMAGE: Final = "image by the codec"
+_ROUNDS: Final = 4
+_EMPTY: Final = 65535  # as tests see an empty texel: one step less than 0, behind every point
+_NOTHING: Final = np.zeros((1, 1), np.uint16)
+_UNLABELLED: Final = np.full((1, 1), BACKGROUND, np.uint8)
+_EMPTY_BYTES: Final = len(encode_images(_NOTHING, _UNLABELLED, _NOTHING))
+
+Cost = tuple[int, float]
+"""Bytes, and seconds of processor to decode them: the least of four times."""
+
+
+@dataclass
+class StoredImage:
+    """One projector image: what the reader gets, uint16 [Hp, Wp] in steps, and the whole numbers that hold it."""
+
+    image: NDArray[np.uint16]
+    whole_numbers: NDArray[np.uint16]
+    _cost: Cost | None = None
+
+    def cost(self) -> Cost:
+        """Of the codec's two ways to hold ranges, which are meant for projector and camera, the smaller one's."""
+        if self._cost is None:
+            as_runs = coded(_NOTHING, _UNLABELLED, self.whole_numbers)
+            labels = np.where(self.whole_numbers > 0, 0, BACKGROUND).astype(np.uint8)
+            as_slopes = coded(self.whole_numbers, labels, _NOTHING)
+            self._cost = min(as_runs, as_slopes)
+        return self._cost
+
+
+def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
+    """Bytes that the shards' codec needs for these images beyond those of empty ones, and seconds to decode them."""
+    data = encode_images(camera, labels, projector)
+    return len(data) - _EMPTY_BYTES, least_seconds(lambda: decode_images(data, True), _ROUNDS)
+
+
+@dataclass
+class Storage:
+    """The projector images of one view, as methods read them; methods that read the same share it."""
+
+    view: ExactView
+    tests: dict[float, ShadowTest]
+    _images: dict[tuple[Any, ...], StoredImage] = field(default_factory=dict)
+    _points: dict[tuple[float, bool], tuple[Floats, Floats, Floats]] = field(default_factory=dict)
+
+    def whole(self, method: Method) -> StoredImage:
+        """All texels, to the method's precision. What is stored of them gives the same mask."""
+        key = method.projector_scale, method.step_mm
+        if key not in self._images:
+            step = np.uint16(round(method.step_mm / 1000 / RANGE_STEP_M))
+            exact = self.view.projector_range[method.projector_scale]
+            numbers = exact if step == 1 else np.maximum((exact + step // 2) // step, exact > 0)
+            self._images[key] = StoredImage(numbers * step, numbers)
+        return self._images[key]
+
+    def of(self, method: Method) -> StoredImage:
+        """What a sample holds for a method."""
+        key: tuple[Any, ...] = method.projector_scale, method.step_mm, method.stored
+        key += method.facing_bit, method.bias_mm, method.texels, method.compares, method.note
+        if key not in self._images:
+            self._images[key] = self._stored(method)
+        return self._images[key]
+
+    def _stored(self, method: Method) -> StoredImage:
+        if method == DEFAULT:
+            image = self.view.sample.shading_range()
+            return StoredImage(image, image)
+        whole = self.whole(method)
+        if method.stored == "whole":
+            return whole
+        points, gap = self._asked(method), np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
+        if method.stored == "coarse" and method.compares:
+            image = coarse_comparisons(whole.image, *points, gap, method.texels)
+            return StoredImage(image, image)
+        kept = shading_texels(whole.image, *points, gap, method.texels)
+        if method.stored == "coarse":
+            image = coarsened(whole.image * kept, *points)
+            return StoredImage(image, image)
+        return StoredImage(whole.image * kept, whole.whole_numbers * kept)
+
+    def _asked(self, method: Method) -> tuple[Floats, Floats, Floats]:
+        key = method.projector_scale, method.facing_bit
+        if key not in self._points:
+            asked = self.view.facing if method.facing_bit else self.view.range > 0
+            test = self.tests[method.projector_scale]
+            self._points[key] = test.project(self.view.range, np.flatnonzero(asked))[1:]
+        return self._points[key]
+
+
+def shading_texels(
+    image: NDArray[np.uint16], x: Floats, y: Floats, away: Floats, gap: np.float32, texels: int
+) -> NDArray[np.bool_]:
+    """The texels that can change the answer for points, bool [Hp, Wp]: those read by a point of whose texels one is
+    nearer than the point by more than about `gap`; all others may as well be empty.
+
+    image: uint16 [Hp, Wp]; x, y, away: float32 [N] as in `occlusion.reached`; texels: how many a point reads, 1 or 4.
+    """
+    frame = framed(image)
+    places = _places(image, x, y, texels)
+    nearest = np.minimum.reduce([frame.ravel().take(place) for place in places])
+    # One step is far more than single precision can be off by.
+    shaded = np.minimum(away - np.float32(1), FARTHEST) - nearest > gap - np.float32(1)
+    read = np.zeros(frame.shape, np.bool_)
+    for place in places:
+        read.ravel()[place[shaded]] = True
+    return _unframed(read, np.logical_or)
+
+
+def coarse_comparisons(
+    image: NDArray[np.uint16], x: Floats, y: Floats, away: Floats, bias: np.float32, texels: int
+) -> NDArray[np.uint16]:
+    """An image, uint16 [Hp, Wp], that gives rules which only compare texels with points' ranges the same answers: each
+    texel is empty if it may be, else the multiple of the largest power of two on the same side of all points. As
+    `rendering/coarsening.py` does it for the default's rule; arguments as in `shading_texels`.
+    """
+    frame = framed(image).astype(np.int32)
+    limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST) - bias).astype(np.int32)
+    low, high = np.zeros(frame.size, np.int32), np.full(frame.size, _EMPTY, np.int32)
+    for place in _places(image, x, y, texels):
+        behind = frame.ravel()[place] >= limits
+        np.maximum.at(low, place[behind], limits[behind])
+        np.minimum.at(high, place[~behind], limits[~behind] - 1)
+    least = _unframed(low.reshape(frame.shape), np.maximum) + 1  # stored ranges are one step more than compared ones
+    most = _unframed(high.reshape(frame.shape), np.minimum) + 1
+    coarse = np.where(most > _EMPTY, 0, image).astype(np.int32)
+    missing = coarse > 0
+    for step in 2 ** np.arange(10, -1, -1):
+        rounded = most // step * step
+        fits = missing & (rounded >= np.maximum(least, 1))
+        coarse[fits] = rounded[fits]
+        missing &= ~fits
+    return coarse.astype(np.uint16)
+
+
+def _places(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> list[NDArray[np.intp]]:
+    """Flat indices [N] into the framed image of the one or four texels that points read."""
+    if texels == 1:
+        return [nearest_texel(image, x, y)]
+    width = image.shape[1] + 2
+    start = (np.floor(y).astype(np.intp) + 1) * width + np.floor(x).astype(np.intp) + 1
+    return [start + shift for shift in (0, 1, width, width + 1)]
+
+
+def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
+    """What holds for the texels of an image, from what holds for those of the framed one, which repeats its border."""
+    for inner, outer in ((1, 0), (-2, -1)):
+        frame[inner] = join(frame[inner], frame[outer])
+        frame[:, inner] = join(frame[:, inner], frame[:, outer])
+    return frame[1:-1, 1:-1]
+
+
+def facing_bytes(view: ExactView) -> int:
+    """What the facing bit adds to the coded labels, bytes."""
+    return _label_bytes(view, view.facing) - _label_bytes(view, np.zeros_like(view.facing))
+
+
+def _label_bytes(view: ExactView, bit: NDArray[np.bool_]) -> int:
+    return len(encode_images(view.range, join_labels(view.sample.labels, bit), _NOTHING))
+
+
+def exact_masks(view: ExactView) -> dict[str, Cost]:
+    """The exact mask stored in three ways: as a bit of the label byte, which takes the facing bit's place; as an image
+    of its own by the codec; and packed eight pixels a byte, by zstd.
+
+    Seconds: until there is a bool [H, W], beyond what decoding labels takes anyway.
+    """
+    lit = view.lit
+    byte = join_labels(view.sample.labels, lit)
+    packed = zstandard.ZstdCompressor(level=1).compress(np.packbits(lit).tobytes())
+    unpack = zstandard.ZstdDecompressor()
+
+    def from_packed() -> NDArray[np.bool_]:
+        bits = np.frombuffer(unpack.decompress(packed), np.uint8)
+        return np.unpackbits(bits, count=lit.size).reshape(lit.shape).view(np.bool_)
+
+    in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
+    return {
+        "bit of the label byte": (in_labels, least_seconds(lambda: split_labels(byte), _ROUNDS)),
+        MASK_IMAGE: coded(_NOTHING, _UNLABELLED, lit.astype(np.uint16)),
+        "packed bits, zstd": (len(packed), least_seconds(from_packed, _ROUNDS)),
+    }
+
+
+def least_seconds(work: Callable[[], Any], rounds: int) -> float:
+    """Seconds of processor that `work` takes when the least interferes."""
+    best = float("inf")
+    for _ in range(rounds):
+        start = time.thread_time()
+        work()
+        best = min(best, time.thread_time() - start)
+    return best

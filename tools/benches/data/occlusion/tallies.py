@@ -1,0 +1,274 @@
+"""Adds up what `bench occlusion` measures: errors by scene, time, bytes, and where the worst errors are."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from benches.data.occlusion.baselines import DEFAULT, Images, Method, compare, nearest
+from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks, least_seconds
+from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
+
+WORST_CROP: Final = 100, 80
+"""Rows and columns of the window with the most errors that is looked for in every scene."""
+
+_MASKS: Final[dict[str, Callable[[ExactView], NDArray[np.bool_]]]] = {
+    f"light at {GRAZING_DEG:g} to 90 degrees": lambda view: view.grazing,
+    f"contact shadows, under {CONTACT_M * 1000:g} mm": lambda view: view.contact,
+    "hands, wrists, ankles, toes": lambda view: view.thin,
+    "edges of their shadows": lambda view: view.thin_shadow,
+}
+"""Scenes that are some pixels of all views with the rig's own baseline."""
+
+SCENES: Final = (*(group.name for group in GROUPS), *_MASKS)
+_ROUNDS: Final = 4
+_RUNS: Final = 4
+_COMPILED_SCALES: Final = (1, 2, 3)
+
+
+Mask = Callable[[ShadowTest, Images], NDArray[np.bool_]]
+NEAREST: Final = compare("nearest texel", 20.0, nearest)
+"""The default's closest rival."""
+
+
+class Seen:
+    """A view's foreground inside the projector's frame, and which of its pixels belong to which scene.
+
+    pixels: int [N], flat. exact: bool [N], whether lit. scenes: name -> bool [N].
+    """
+
+    def __init__(self, group: Group, view: ExactView) -> None:
+        self.group, self.view = group, view
+        self.pixels = np.flatnonzero(view.inside)
+        self.exact = view.lit.ravel()[self.pixels]
+        self.scenes = {group.name: np.ones(len(self.pixels), np.bool_)}
+        if group.baseline_m == GROUPS[0].baseline_m:
+            self.scenes |= {name: mask(view).ravel()[self.pixels] for name, mask in _MASKS.items()}
+
+
+class Tally:
+    """One method's errors, time and bytes."""
+
+    def __init__(self, method: Method) -> None:
+        self.method = method
+        self._errors = {scene: np.zeros(3, np.int64) for scene in SCENES}  # wrongly lit, wrongly dark, all pixels
+        self._worst, self._differing = 0.0, 0
+        self._times: list[tuple[float, float]] = []
+        self._bytes: list[int] = []
+
+    def add(self, seen: Seen, storage: Storage) -> None:
+        """Count errors of a view."""
+        answer = self._lit(storage, storage.whole(self.method)).ravel()[seen.pixels]
+        false_lit, false_dark = answer & ~seen.exact, ~answer & seen.exact
+        for scene, mask in seen.scenes.items():
+            counts = [np.count_nonzero(kind & mask) for kind in (false_lit, false_dark)]
+            self._errors[scene] += [*counts, np.count_nonzero(mask)]
+            if scene == ORDINARY:
+                self._worst = max(self._worst, sum(counts) / max(len(seen.pixels), 1))
+
+    def note_cost(self, storage: Storage, test_s: float) -> None:
+        """Note the bytes and times of a view, and whether what is stored gives the mask of the whole image."""
+        stored = storage.of(self.method)
+        size, decode_s = stored.cost()
+        masks = [self._lit(storage, image) for image in (stored, storage.whole(self.method))]
+        self._differing += int(np.count_nonzero(masks[0] != masks[1]))
+        self._times.append((test_s, decode_s))
+        self._bytes.append(size)
+
+    def seconds(self, storage: Storage) -> float:
+        """Processor time of the test in one view, the least of four runs."""
+        return least_seconds(lambda: self._lit(storage, storage.of(self.method)), _RUNS)
+
+    def row(self, facing_bytes: int) -> dict[str, Any]:
+        """What the bench writes of this method."""
+        method = self.method
+        false_lit, false_dark, pixels = (int(count) for count in self._errors[ORDINARY])
+        tests, decodings = zip(*self._times, strict=True)
+        return {
+            "name": method.name,
+            "family": method.family,
+            "bias": method.bias_mm,
+            "slope": method.slope,
+            "projector_scale": method.projector_scale,
+            "facing_bit": method.facing_bit,
+            "step_mm": method.step_mm,
+            "stored": method.stored,
+            "form": "numpy",
+            "wrong_pixels": share(false_lit + false_dark, pixels),
+            "us_per_view": microseconds([test + decode for test, decode in self._times]),
+            "test_us": microseconds(tests),
+            "decode_us": microseconds(decodings),
+            "bytes": round(statistics.mean(self._bytes)) + (facing_bytes if method.facing_bit else 0),
+            "false_lit": share(false_lit, pixels),
+            "false_shadow": share(false_dark, pixels),
+            "worst_view": round(float(self._worst), 6),
+            "differing_pixels": self._differing,
+            "scenes": {name: share(int(counts[:2].sum()), int(counts[2])) for name, counts in self._errors.items()},
+        }
+
+    def _lit(self, storage: Storage, stored: StoredImage) -> NDArray[np.bool_]:
+        images = storage.view.range, stored.image, storage.view.facing
+        return self.method.lit(storage.tests[self.method.projector_scale], images)
+
+
+def time_all(tallies: list[Tally], storage: Storage, start: int) -> None:
+    """Time all methods on one view in turn, a few rounds, each round beginning with another.
+
+    Each is run four times at a time, so that it finds its own data in the processor's caches and not its neighbour's.
+    """
+    least = [float("inf")] * len(tallies)
+    for turn in range(_ROUNDS):
+        for place in range(len(tallies)):
+            index = (place + start + turn * len(tallies) // _ROUNDS) % len(tallies)
+            least[index] = min(least[index], tallies[index].seconds(storage))
+    for tally, seconds in zip(tallies, least, strict=True):
+        tally.note_cost(storage, seconds)
+
+
+class Compiled:
+    """The default and its closest rival, compiled, at several sizes of the projector's image; none without numba."""
+
+    def __init__(self) -> None:
+        self._forms: dict[Method, Mask] = {}
+        if find_spec("numba") is not None:
+            from bodyseg_data.artifacts import occlusion_compiled
+            from benches.data.occlusion import compiled_nearest as occlusion_compiled_nearest
+
+            for scale in _COMPILED_SCALES:
+                self._forms[replace(DEFAULT, projector_scale=scale)] = lambda test, images: occlusion_compiled.lit(
+                    test, *images
+                )
+                self._forms[replace(NEAREST, projector_scale=scale)] = lambda test, images: (
+                    occlusion_compiled_nearest.lit(test, images, NEAREST.bias_mm)
+                )
+        self._times: dict[Method, list[tuple[float, float, float]]] = {method: [] for method in self._forms}
+        self._differing = dict.fromkeys(self._forms, 0)
+
+    def add(self, storage: Storage) -> None:
+        """Time a view: compiled, NumPy, decoding."""
+        for method, lit in self._forms.items():
+            stored, test = storage.of(method), storage.tests[method.projector_scale]
+            images = storage.view.range, stored.image, storage.view.facing
+            self._differing[method] += int((lit(test, images) != method.lit(test, images)).sum())
+            forms = [partial(form, test, images) for form in (lit, method.lit)]
+            fast, plain = (least_seconds(form, _ROUNDS * _RUNS) for form in forms)
+            self._times[method].append((fast, plain, stored.cost()[1]))
+
+    def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:
+        """What the bench writes; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
+        return [
+            plain[method]
+            | {
+                "form": "compiled",
+                "us_per_view": microseconds([time[0] + time[2] for time in self._times[method]]),
+                "test_us": microseconds([time[0] for time in self._times[method]]),
+                "decode_us": microseconds([time[2] for time in self._times[method]]),
+                "numpy_test_us": microseconds([time[1] for time in self._times[method]]),
+                "differing_pixels": self._differing[method],
+            }
+            for method in self._forms
+        ]
+
+
+class Masks:
+    """The reference point: the exact mask, stored."""
+
+    def __init__(self) -> None:
+        self._costs: dict[str, list[tuple[int, float]]] = {}
+
+    def add(self, view: ExactView) -> None:
+        """Note the costs of a view."""
+        for way, cost in exact_masks(view).items():
+            self._costs.setdefault(way, []).append(cost)
+
+    def row(self) -> dict[str, Any]:
+        """Way of storing -> bytes and time."""
+        return {
+            way: {
+                "bytes": round(statistics.mean(size for size, _ in costs)),
+                "us_per_view": microseconds([seconds for _, seconds in costs]),
+            }
+            for way, costs in self._costs.items()
+        }
+
+    def method(self) -> dict[str, Any]:
+        """The mask as an image of its own, as a row among the methods."""
+        cost = self.row()[MASK_IMAGE]
+        unasked = dict.fromkeys(("bias", "slope", "projector_scale", "step_mm", "stored"))
+        none = dict.fromkeys(("wrong_pixels", "false_lit", "false_shadow", "worst_view"), 0.0)
+        name = f"exact mask, stored as {MASK_IMAGE}"
+        return {"name": name, "family": "exact mask", "form": "numpy", "facing_bit": False, **unasked, **none, **cost}
+
+
+class WhereWrong:
+    """Where the default's errors are: beside an exact shadow edge, in which posture, and the worst of every scene."""
+
+    def __init__(self) -> None:
+        self._wrong = self._beside = self._grazing = 0
+        self._postures: dict[str, list[int]] = {}
+        self.pixels = dict.fromkeys(SCENES, 0)
+        self._crops: dict[str, dict[str, Any]] = {}
+
+    def add(self, seen: Seen, lit: NDArray[np.bool_]) -> None:
+        """Look at the default's mask of a view, bool [H, W]."""
+        view = seen.view
+        wrong = (lit != view.lit) & view.inside
+        for scene, mask in seen.scenes.items():
+            self.pixels[scene] += int(mask.sum())
+            image = np.zeros_like(wrong)
+            image.ravel()[seen.pixels] = mask
+            self._look_for_worst(scene, seen, wrong & image)
+        if seen.group.name == ORDINARY:
+            self._wrong += int(wrong.sum())
+            self._beside += int((wrong & grown(view.lit) & grown(view.inside & ~view.lit)).sum())
+            self._grazing += int((wrong & view.grazing).sum())
+            counts = self._postures.setdefault(view.ref.pose, [0, 0])
+            counts[0], counts[1] = counts[0] + int(wrong.sum()), counts[1] + len(seen.pixels)
+
+    def row(self) -> dict[str, Any]:
+        """Shares of the errors in ordinary views, and the share of wrong pixels by posture."""
+        return {
+            "share_of_errors_beside_a_shadow_edge": share(self._beside, self._wrong),
+            "share_of_errors_under_grazing_light": share(self._grazing, self._wrong),
+            "wrong_pixels_by_pose": {pose: share(*counts) for pose, counts in self._postures.items()},
+        }
+
+    def worst_crops(self) -> list[dict[str, Any]]:
+        """For every scene the window that holds the most wrong pixels of it."""
+        return [self._crops[scene] for scene in SCENES if scene in self._crops]
+
+    def _look_for_worst(self, scene: str, seen: Seen, wrong: NDArray[np.bool_]) -> None:
+        height, width = WORST_CROP
+        sums = np.pad(wrong.astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+        windows = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
+        top, left = divmod(int(windows.argmax()), windows.shape[1])
+        found = int(windows[top, left])
+        if found > self._crops.get(scene, {"wrong": -1})["wrong"]:
+            self._crops[scene] = {
+                "scene": scene,
+                "group": seen.group.name,
+                "pose": seen.view.ref.pose,
+                "distance_cm": seen.view.view.distance_cm,
+                "azimuth_deg": seen.view.view.azimuth_deg,
+                "top": top,
+                "left": left,
+                "wrong": found,
+            }
+
+
+def share(count: int, total: int) -> float:
+    """Of `total` so many, 0 of nothing."""
+    return round(count / max(total, 1), 6)
+
+
+def microseconds(seconds: Sequence[float]) -> float:
+    """The median of times in seconds."""
+    return round(statistics.median(seconds) * 1e6, 1)

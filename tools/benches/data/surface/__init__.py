@@ -1,0 +1,1 @@
+"""Methods on surfaces: partition, borders, reduction, clothes, landmark proposals."""

@@ -1,0 +1,122 @@
+"""`bench proposal`: how far proposed landmarks are from placed ones, and how much of the surface that labels otherwise.
+
+Open bodies are decimated to half their triangles, and vertices and faces shuffled, so that nothing but the shape tells
+where landmarks are. All bodies are turned about the vertical by different angles.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.partition.surface_parts import part_areas, partition
+from bodyseg_data.core.parts import LANDMARKS, PARTS
+from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
+
+OPEN: Final = (
+    "person-007",
+    "person-100",
+    "person-350",
+    "B-march-100",
+    "B-squat-125",
+    "C-march-060",
+    "C-bouncing-090",
+)
+HARD: Final = ("hard-00", "hard-04", "hard-19")
+MIT: Final = ("I_crane_0000", "I_crane_0040", "I_crane_0080", "I_crane_0120")
+"""Bodies measured on: standing people, dressed people in motion, crossed arms and the like, and real scans."""
+
+_TURN_DEG: Final = 137.5  # from one body to the next, so that none faces as another does
+
+Placed = tuple[str, Mesh, NDArray[np.float64]]
+"""Name, mesh and the places [33, 3] of its landmarks."""
+
+
+def bench_proposal(
+    mit: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
+) -> dict[str, Any]:
+    """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
+
+    swapped: landmarks of a pair that are nearer to the other one's place. wrong_surface: share of the surface that
+    proposed landmarks label otherwise. seconds: processor time. mit: folder of MIT frames, measured on as well.
+    Raises BadConfig for frames that are not there.
+    """
+    total = len(OPEN) + len(HARD) + (len(MIT) if mit else 0)
+    bodies: dict[str, dict[str, Any]] = {}
+    for done, (name, mesh, places) in enumerate(_bodies(mit), start=1):
+        turn = math.radians(_TURN_DEG * done)
+        rotation = np.array([[math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)]])
+        turned = Mesh(name, mesh.vertices @ rotation.T, mesh.faces)
+        start = time.process_time()
+        proposal = propose(turned)
+        seconds = round(time.process_time() - start, 1)
+        bodies[name] = measure(turned, places @ rotation.T, proposal) | {"seconds": seconds}
+        progress(done, total)
+    return {"bodies": bodies}
+
+
+def measure(mesh: Mesh, places: NDArray[np.float64], proposal: Proposal) -> dict[str, Any]:
+    """Errors of a proposal for `mesh`, whose landmarks are at `places` [33, 3]."""
+    vertices = proposal.landmarks.for_mesh(mesh)
+    found = mesh.vertices[vertices]
+    error = 100 * np.linalg.norm(found - places, axis=1)
+    other = _other_side()
+    swapped = np.linalg.norm(found - places[other], axis=1) < np.linalg.norm(found - places, axis=1)
+    true = np.linalg.norm(mesh.surface_vertices[:, None] - places, axis=2).argmin(axis=0)
+    labels = [partition(mesh, at).labels for at in (vertices, np.unique(mesh.faces)[true])]
+    differ = (labels[0] != labels[1]).astype(np.uint8)
+    return {
+        "median_cm": round(float(np.median(error)), 2),
+        "mean_cm": round(float(error.mean()), 2),
+        "worst_cm": round(float(error.max()), 1),
+        "worst": LANDMARKS[int(error.argmax())],
+        "beyond_8_cm": int((error > 8).sum()),
+        "swapped": int(swapped.sum()),
+        "wrong_surface": round(float(part_areas(mesh, differ)[1]), 3),
+    }
+
+
+def _bodies(mit: Path | None) -> Iterator[Placed]:
+    for name, wanted in (("open", OPEN), ("hard", HARD)):
+        source = open_source(name)
+        listed = {body.mesh: body for body in source.bodies()}
+        for seed, mesh in enumerate(wanted):
+            built = source.build(listed[mesh])
+            yield mesh, shuffled(built.mesh, seed), built.mesh.vertices[built.landmarks]
+    if mit is not None:
+        source = open_source("mit", mit)
+        listed = {body.mesh: body for body in source.bodies()}
+        for mesh in MIT:
+            if mesh not in listed:
+                raise BadConfig(f"bench proposal needs the frame {mesh}, found none in {mit}")
+            built = source.build(listed[mesh])
+            yield mesh, built.mesh, built.mesh.vertices[built.landmarks]
+
+
+def shuffled(mesh: Mesh, seed: int) -> Mesh:
+    """The same surface with half the triangles and all numbers changed. Raises MissingLibrary without pymeshlab."""
+    pymeshlab = load_pymeshlab("bench proposal")
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
+    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=len(mesh.faces) // 2)
+    vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(vertices))
+    place = np.argsort(order)
+    return Mesh(mesh.name, vertices[order], place[faces][rng.permutation(len(faces))].astype(np.int32))
+
+
+def _other_side() -> NDArray[np.int64]:
+    """The label of each part's counterpart, [33]; its own in the middle."""
+    step = {"right": 1, "left": -1, "middle": 0}
+    return np.array([part.label + step[part.side] for part in PARTS])

@@ -1,0 +1,263 @@
+"""Whole files made to break readers: samples of a tar, manifests, rigs, landmarks, meshes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tarfile
+from collections.abc import Callable
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
+from bodyseg_data.shards.sample_codec import CODECS, CodecName, encode_sample
+from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.core.splits import SPLITS
+
+KEY: Final = "open-A-posture-00-d215-a040"
+"""The key that hostile samples are read under."""
+
+_TYPES: Final = (*(b"%d" % number for number in range(8)), *(bytes([code]) for code in b"\0SLKxgXNDMVA\xff"))
+_NAMES: Final = (
+    *(b"../" + KEY.encode() + b".json", b"/" + KEY.encode() + b".json", KEY.encode(), KEY.encode() + b"."),
+    *(KEY.encode() + b".json\0../x", KEY.encode() + b"/.json", KEY.encode() + b".json/", b"", b"\xff\xfe.json"),
+    *(b"././@LongLink", b"x" * 100, KEY.encode() + b".range.bsi", KEY.encode() + b".json"),
+)
+_SIZES: Final = (
+    *(b"00000000000\0", b"77777777777\0", b"-0000000001\0", b"            ", b"\0" * 12, b"9999\0"),
+    *(b"0x10\0", b"1_0\0"),
+    *(b"\x80" + b"\xff" * 11, b"\x80" + b"\0" * 10 + b"\1", b"\xff" * 12, b"\xff" + b"\0" * 11, b"\x80" + b"\0" * 11),
+)
+_FIELDS: Final = ((0, 100), (100, 8), (108, 8), (116, 8), (136, 12), (257, 8), (329, 8), (345, 155), (386, 126))
+
+
+@lru_cache(maxsize=4)
+def _samples(codec: CodecName) -> list[dict[str, bytes]]:
+    """Small valid samples: a slope with the facing bit now and then, nothing at all, all body, one pixel, noise."""
+    generator = np.random.default_rng(1)
+    slope = (20_000 + np.add.outer(np.arange(48) * 7, np.arange(33) * 3)).astype(np.uint16)
+    framed = np.zeros((64, 50), np.uint16)
+    framed[6:54, 9:42] = slope
+    framed[20:30, 12:20] = 0
+    noise = generator.integers(0, 65536, (23, 17)).astype(np.uint16)
+    found = []
+    for ranges in (framed, np.zeros((5, 9), np.uint16), slope, np.full((1, 1), 65535, np.uint16), noise):
+        labels = np.where(ranges > 0, ranges // 700 % 33, 255).astype(np.uint8)
+        info = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
+        found.append(encode_sample(Sample(KEY, ranges, ranges[::-1] // 2, labels, (ranges // 9) % 2 > 0, info), codec))
+    return found
+
+
+def _members(codec: CodecName, generator: Generator) -> dict[str, bytes]:
+    samples = _samples(codec)
+    return dict(samples[int(generator.integers(len(samples)))])
+
+
+def _hostile_member(members: dict[str, bytes], name: str, generator: Generator) -> bytes:
+    return (hostile_png if name.endswith("png") else hostile_image)(members[name], generator)
+
+
+def hostile_bsi(generator: Generator) -> dict[str, bytes]:
+    """A sample whose images, in the package's own codec, are hostile."""
+    members = _members("bsi", generator)
+    return members | {name: _hostile_member(members, name, generator) for name in members if name != "json"}
+
+
+def hostile_pngs(generator: Generator) -> dict[str, bytes]:
+    """A sample one of whose PNGs is hostile."""
+    members = _members("png", generator)
+    names = [name for name in members if name != "json"]
+    name = names[int(generator.integers(len(names)))]
+    return members | {name: _hostile_member(members, name, generator)}
+
+
+def hostile_sample(generator: Generator) -> dict[str, bytes]:
+    """Members of a sample: other bytes or JSON in one of them, one missing, too many, of two codecs or samples."""
+    codec = CODECS[int(generator.integers(len(CODECS)))]
+    members, other = _members(codec, generator), _members(codec, generator)
+    names = list(members)
+    name = names[int(generator.integers(len(names)))]
+    match int(generator.integers(7)):
+        case 0:
+            return members
+        case 1:
+            members[name] = spoiled(members[name], generator)
+        case 2 | 3:
+            members["json"] = json.dumps(hostile_tree(json.loads(members["json"]), generator)).encode()
+        case 4:
+            members["json"] = hostile_json(members["json"].decode(), generator)
+        case 5:
+            members[str(generator.choice((*names, "extra", "range.gif", "", ".", "bsi.png")))] = members.pop(name)
+        case _:
+            members[name] = other[names[int(generator.integers(len(names)))]]
+    return members
+
+
+def hostile_tar(generator: Generator) -> bytes:
+    """The bytes of one sample in a tar: links, devices, sparse files, long names, tricks with paths and sizes."""
+    members = _members("bsi", generator)
+    headers = []
+    for extension in sorted(members):
+        header = tarfile.TarInfo(f"{KEY}.{extension}")
+        header.size = len(members[extension])
+        headers.append((bytearray(header.tobuf(tarfile.USTAR_FORMAT)), members[extension]))
+    for _ in range(int(generator.integers(1, 3))):
+        header_bytes, data = headers[int(generator.integers(len(headers)))]
+        match int(generator.integers(8)):
+            case 0:
+                header_bytes[156:157] = _TYPES[int(generator.integers(len(_TYPES)))]
+            case 1:
+                name = _NAMES[int(generator.integers(len(_NAMES)))]
+                header_bytes[:100] = name.ljust(100, b"\0")
+            case 2 | 3:
+                header_bytes[124:136] = _SIZES[int(generator.integers(len(_SIZES)))].ljust(12, b"\0")
+            case 4:
+                place, length = _FIELDS[int(generator.integers(len(_FIELDS)))]
+                header_bytes[place : place + length] = generator.bytes(length)
+            case 5:
+                header_bytes[:] = spoiled(bytes(header_bytes), generator)[:512].ljust(512, b"\0")
+            case 6:
+                headers.insert(int(generator.integers(len(headers) + 1)), _long_name(generator))
+            case _:
+                headers.append((bytearray(header_bytes), data))
+        _sum_set(header_bytes)
+    whole = b"".join(bytes(header) + data + bytes(-len(data) % 512) for header, data in headers)
+    return whole if generator.integers(4) else spoiled(whole, generator)
+
+
+def _long_name(generator: Generator) -> tuple[bytearray, bytes]:
+    """A member of another dialect that renames, or resizes, the one behind it."""
+    kind = (tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)[
+        int(generator.integers(4))
+    ]
+    said = (b"30 path=../../../etc/passwd\n", b"18 size=99999999\n", b"24 GNU.sparse.major=1\n", b"../x\0")
+    data = said[int(generator.integers(len(said)))]
+    header = tarfile.TarInfo(f"{KEY}.x")
+    header.type, header.size = kind, len(data)
+    return bytearray(header.tobuf(tarfile.USTAR_FORMAT)), data
+
+
+def _sum_set(header: bytearray) -> None:
+    header[148:156] = b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+
+
+@lru_cache(maxsize=1)
+def _manifest_tree() -> dict[str, Any]:
+    keys = tuple(f"open-A-posture-0{number}-d215-a040" for number in range(3))
+    offsets, lengths = (0, 4096, 8192), (4096,) * 3
+    shards = tuple(
+        ShardRecord(f"{split}-00000.tar", split, 20480, "0" * 64, named, offsets, lengths, (1, 2, 3), ("a: noted",))
+        for split, named in zip(SPLITS, (keys, tuple(key.replace("-A-", "-B-") for key in keys)), strict=True)
+    )
+    tree = Manifest(load_rig(), "bsi", "open", "raster", "0" * 64, shards).to_json()
+    del tree["digest"]
+    return tree
+
+
+def hostile_manifest(generator: Generator) -> bytes:
+    """A manifest: spoiled as text, or with other content under the right digest."""
+    if generator.integers(3) == 0:
+        return hostile_json(json.dumps(_signed(_manifest_tree()), sort_keys=True), generator)
+    tree = hostile_tree(_manifest_tree(), generator)
+    if not isinstance(tree, dict):
+        return json.dumps(tree).encode()
+    signed = _signed(tree)
+    if generator.integers(10) == 0:
+        signed["digest"] = hostile_tree([0], generator)
+    return json.dumps(signed, sort_keys=True).encode() + b"\n"
+
+
+def _signed(tree: dict[str, Any]) -> dict[str, Any]:
+    try:
+        text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
+    except (RecursionError, ValueError):
+        return tree
+    return {**tree, "digest": hashlib.sha256(text.encode()).hexdigest()}
+
+
+@lru_cache(maxsize=1)
+def _rig_text() -> str:
+    return (resources.files("bodyseg_data") / "rigs" / "paper.toml").read_text(encoding="utf-8")
+
+
+_TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1, 2]", "{}", "1979-05-27", "9" * 400)
+_TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" * 5000, f'"{"y" * 9000}"', '"\\u0000"')
+
+
+def hostile_rig(generator: Generator) -> bytes:
+    """A rig file: spoiled as text, or with another value for one of its keys."""
+    text = _rig_text()
+    if generator.integers(2):
+        return spoiled(text.encode(), generator)
+    lines = text.splitlines()
+    keyed = [number for number, line in enumerate(lines) if "=" in line and not line.startswith("#")]
+    number = keyed[int(generator.integers(len(keyed)))]
+    values = _TOML if generator.integers(2) else _TOML_LONG
+    lines[number] = f"{lines[number].partition('=')[0]}= {values[int(generator.integers(len(values)))]}"
+    return "\n".join(lines).encode()
+
+
+def hostile_landmarks(generator: Generator) -> bytes:
+    """A landmark file by vertex or by coordinate: other values, other text."""
+    tree: dict[str, Any] = {"format": "bodyseg landmarks 1"}
+    if generator.integers(2):
+        tree |= {"topology": "t", "vertex_count": 99, "face_count": 9}
+        tree["landmarks"] = {name: number for number, name in enumerate(LANDMARKS)}
+    else:
+        tree |= {"units": "mm", "points": {name: [1.0 * number, 2.0, 3.0] for number, name in enumerate(LANDMARKS)}}
+    if generator.integers(2):
+        return hostile_json(json.dumps(tree), generator)
+    return json.dumps(hostile_tree(tree, generator)).encode()
+
+
+def hostile_lnd(generator: Generator) -> bytes:
+    """A .lnd file of the survey."""
+    rows = "".join(f"{n} 0 0 1 {n}.5 -{n}.25 1544.0  {name}\n" for n, name in enumerate(LANDMARKS))
+    text = f"x\nAUX =\n{rows}END =\n".encode()
+    return spoiled(text, generator) if generator.integers(8) else text
+
+
+_PLY: Final = (
+    "ply\nformat {form} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+)
+_COUNTS: Final = (0, 1, 3, 1 << 31, 1 << 40, 10**15 - 1, 10**30)
+
+
+def hostile_ply(generator: Generator) -> bytes:
+    """A PLY file, in text or binary, with other counts or spoiled."""
+    form = ("ascii", "binary_little_endian", "binary_big_endian")[int(generator.integers(3))]
+    counts = {"vertices": 3, "faces": 1}
+    if generator.integers(2):
+        counts[str(generator.choice(("vertices", "faces")))] = _COUNTS[int(generator.integers(len(_COUNTS)))]
+    head = _PLY.format(form=form, **counts).encode()
+    if form == "ascii":
+        rows = b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+        return head + (spoiled(rows, generator) if generator.integers(8) else rows)
+    order = form.partition("_")[2][0]
+    corners = np.array([0, 1, 2], "<i4" if order == "l" else ">i4").tobytes()
+    points = np.eye(3, dtype="<f4" if order == "l" else ">f4").tobytes()
+    whole = head + points + b"\3" + corners
+    return spoiled(whole, generator) if generator.integers(8) else whole
+
+
+MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
+    "bsi": hostile_bsi,
+    "png": hostile_pngs,
+    "sample": hostile_sample,
+    "tar": hostile_tar,
+    "manifest": hostile_manifest,
+    "rig": hostile_rig,
+    "landmarks": hostile_landmarks,
+    "lnd": hostile_lnd,
+    "ply": hostile_ply,
+}
+"""Target -> what makes an input for it."""

@@ -1,0 +1,1 @@
+"""The worth and price of each thing that is modelled."""

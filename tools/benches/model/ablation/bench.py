@@ -1,0 +1,172 @@
+"""`bench ablation`: what each thing modelled is worth and costs, and how many bodies and views suffice.
+
+Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one thing left out of, or added to, those of all-SEED.
+docs/ablation.md says how to read the answer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import nn
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.range_images import RangeImages
+from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, network_costs, rendering_costs
+from benches.model.ablation.conditions import EXAMS, Exam, clothes_exams, coarse_exams, hard_exam
+from benches.model.ablation.rows import BASE, RULE, THINGS, Thing, Tree, enough, spread_of, table, verdict, worth
+from benches.model.ablation.runs import NETWORK, Run, check_run, find_runs, identities, missing, origin, plan_of, sets_of
+from benches.model.variants.scores import Examiner
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_model.training.distributed import find_device
+
+_ACCURACY: Final = "average_per_class_accuracy"
+_MEASURES: Final = 4  # of costs, beside the exams
+
+Marks = dict[str, list[float]]
+"""Exam -> accuracy of each seed's network."""
+
+
+def bench_ablation(
+    data: str,
+    runs: tuple[Path, ...],
+    images: int = 200,
+    hard: str | None = None,
+    clothes: tuple[str, ...] | None = None,
+    progress: Callable[..., None] = lambda done, total, note="": None,
+) -> dict[str, Any]:
+    """Judge every training of `runs` by the same test images, and measure what each thing costs.
+
+    data: the set that was trained on. runs: folders of trainings, NAME-SEED. images: test images of each kind. hard: a
+    set of hard poses to ask about as well. clothes: two sets of the same views, of dressed bodies and of bare ones, to
+    ask about trainings on either. Trains nothing: "missing" names the command of every training that is not there.
+    Scores are kept in each run's sweep.json.
+
+    Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
+    `clothes`, or a wrong number; otherwise as `evaluate`.
+    """
+    whole_number("the number of test images", images, 1)
+    sets = sets_of(data, clothes)
+    start = time.perf_counter()
+    things = [thing for thing in THINGS if thing.source in sets]
+    found = find_runs(runs, things)
+    plan = plan_of(found[0])
+    trained_on = identities(sets, [run.thing for run in found])
+    for run in found:
+        check_run(run, plan, trained_on[run.thing.name])
+    exams = _exams(data, hard, clothes)
+    coarse = [(thing, exam) for thing in things if thing.step_mm for exam in coarse_exams(thing.step_mm)]
+    base = [run for run in found if run.thing.name == BASE]
+    jobs = [(run.thing, exam, run) for exam in exams for run in found]
+    jobs += [(thing, exam, run) for thing, exam in coarse for run in base]
+    marks = _asked(data, images, jobs, progress)
+    costs = _measured(data, plan.settings, progress, len(jobs))
+    first = RangeImages(data, BASE, "train")
+    rows = _rows(marks, costs, {name: each["amount"] for name, each in trained_on.items()}, first)
+    figures = {
+        "scale": {
+            "steps": plan.recipe.steps,
+            "images_a_step": plan.recipe.batch * plan.recipe.accumulate,
+            **{f"train_{name}": count for name, count in trained_on[BASE]["amount"].items()},
+            "test_images": images,
+            "seeds": len(base),
+        },
+        "network": NETWORK,
+        "settings": plan.settings,
+        "recipe": asdict(plan.recipe),
+        "data": {"source": first.manifest.source, "train": trained_on[BASE]["data"]["set"]},
+        "rule": RULE,
+        "exams": [{"name": exam.label, "title": exam.title} for exam in exams],
+        "base": {name: over_seeds(values) for name, values in marks[BASE].items()},
+        "rows": rows,
+        "enough": {prefix: enough(rows, f"{prefix}_") for prefix in ("bodies", "views")},
+        "costs": costs,
+        "missing": missing(found, things, plan, sets, runs),
+        "networks": [origin(run) for run in found],
+        "threads": torch.get_num_threads(),
+        "seconds": round(time.perf_counter() - start, 1),
+    }
+    return {**figures, "table": table(figures)}
+
+
+def _exams(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[Exam]:
+    """The exams for which the sets have images."""
+    exams = [*EXAMS, *([hard_exam(hard)] if hard is not None else []), *(clothes_exams(*clothes) if clothes else ())]
+    found = []
+    for exam in exams:
+        try:
+            exam.open(data)
+        except BadConfig:
+            if not exam.only:
+                raise
+            continue  # a set of other bodies or views
+        found.append(exam)
+    return found
+
+
+def _asked(
+    data: str, images: int, jobs: Sequence[tuple[Thing, Exam, Run]], progress: Callable[..., None]
+) -> dict[str, Marks]:
+    """Thing -> exam -> accuracy of each seed."""
+    examiner, device = Examiner(data, images), find_device()
+    networks: dict[Path, nn.Module] = {}
+    marks: dict[str, Marks] = {}
+    for done, (thing, exam, run) in enumerate(jobs, start=1):
+        if run.path not in networks:
+            networks[run.path] = load_network(run.path).network.to(device)
+        found = examiner.scores(run.path, networks[run.path], exam, extras=False)
+        marks.setdefault(thing.name, {}).setdefault(exam.label, []).append(found[_ACCURACY])
+        progress(done, len(jobs) + _MEASURES, f"{run.path.name} on {exam.label}")
+    return marks
+
+
+def _measured(data: str, settings: dict[str, Any], progress: Callable[..., None], done: int) -> Tree:
+    measures: dict[str, Callable[[], Tree | None]] = {
+        "loader": lambda: loader_costs(data),
+        "bytes": lambda: byte_costs(data),
+        "network": lambda: network_costs(data, settings),
+        "rendering": lambda: rendering_costs(RangeImages(data, BASE, "train").manifest.rig),
+    }
+    costs: Tree = {}
+    for number, (name, measure) in enumerate(measures.items(), start=1):
+        costs[name] = measure()
+        progress(done + number, done + _MEASURES, f"cost: {name}")
+    return costs
+
+
+def _rows(marks: Mapping[str, Marks], costs: Tree, amounts: Mapping[str, Tree], images: RangeImages) -> list[Tree]:
+    spread = spread_of(marks[BASE])
+    bytes_a_sample = images.stored_bytes() / len(images)
+    rows = []
+    for thing in THINGS:
+        if thing.name not in marks:
+            continue
+        against = thing.against if thing.against in marks else BASE
+        have, lack = marks[against], marks[thing.name]
+        if thing.added:
+            have, lack = lack, have
+        value = worth(have, lack, None if thing.step_mm else spread)
+        amount = amounts.get(thing.name, amounts[BASE])
+        rows.append(
+            {
+                "name": thing.name,
+                "what": thing.what,
+                "group": thing.group,
+                "added": thing.added,
+                "against": against,
+                **amount,
+                "accuracy": {name: over_seeds(values) for name, values in marks[thing.name].items()},
+                "worth": value,
+                "helps": list(thing.helps),
+                **verdict(value, thing.helps),
+                "cost": costs_of(thing, costs, amount["samples"], amounts[against]["samples"], bytes_a_sample),
+            }
+        )
+    return rows

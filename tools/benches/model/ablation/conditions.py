@@ -1,0 +1,147 @@
+"""The test images that `bench ablation` shows to every network, each kind to ask about one thing."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts.variants import Artifacts, RangeImage
+from benches.model.variants.scores import Setting
+
+STEPS_MM: Final = (1, 2, 4, 8)
+"""Steps of range, coarser than the stored 0.1 mm."""
+
+_SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
+
+
+@dataclass(frozen=True)
+class Exam(Setting):
+    """Test images of one kind. label: its name in the answer; title: in words.
+
+    only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
+    step_mm: what ranges are rounded to, last of all. data: another set than that asked about.
+    """
+
+    label: str = ""
+    title: str = ""
+    only: tuple[str, ...] = ()
+    lost: str | None = None
+    share: float = 0.0
+    step_mm: float | None = None
+    data: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The label."""
+        return self.label
+
+    def open(self, data: str) -> RangeImages:
+        """The images, of the test split. Raises as `RangeImages`."""
+        return ExamImages(self.data or data, self)
+
+
+EXAMS: Final = (
+    Exam("all", label="all", title="all artifacts"),
+    Exam("none", label="none", title="no artifact"),
+    Exam("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
+    Exam("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
+    *(
+        Exam("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
+        for kind in ("patches", "stripes", "grazing")
+    ),
+    Exam("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
+    Exam("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
+    Exam("all", only=("open-A-*",), label="A", title="subject A, postures"),
+    Exam("all", only=("open-B-*",), label="B", title="subject B, dressed"),
+    Exam("all", only=("open-C-*",), label="C", title="subject C, dressed"),
+    Exam("all", only=("open-P*",), label="people", title="other people"),
+)
+
+
+def hard_exam(data: str) -> Exam:
+    """The exam of a set of hard poses."""
+    return Exam("all", label="hard", title="hard poses", data=data)
+
+
+def clothes_exams(dressed: str, bare: str) -> tuple[Exam, ...]:
+    """The exams of those who wear something, and of the same bodies bare, of two sets that are alike otherwise."""
+    worn = ("*-B-*", "*-C-*")
+    return (
+        Exam("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
+        Exam("all", label="bare", title="B and C without clothes", only=worn, data=bare),
+    )
+
+
+def coarse_exams(step_mm: float) -> tuple[Exam, ...]:
+    """The exams that networks trained on fine steps sit with coarse ones, labelled like those with fine ones."""
+    return tuple(Exam(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
+
+
+class ExamImages(RangeImages):
+    """Test images as an exam shows them: as the variant does, then with losses, then rounded."""
+
+    def __init__(self, path: str, exam: Exam) -> None:
+        usual = Artifacts()
+        strengths = Artifacts(
+            usual.noise if exam.noise_mm is None else Noise(exam.noise_mm, exam.noise_mm),
+            usual.missing_data if exam.missing is None else MissingData((exam.missing,)),
+        )
+        super().__init__(path, exam.variant, "test", _SEED, artifacts=strengths, only=exam.only)
+        self._exam = exam
+
+    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """As `RangeImages.write`."""
+        super().write(index, epoch, image, labels)
+        self._alter(index, epoch, image, labels)
+
+    def image(self, index: int, epoch: int | None = None) -> RangeImage:
+        """As `RangeImages.image`."""
+        made = super().image(index, epoch)
+        self._alter(index, self.epoch if epoch is None else epoch, made.range, made.labels)
+        return made
+
+    def identity(self) -> dict[str, Any]:
+        """As `RangeImages.identity`, with what else is done to the images, if anything is."""
+        facts = asdict(self._exam)
+        altered = {name: facts[name] for name in ("lost", "share", "step_mm") if facts[name]}
+        return super().identity() | ({"altered": altered} if altered else {})
+
+    def _alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        if self._exam.lost is not None:
+            gone = self._lost(index, epoch)
+            image[gone] = 0
+            labels[gone] = BACKGROUND
+        if self._exam.step_mm is not None:
+            image[...] = stepped(image, self._exam.step_mm) * steps_of(self._exam.step_mm)
+
+    def _lost(self, index: int, epoch: int) -> NDArray[np.bool_]:
+        kind, share = self._exam.lost, self._exam.share
+        clean = self.clean(index)
+        draws = generator(self.seed, epoch, clean.key, f"lost {kind}")
+        if kind == "patches":
+            return lost_patches(clean.range, share, draws)
+        if kind == "stripes":
+            return lost_stripes(clean.range, share, draws)
+        return lost_grazing(clean.range, share, self.manifest.rig.camera)
+
+
+def steps_of(step_mm: float) -> int:
+    """How many stored steps a coarser one has."""
+    return round(step_mm / 1e3 / RANGE_STEP_M)
+
+
+def stepped(image: NDArray[np.uint16], step_mm: float) -> NDArray[np.uint16]:
+    """A stored range image in coarser steps, uint16 [H, W], to the nearest of them; a body stays in front."""
+    steps = steps_of(step_mm)
+    rounded = np.maximum(np.rint(image / np.float32(steps)), 1)
+    return np.where(image == 0, 0, np.minimum(rounded, 65535 // steps)).astype(np.uint16)

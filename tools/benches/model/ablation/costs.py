@@ -1,0 +1,156 @@
+"""What each thing of `bench ablation` costs, with and without, measured side by side in one process.
+
+Times are of the processor, all threads together, so that other work on the machine counts for nothing; each is asked
+once a round, in an order that rotates.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
+from bodyseg_data.shards.codecs.bodyseg_images import encode_images
+from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.packing.pack import spread
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.core.rig import Rig
+from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.core.views import ViewGrid
+from benches.model.ablation.conditions import stepped
+from benches.model.ablation.rows import BASE, ROW_OF_BASE, THINGS, Thing, Tree
+from benches.model.networks.network_times import Cell, summary, time_cell
+from bodyseg_model.networks.registry import build
+
+ROUNDS: Final = 7
+SAMPLES: Final = 60
+FRAMES: Final = 12
+BODIES: Final = 4
+_VIEWS_A_BODY: Final = 18
+_NETWORK_S: Final = 15.0
+
+
+def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) -> Tree:
+    """Milliseconds of processor of one of the `each` things that a job does: median and quartiles over the rounds."""
+    names = list(jobs)
+    found: dict[str, list[float]] = {name: [] for name in names}
+    for number in range(rounds + 1):
+        for turn in range(len(names)):
+            name = names[(number + turn) % len(names)]
+            start = time.process_time()
+            jobs[name]()
+            if number:  # the first round fills caches
+                found[name].append(1e3 * (time.process_time() - start) / each)
+    rows = {}
+    for name, values in found.items():
+        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
+        rows[name] = {"ms": round(median, 4), "quartiles": [round(low, 4), round(high, 4)]}
+    return rows
+
+
+def loader_costs(data: str) -> Tree:
+    """Of a sample made in the loader, from shard to image, for the base, no artifact, and all other artifacts."""
+    known = [ROW_OF_BASE, replace(ROW_OF_BASE, name="none", variant="none")]
+    known += [thing for thing in THINGS if thing.group in ("artifacts", "sub-kinds")]
+    images = {each.name: RangeImages(data, each.variant, "train", artifacts=each.artifacts) for each in known}
+    camera = images[BASE].manifest.rig.camera
+    places = _spread(len(images[BASE]), SAMPLES)
+    image, labels = (np.empty((camera.rows, camera.columns), kind) for kind in (np.uint16, np.uint8))
+
+    def read(chosen: RangeImages) -> None:
+        for place in places:
+            chosen.write(place, 0, image, labels)
+
+    return processor_ms({name: partial(read, chosen) for name, chosen in images.items()}, len(places), ROUNDS)
+
+
+def byte_costs(data: str) -> Tree:
+    """Mean bytes of a sample's images: as stored, without the projector's, and with coarser steps of range."""
+    images = RangeImages(data, BASE, "train")
+    sizes: dict[str, list[int]] = {}
+    for place in _spread(len(images), SAMPLES):
+        sample = images.clean(place)
+        labels, shading = join_labels(sample.labels, sample.faces_projector), sample.shading_range()
+        made = {BASE: encode_images(sample.range, labels, shading)}
+        made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(shading))
+        for thing in THINGS:
+            if thing.step_mm is not None:
+                made[thing.name] = encode_images(stepped(sample.range, thing.step_mm), labels, shading)
+        for name, encoded in made.items():
+            sizes.setdefault(name, []).append(len(encoded))
+    return {name: round(float(np.mean(values))) for name, values in sizes.items()}
+
+
+def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
+    """Milliseconds from a test image to labels and confidences, all threads. settings: of the base's network."""
+    networks = {BASE: build("compact", settings, seed=0).eval()}
+    for thing in THINGS:
+        if thing.settings:
+            networks[thing.name] = build("compact", {**settings, **thing.settings}, seed=0).eval()
+    images = RangeImages(data, BASE, "test")
+    frames = [metres(images.image(place).range) for place in _spread(len(images), FRAMES)]
+    cell = Cell("typical", "labels", "cpu", torch.get_num_threads(), "float32")
+    batches = [torch.from_numpy(frame)[None, None] for frame in frames]
+    return summary(time_cell(cell, networks, batches, 2 * FRAMES, _NETWORK_S), BASE)
+
+
+def rendering_costs(rig: Rig) -> Tree | None:
+    """Of a sample of a dressed body, from its parameters to images and labels, and of the same bodies undressed.
+
+    None without Anny.
+    """
+    dressed = OpenBodies()
+    bodies = spread([body for body in dressed.bodies() if body.subset in ("B", "C")], BODIES)
+    bare = MadeBodies("open", {body: partial(replace, dressed.figure(body), outfit=None) for body in bodies})
+    sources = {"dressed": dressed, "bare": bare}
+    jobs = {name: partial(_render, source, bodies, rig) for name, source in sources.items()}
+    try:
+        return processor_ms(jobs, BODIES * _VIEWS_A_BODY, rounds=1)
+    except MissingLibrary:
+        return None
+
+
+def _render(source: MadeBodies, bodies: Sequence[BodyRef], rig: Rig) -> None:
+    for body in bodies:
+        built = source.build(body)
+        renderer = open_renderer("raster", built.mesh)
+        sampler = Sampler(renderer, rig, built.mesh, partition(built.mesh, built.landmarks), source.name, body)
+        for view in ViewGrid(count=_VIEWS_A_BODY):
+            sampler.take(view)
+        renderer.close()
+
+
+def costs_of(thing: Thing, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
+    """What a thing costs, one entry a kind: what, with it, without it. samples: trained on, in the row and its base."""
+    found = []
+
+    def add(what: str, have: float, lack: float) -> None:
+        found.append({"what": what, "with": lack if thing.added else have, "without": have if thing.added else lack})
+
+    if thing.group in ("artifacts", "sub-kinds"):
+        add("ms a sample in the loader", *(costs["loader"][name]["ms"] for name in (BASE, thing.name)))
+    if thing.name in costs["bytes"]:
+        add("bytes a sample", *(costs["bytes"][name] for name in (BASE, thing.name)))
+    if samples < base_samples:
+        add("training samples", base_samples, samples)
+        add("MB of them", *(round(count * bytes_a_sample / 1e6, 1) for count in (base_samples, samples)))
+    if thing.name == "no_clothes" and costs["rendering"] is not None:
+        add("ms to render a sample", *(costs["rendering"][name]["ms"] for name in ("dressed", "bare")))
+    if thing.settings:
+        add("ms from image to labels", *(costs["network"][name]["ms"] for name in (BASE, thing.name)))
+    return found
+
+
+def _spread(length: int, count: int) -> list[int]:
+    """At most `count` of so many places, evenly."""
+    return sorted({int(place) for place in np.linspace(0, length - 1, count)})

@@ -1,0 +1,1 @@
+"""The worst images and their causes."""

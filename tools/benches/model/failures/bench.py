@@ -1,0 +1,93 @@
+"""`bench failures`: where a network fails: a cause for every wrong pixel, the worst images, postures by name.
+
+docs/failures.md says how to read the answer.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.anny.skeleton import Pose
+from bodyseg_data.loading.range_images import RangeImages
+from benches.model.failures.causes import CAUSES
+from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
+from benches.model.failures.study import CROSSED, Picture, Study
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.evaluation.evaluation import evaluate, open_images
+
+Tree = dict[str, Any]
+
+
+class Failures(dict[str, Any]):
+    """The bench's answer, plain JSON; and beside it what no JSON should hold, the pictures of the worst images.
+
+    pictures: name of a set, as in "sets" -> one for each of its "worst", in their order.
+    """
+
+    def __init__(self, content: Tree, pictures: dict[str, list[Picture]]) -> None:
+        super().__init__(content)
+        self.pictures = pictures
+
+
+def bench_failures(
+    data: str,
+    runs: Sequence[Path] = (),
+    images: int = 1000,
+    hard: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Failures:
+    """Causes, worst images, and accuracy by posture, on variant `all` of the test images.
+
+    data: the set; its training split is what the network is taken to have been trained on. runs: the network is in the
+    first of them; without, it is the one that ships. images: how many test images, the first ones of the permutation,
+    as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no image or no
+    network; otherwise as `RangeImages`.
+    """
+    wanted = whole_number("the number of images", images, 1)
+    network = load_network(runs[0] if runs else SHIPPED).network
+    sets = {"test": (open_images(data), wanted)}
+    if hard is not None:
+        harder = open_images(hard)
+        sets["hard"] = harder, len(harder)
+    trained_on = _training_bodies(sets["test"][0])
+    known = KnownPoses((body.pose, pose()) for body, pose in trained_on)
+    names = [body.pose for body, _ in trained_on]
+    total, before = sum(min(count, len(chosen)) for chosen, count in sets.values()), 0
+    answers: Tree = {}
+    pictures: dict[str, list[Picture]] = {}
+    for name, (chosen, count) in sets.items():
+        study = Study(chosen, known)
+
+        def show(done: int, _: int, before: int = before) -> None:
+            progress(before + done, total)
+
+        evaluate(network, chosen, count, extras=(), progress=show, watch=study.watch)
+        before += study.images
+        answers[name] = study.answer(names)
+        pictures[name] = [failure.picture for failure in study.worst]
+    return Failures(
+        {
+            "network": runs[0].name if runs else "shipped",
+            "variant": "all",
+            "training_bodies": len(trained_on) or None,
+            "training_pose_kinds": dict(Counter(kind_of_pose(name) for name in names).most_common()),
+            "training_bodies_with_crossed_arms": sorted({name for name in names if kind_of_pose(name) == CROSSED}),
+            "rules": [asdict(cause) for cause in CAUSES],
+            "sets": answers,
+        },
+        pictures,
+    )
+
+
+def _training_bodies(images: RangeImages) -> list[tuple[BodyRef, Callable[[], Pose]]]:
+    """Every training body of a set, as far as poses are known."""
+    shards = images.manifest.shards
+    bodies = dict.fromkeys(body_of(key) for shard in shards if shard.split == "train" for key in shard.keys)
+    made = made_bodies(images.clean(0).info.source)
+    return [made[body] for body in bodies if body in made]

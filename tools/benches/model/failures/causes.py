@@ -1,0 +1,288 @@
+"""Why a pixel is wrong: eleven causes, each an exact rule; docs/failures.md says why they are asked in this order.
+
+Rules about a place look at the clean sample and at what the variant left of it; rules about a mistake look at what the
+network said; rules about an image hold for all of its pixels or for none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
+from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
+from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+
+About = Literal["a place", "a mistake", "an image"]
+
+NEAR_PX: Final = 8
+LEAST_MEASURED: Final = 0.4
+FRAME_PX: Final = 32
+GRAZING_DEG: Final = 70.0
+BORDER_PX: Final = 2
+NEW_POSE_DEG: Final = 30.0
+NOISE_MM: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause. rule: when it holds. mend: what would most probably mend it."""
+
+    name: str
+    about: About
+    rule: str
+    mend: str
+
+
+CAUSES: Final = (
+    Cause(
+        "lost_data",
+        "a place",
+        f"less than {LEAST_MEASURED:.0%} of the body's pixels within {NEAR_PX} rows and columns were measured",
+        "a sensor with fewer holes, or several frames; no label can be had from what was not seen",
+    ),
+    Cause(
+        "out_of_frame",
+        "a place",
+        f"within {FRAME_PX} px of an edge of the image that the body touches",
+        "training on bodies cut by the image's edge at more places",
+    ),
+    Cause(
+        "grazing",
+        "a place",
+        f"the clean surface is seen at more than {GRAZING_DEG:.0f} degrees from its normal",
+        "a finer image: a pixel covers three times as much of the body there",
+    ),
+    Cause(
+        "contact",
+        "a place",
+        f"a part that does not adjoin on the body within {NEAR_PX} rows and columns of the clean labels",
+        "training on more limbs before and on the trunk and on each other",
+    ),
+    Cause(
+        "border",
+        "a place",
+        f"within {BORDER_PX} px of a pixel of another part in the clean labels",
+        "answers finer than one in 4 x 4 pixels; a part of it is the rounding of labels",
+    ),
+    Cause(
+        "left/right",
+        "a mistake",
+        f"named as the mirror part, which is not within {NEAR_PX} rows and columns",
+        "a wider view of the body; more bodies seen from behind and from the side",
+    ),
+    Cause(
+        "front/back",
+        "a mistake",
+        f"a front part for a back one, or the reverse, and none of it within {NEAR_PX} rows and columns",
+        "a wider view of the body; more bodies seen from behind, from the side, and bent",
+    ),
+    Cause(
+        "pose",
+        "an image",
+        f"some segment of the body points more than {NEW_POSE_DEG:.0f} degrees elsewhere than in any training body",
+        "training on such poses",
+    ),
+    Cause(
+        "noise",
+        "an image",
+        f"sigma of the image's noise above {NOISE_MM:.0f} mm",
+        "a better sensor, or several frames",
+    ),
+    Cause(
+        "border_moved",
+        "a mistake",
+        f"named as another part that is within {NEAR_PX} rows and columns",
+        "more people: where a part ends is a matter of their shape",
+    ),
+    Cause("unexplained", "a mistake", "none of the above", "unknown"),
+)
+"""In the order in which they are asked: the first whose rule holds is a pixel's cause."""
+
+NAMES: Final = tuple(cause.name for cause in CAUSES)
+
+_JOINED: Final[dict[str, tuple[str, ...]]] = {
+    "Sellion": ("Nuchale", "Supramenton"),
+    "Nuchale": ("Supramenton", "Suprasternale", "Cervicale"),
+    "Supramenton": ("Suprasternale", "Cervicale"),
+    "Suprasternale": ("Rt. Thelion/Bustpoint", "Substernale", "Cervicale", "Rt. Acromion"),
+    "Rt. Thelion/Bustpoint": (
+        *("Substernale", "Rt. ASIS", "10th Rib Midspine", "Rt. PSIS", "Rt. Axilla, Post.", "Rt. Acromion"),
+        "Rt. Olecranon",
+    ),
+    "Substernale": ("Rt. ASIS",),
+    "Rt. ASIS": (
+        *("Lt. ASIS", "Rt. PSIS", "Lt. PSIS", "Rt. Trochanterion", "Lt. Trochanterion", "Rt. Femoral Lateral Epicn"),
+        "Rt. Knee Crease",
+    ),
+    "Cervicale": ("10th Rib Midspine", "Rt. Axilla, Post.", "Rt. Acromion"),
+    "10th Rib Midspine": ("Rt. PSIS", "Rt. Axilla, Post."),
+    "Rt. PSIS": ("Lt. PSIS", "Rt. Axilla, Post.", "Rt. Trochanterion", "Lt. Trochanterion", "Rt. Knee Crease"),
+    "Rt. Axilla, Post.": ("Lt. Axilla, Post.", "Rt. Acromion", "Rt. Olecranon"),
+    "Rt. Acromion": ("Rt. Olecranon",),
+    "Rt. Olecranon": ("Rt. Radial Styloid",),
+    "Rt. Radial Styloid": ("Rt. Dactylion",),
+    "Rt. Trochanterion": ("Lt. Trochanterion", "Rt. Femoral Lateral Epicn", "Rt. Knee Crease"),
+    "Rt. Femoral Lateral Epicn": ("Rt. Knee Crease", "Rt. Lateral Malleolus"),
+    "Rt. Knee Crease": ("Rt. Lateral Malleolus",),
+    "Rt. Lateral Malleolus": ("Rt. Digit II",),
+}
+"""Parts that share an edge on the open body, in any of eleven people and postures; the other side is the same."""
+
+
+def _adjoining() -> NDArray[np.bool_]:
+    """Whether two parts adjoin on the body, or are the same, bool [33, 33]."""
+    labels = {part.landmark: part.label for part in PARTS}
+    found = np.eye(PART_COUNT, dtype=np.bool_)
+    for name, others in _JOINED.items():
+        for other in others:
+            pair = [labels[name], labels[other]]
+            for one, two in (pair, MIRRORED_PARTS[pair].tolist()):
+                found[one, two] = found[two, one] = True
+    return found
+
+
+ADJOINING: Final = _adjoining()
+
+_BITS: Final[NDArray[np.uint64]] = np.array(
+    [1 << label if label < PART_COUNT else 0 for label in range(256)], np.uint64
+)
+_STRANGERS: Final[NDArray[np.uint64]] = np.array(
+    [sum(1 << other for other in np.flatnonzero(~row).tolist()) for row in ADJOINING] + [0] * (256 - PART_COUNT),
+    np.uint64,
+)
+"""The bits of the parts that do not adjoin a part."""
+
+
+class Judged(NamedTuple):
+    """One image and what a network said of it; predicted: uint8 [H, W]. new_pose_deg: NaN if it is not known."""
+
+    clean: Sample
+    shown: RangeImage
+    predicted: NDArray[np.uint8]
+    new_pose_deg: float
+
+
+def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
+    """Which causes' rules hold at the pixels that were measured, bool [11, N], reading order, causes as in `CAUSES`.
+
+    Rules about a mistake hold nowhere else than at wrong pixels; "unexplained" holds at all of those. camera: the one
+    that took the images.
+    """
+    clean, shown = judged.clean, judged.shown
+    where = np.flatnonzero(shown.labels != BACKGROUND)
+    truth, said = shown.labels.ravel()[where], judged.predicted.ravel()[where]
+    body = clean.labels != BACKGROUND
+
+    def at(image: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return image.ravel()[where]
+
+    near = parts_within(clean.labels, NEAR_PX).ravel()[where]
+    measured = window_sums(shown.labels != BACKGROUND, NEAR_PX)
+    kinds = KIND_OF[truth, said]
+    wrong = kinds != KINDS.index("right")
+    moved = wrong & ((_BITS[said] & near) != 0)
+    with np.errstate(invalid="ignore"):
+        grazing = viewing_angles(clean.range, camera) > GRAZING_DEG
+    everywhere = np.ones(len(where), np.bool_)
+    sigma = shown.sigma_mm or 0.0
+    found: dict[str, NDArray[np.bool_]] = {
+        "lost_data": at(measured < LEAST_MEASURED * window_sums(body, NEAR_PX)),
+        "out_of_frame": at(edge_distance(body) < FRAME_PX),
+        "grazing": at(grazing),
+        "contact": (near & _STRANGERS[truth]) != 0,
+        "border": at(distance_bins(clean.labels) <= EDGES.index(BORDER_PX)),
+        "left/right": ~moved & (kinds == KINDS.index("left/right")),
+        "front/back": ~moved & ((kinds == KINDS.index("front/back")) | (kinds == KINDS.index("both"))),
+        "pose": everywhere & (judged.new_pose_deg > NEW_POSE_DEG),
+        "noise": everywhere & (sigma > NOISE_MM),
+        "border_moved": moved,
+        "unexplained": wrong,
+    }
+    return np.stack([found[name] for name in NAMES])
+
+
+def parts_within(labels: NDArray[np.uint8], reach: int) -> NDArray[np.uint64]:
+    """Which parts lie within `reach` rows and columns of each pixel: bit n for part n, uint64 [H, W]."""
+    seen = _BITS[labels]
+    for _ in range(2):  # along rows, then columns; each transposes
+        seen = np.pad(seen, ((reach, reach), (0, 0)))
+        covered, wanted = 1, 2 * reach + 1
+        while covered < wanted:
+            step = min(covered, wanted - covered)
+            seen = seen[:-step] | seen[step:]
+            covered += step
+        seen = seen.T
+    return seen
+
+
+def window_sums(mask: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
+    """How many pixels of a mask lie within `reach` rows and columns of each pixel, int64 [H, W]."""
+    sums = mask.astype(np.int64)
+    for _ in range(2):
+        sums = np.pad(sums, ((reach + 1, reach), (0, 0))).cumsum(axis=0)
+        sums = (sums[2 * reach + 1 :] - sums[: -2 * reach - 1]).T
+    return sums
+
+
+def edge_distance(body: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Pixels from each pixel to the nearest edge of the image that the body touches, int64 [H, W]: 0 for the outermost
+    row or column; rows + columns everywhere if it touches none.
+    """
+    rows, columns = (np.arange(size) for size in body.shape)
+    found = np.full(body.shape, sum(body.shape))
+    for touched, distance in (
+        (body[0].any(), rows[:, None]),
+        (body[-1].any(), rows[::-1, None]),
+        (body[:, 0].any(), columns),
+        (body[:, -1].any(), columns[::-1]),
+    ):
+        if touched:
+            found = np.minimum(found, distance)
+    return found
+
+
+def viewing_angles(range_steps: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
+    """Angle between the surface's normal and the ray that sees it, degrees [H, W]; NaN where no normal can be had.
+
+    The normal is the cross product of the steps to a neighbour in the row and one in the column: of both sides the one
+    whose range differs less, so that an edge in depth is no slope. range_steps: a clean range image of `camera`.
+    """
+    body = range_steps != 0
+    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
+    angles = np.full(body.shape, np.nan)
+    if not rows.size:
+        return angles
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    rays = _rays(camera)[box]
+    points = rays * np.where(body[box], range_steps[box] * RANGE_STEP_M, np.nan)[..., None]
+    down, along = _smaller_steps(points), _smaller_steps(points.transpose(1, 0, 2)).transpose(1, 0, 2)
+    normals = np.cross(down, along)
+    lengths = np.linalg.norm(normals, axis=2) * np.linalg.norm(rays, axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosines = np.abs((normals * rays).sum(axis=2)) / lengths
+    angles[box] = np.degrees(np.arccos(np.clip(cosines, 0, 1)))
+    return angles
+
+
+@lru_cache(maxsize=2)
+def _rays(camera: Camera) -> NDArray[np.float64]:
+    return camera.pixel_rays()
+
+
+def _smaller_steps(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From points [H, W, 3] to the next ones down or from those above, whichever changes range less; NaN if none."""
+    steps = np.full((points.shape[0] + 1, *points.shape[1:]), np.nan)
+    steps[1:-1] = np.diff(points, axis=0)
+    before, after = steps[:-1], steps[1:]
+    with np.errstate(invalid="ignore"):
+        first = np.isnan(after[..., 2]) | (np.abs(before[..., 2]) < np.abs(after[..., 2]))
+    return np.where(first[..., None], before, after)

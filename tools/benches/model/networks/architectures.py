@@ -1,0 +1,213 @@
+"""`bench architectures`: networks of several families, trained the same way, one against the other.
+
+All are judged by the same test images of `all` and timed in turns on the same frames, a random forest of depth
+differences among them. docs/architectures.md says how to read the answer.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.machine import processors
+from bodyseg_data.loading.range_images import RangeImages
+from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
+from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
+from benches.model.networks.network import FILLED, TYPICAL
+from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
+from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
+from benches.model.variants.scores import TABLE, Examiner
+from bodyseg_model.evaluation.evaluation import evaluate
+from bodyseg_model.evaluation.report import over_seeds, report
+from bodyseg_model.networks.registry import parameters, settings_of
+from bodyseg_model.training.distributed import find_device
+
+FOREST: Final = "forest"
+TITLES: Final = {
+    "compact": "compact",
+    "fcn_alexnet": "FCN-AlexNet",
+    "segformer": "SegFormer",
+    "deeplab": "DeepLabV3+ on MobileNetV2",
+    FOREST: "forest of depth differences",
+}
+"""Family -> what charts call it."""
+
+_TASKS: Final[tuple[Task, ...]] = ("scores", "labels")
+_HEADLINES: Final = {
+    "cpu_ms": ("scores", FILLED, "cpu"),
+    "labels_ms": ("labels", TYPICAL, "cpu"),
+    "gpu_ms": ("scores", FILLED, "cuda"),
+}
+
+Tree = dict[str, Any]
+
+
+def bench_architectures(
+    data: str,
+    runs: tuple[Path, ...],
+    images: int = 200,
+    views: int = 12,
+    forest: int = ForestScale.images,
+    progress: Callable[..., None] = lambda done, total, note="": None,
+) -> Tree:
+    """Size, milliseconds a frame and accuracy of every network in the folders `runs`, each trained as NAME-SEED.
+
+    images: how many test images of `all` of the set `data`. views: typical frames to time with. forest: how many
+    training images of `data` a forest is grown on to compare with; 0: none. Scores are kept in each run's sweep.json.
+
+    cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads; labels_ms: of
+    `predict` on typical frames, on the processor. Raises BadConfig for wrong numbers, or as `groups_in`, MissingLibrary
+    without Anny, what a network needs or, for a forest, scikit-learn and numba.
+    """
+    whole_number("the number of test images", images, 1)
+    groups = groups_in(runs)
+    examiner = Examiner(data, images)
+    test_images = examiner.images(TABLE["all"])
+    scale = _forest_scale(data, forest, next(iter(groups.values()))[0])
+    cells = _cells()
+    total = len(cells) + sum(map(len, groups.values())) + (2 if scale else 0)
+    numbers = itertools.count(1)
+
+    def did(note: str) -> None:
+        progress(next(numbers), total, note)
+
+    load = round(os.getloadavg()[0], 2)
+    typical = typical_frames(views)
+    largest = max(typical, key=lambda frame: int((frame > 0).sum()))
+    frames = {FILLED: [stretched(largest, *largest.shape)], TYPICAL: typical}
+    facts = {name: _facts(group, frames[FILLED][0]) for name, group in groups.items()}
+    networks = {name: group[0].network for name, group in groups.items()}
+    reference = next((name for name, row in facts.items() if row["default"]), next(iter(facts)))
+    if scale is not None:
+        networks[FOREST] = grown = fit_forest(RangeImages(data, "all", "train"), scale)
+        facts[FOREST] = _facts_of_forest(grown, scale)
+        did(f"grew a forest on {scale.images} images")
+    times = []
+    for cell in cells:
+        times.append(_row(cell, networks, frames[cell.frame], reference))
+        did(f"timed {cell.task} of {cell.frame} frames on {cell.device}")
+    scores: dict[str, list[Tree]] = {name: [] for name in networks}
+    device = find_device()
+    for name, group in groups.items():
+        for run in group:
+            scores[name].append(examiner.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
+            did(f"judged {run.path.name}")
+    if scale is not None:
+        answer = evaluate(networks[FOREST], test_images, images, extras=(), batch_size=1)
+        scores[FOREST].append(report(answer))
+        did("judged the forest")
+    recipe = next(iter(groups.values()))[0].recipe
+    camera = test_images.manifest.rig.camera
+    return {
+        "networks": {
+            name: {**facts[name], **_headlines(times, name), **_accuracies(scores[name])} for name in networks
+        },
+        "scale": {
+            **{name: recipe[name] for name in SHARED},
+            "train_images": test_images.manifest.samples("train"),
+            "test_images": min(images, len(test_images)),
+            "test_images_of": len(test_images),
+            "image": [camera.rows, camera.columns],
+            "forest_images": scale.images if scale else None,
+            "shottons_forest_images": SHOTTONS_IMAGES,
+        },
+        "reference": reference,
+        "frames": {"rows": largest.shape[0], "columns": largest.shape[1], FILLED: 1, TYPICAL: views},
+        "times": times,
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "torch": torch.__version__,
+        "load_before": load,
+    }
+
+
+def _facts(group: Sequence[Run], frame: NDArray[Any]) -> Tree:
+    first, network = group[0], group[0].network
+    cards = {run.path.name: run.trained.card for run in group}
+    settings = settings_of(network)
+    return {
+        "family": first.family,
+        "label": _label(first, settings),
+        "default": is_shipped(first),
+        "parameters": parameters(network),
+        "giga_operations": operations(network, frame),
+        "settings": settings,
+        "recipe": first.recipe,
+        "commands": {run: card.get("command") for run, card in cards.items()},
+        "commits": {run: card.get("commit") for run, card in cards.items()},
+    }
+
+
+def _label(run: Run, settings: Tree) -> str:
+    """What charts call a network: its family, then what of the width or of the image it has, or else its own name."""
+    shares = {"width": Fraction(settings.get("width", 1)), "image": Fraction(1, settings.get("shrink", 1))}
+    words = [f"{what} {share.limit_denominator(99)}" for what, share in shares.items() if share < 1]
+    words = words or [run.name.removeprefix(run.family).strip("_-").replace("_", " ")]
+    return ", ".join([TITLES.get(run.family, run.family), *filter(None, words)])
+
+
+def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
+    return {
+        "family": FOREST,
+        "label": TITLES[FOREST],
+        "default": False,
+        "parameters": forest.learned,
+        "giga_operations": None,  # it compares, and hardly computes
+        "settings": asdict(scale),
+        "recipe": None,
+        "commands": {},
+        "commits": {},
+    }
+
+
+def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
+    """None if no forest is asked for. Raises BadConfig unless `data` is what the networks were trained on."""
+    if whole_number("the number of the forest's images", images, 0) == 0:
+        return None
+    theirs, ours = run.trained.card["data"].get("set"), RangeImages(data, "all", "train").identity()["set"]
+    if theirs != ours:
+        raise BadConfig(
+            f"a forest learns from what the networks learned from: {run.path} is of the set {theirs}, {data} is {ours}"
+        )
+    return ForestScale(images=images)
+
+
+def _cells() -> list[Cell]:
+    """All ways to ask."""
+    cells = [Cell(frame, task, "cpu", processors(), "float32") for frame in (FILLED, TYPICAL) for task in _TASKS]
+    if torch.cuda.is_available():
+        cells.append(Cell(FILLED, "scores", "cuda", processors(), "float32"))
+    return cells
+
+
+def _row(cell: Cell, networks: dict[str, nn.Module], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
+    """What one way of asking took; the forest knows the processor alone."""
+    device = torch.device(cell.device)
+    asked = {name: one.to(device) for name, one in networks.items() if cell.device == "cpu" or name != FOREST}
+    shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
+    taken = time_cell(cell, asked, [as_batch(frame, 1, device) for frame in shown], MOST_ROUNDS, BUDGET_S)
+    return {**asdict(cell), "networks": summary(taken, reference)}
+
+
+def _headlines(times: Sequence[Tree], name: str) -> Tree:
+    rows = {(row["task"], row["frame"], row["device"]): row["networks"] for row in times}
+    return {key: rows.get(way, {}).get(name, {}).get("ms") for key, way in _HEADLINES.items()}
+
+
+def _accuracies(scores: Sequence[Tree]) -> Tree:
+    """Over the seeds: of all images, and of every subset; null for a subset too small."""
+    subsets = {}
+    for name in scores[0]["subsets"]:
+        values = [each["subsets"][name]["average_per_class_accuracy"] for each in scores]
+        subsets[name] = None if None in values else over_seeds(values)
+    return {"accuracy_all": over_seeds([each["average_per_class_accuracy"] for each in scores]), "subsets": subsets}

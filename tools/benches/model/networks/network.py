@@ -1,0 +1,195 @@
+"""`bench network`: how large, how quick and how accurate the networks are, measured in one run.
+
+The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/variants.md says how to read
+the answer.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.machine import processors
+from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
+from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, Task, operations, summary, time_cell
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
+from bodyseg_model.networks.registry import NETWORKS, build, parameters
+
+REFERENCE: Final = "compact"
+FILLED: Final = "filled"
+TYPICAL: Final = "typical"
+SENSOR: Final = "sensor"
+
+_TASKS: Final[tuple[Task, ...]] = ("scores", "labels")
+_PRECISIONS: Final[tuple[Precision, ...]] = ("float32", "bfloat16")
+_TOGETHER_ON_GPU: Final = (1, 16)
+
+
+@dataclass(frozen=True)
+class _Contestant:
+    """kind: which of `NETWORKS`. run: the name of the folder or file its weights are from; None for new weights."""
+
+    kind: str
+    network: nn.Module
+    run: str | None
+
+
+def bench_network(
+    views: int = 12,
+    runs: tuple[Path, ...] = (),
+    scores: tuple[Path, ...] = (),
+    progress: Callable[..., None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Parameters, times and accuracy of every kind of network that is installed, fcn_alexnet at full width.
+
+    Weights are those of the first of `runs` with such a network, else the shipped ones, else new; further runs are
+    measured under their folders' names. views: how many typical frames to take turns with. scores: files of `bodyseg
+    evaluate` on the test images of `all`, for accuracy_all.
+
+    cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads. Raises
+    BadConfig for runs or scores that cannot be read or do not fit, MissingLibrary without Anny.
+    """
+    contestants = _contestants(runs)
+    accuracies = _accuracies(scores, contestants)
+    load = round(os.getloadavg()[0], 2)
+    typical = typical_frames(views)
+    largest = max(typical, key=lambda frame: int((frame > 0).sum()))
+    frames = {
+        FILLED: [stretched(largest, *largest.shape)],
+        TYPICAL: typical,
+        SENSOR: [stretched(largest, *SENSOR_SIZE)],
+    }
+    cells = _cells()
+    times = []
+    for done, cell in enumerate(cells, start=1):
+        times.append(_row(cell, contestants, frames[cell.frame]))
+        progress(done, len(cells))
+    return {
+        "networks": {
+            name: {
+                "parameters": parameters(one.network),
+                "cpu_ms": _headline(times, "cpu", name),
+                "gpu_ms": _headline(times, "cuda", name),
+                "accuracy_all": accuracies.get(name),
+                "giga_operations": operations(one.network, frames[FILLED][0]),
+                "weights": one.run,
+            }
+            for name, one in contestants.items()
+        },
+        "frames": {
+            FILLED: {"rows": largest.shape[0], "columns": largest.shape[1], "count": 1},
+            TYPICAL: {"rows": largest.shape[0], "columns": largest.shape[1], "count": views, **_boxes(typical)},
+            SENSOR: {"rows": SENSOR_SIZE[0], "columns": SENSOR_SIZE[1], "count": 1},
+        },
+        "times": times,
+        "reference": REFERENCE,
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "torch": torch.__version__,
+        "load_before": load,
+    }
+
+
+def _contestants(runs: Sequence[Path]) -> dict[str, _Contestant]:
+    given = [(path, load_network(path)) for path in runs]
+    if SHIPPED.exists():
+        given.append((SHIPPED, load_network(SHIPPED)))
+    first: dict[str, _Contestant] = {}
+    further: dict[str, _Contestant] = {}
+    for path, trained in given:
+        one = _Contestant(trained.card["network"], trained.network, path.name)
+        if one.kind not in first:
+            first[one.kind] = one
+        elif path != SHIPPED:
+            name = one.run or one.kind
+            if name in further or name in NETWORKS:
+                raise BadConfig(f"further runs are called after their folders, found a second {name!r}: {path}")
+            further[name] = one
+    for kind in NETWORKS:
+        if kind not in first:
+            try:
+                first[kind] = _new(kind)
+            except MissingLibrary as error:
+                sys.stderr.write(f"{kind} is left out: {error}\n")
+    return {kind: first[kind] for kind in NETWORKS if kind in first} | further
+
+
+def _new(kind: str) -> _Contestant:
+    return _Contestant(kind, build(kind, seed=0).eval(), None)
+
+
+def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> dict[str, float]:
+    """Name -> average per-class accuracy on the test images of `all`, from files of `bodyseg evaluate`."""
+    found = {}
+    for file in files:
+        content = read_json(file)
+        card = content.get("card")
+        kind = card.get("network") if isinstance(card, dict) else None
+        asked = {name: content.get(name) for name in ("variant", "split", "noise_mm", "missing")}
+        if asked != {"variant": "all", "split": "test", "noise_mm": None, "missing": None} or kind is None:
+            raise BadConfig(f"{file} must be what bodyseg evaluate found on the test images of all, found {asked}")
+        run = content.get("run") or SHIPPED.name
+        names = [name for name, one in contestants.items() if one.kind == kind and one.run in (run, None)]
+        if not names:
+            raise BadConfig(f"{file} has the scores of {run}, which is not among the networks measured")
+        found[names[0]] = float(content["average_per_class_accuracy"])
+    return found
+
+
+def _cells() -> list[Cell]:
+    """All ways to ask, quick ones first."""
+    threads = sorted({1, processors()})
+    small = (FILLED, TYPICAL)
+    cells = [
+        Cell(frame, task, "cpu", count, precision)
+        for frame in small
+        for task in _TASKS
+        for count in threads
+        for precision in _PRECISIONS
+    ]
+    cells += [Cell(SENSOR, task, "cpu", threads[-1], precision) for task in _TASKS for precision in _PRECISIONS]
+    if torch.cuda.is_available():
+        cells += [
+            Cell(frame, task, "cuda", threads[-1], precision, together)
+            for frame in (*small, SENSOR)
+            for task in _TASKS
+            for precision in _PRECISIONS
+            for together in (_TOGETHER_ON_GPU if frame != SENSOR else _TOGETHER_ON_GPU[:1])
+        ]
+    return cells
+
+
+def _row(cell: Cell, contestants: dict[str, _Contestant], frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
+    device = torch.device(cell.device)
+    networks = {name: one.network.to(device) for name, one in contestants.items()}
+    shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
+    batches = [as_batch(frame, cell.together, device) for frame in shown]
+    taken = time_cell(cell, networks, batches, MOST_ROUNDS, BUDGET_S)
+    rows = summary(taken, REFERENCE)
+    for row in rows.values():
+        row["frames_per_second"] = round(1e3 * cell.together / row["ms"], 2)
+    return {**asdict(cell), "networks": rows}
+
+
+def _headline(times: Sequence[dict[str, Any]], device: str, name: str) -> float | None:
+    for row in times:
+        if (row["frame"], row["task"], row["device"], row["precision"]) == (FILLED, "scores", device, "float32") and (
+            row["together"] == 1 and row["threads"] == processors()
+        ):
+            return float(row["networks"][name]["ms"])
+    return None
+
+
+def _boxes(frames: Sequence[NDArray[np.float32]]) -> dict[str, list[int]]:
+    """Rows and columns of the body's rectangle: medians over the frames."""
+    sizes = [body_rectangle(frame).shape for frame in frames]
+    return {"median_body": [int(np.median([size[axis] for size in sizes])) for axis in (0, 1)]}

@@ -1,0 +1,123 @@
+"""Networks timed side by side: in every round each is asked once, in turn, about the same image."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from benches.model.networks.network_frames import as_batch
+from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.training.distributed import threads
+
+Task = Literal["scores", "labels"]
+Precision = Literal["float32", "bfloat16"]
+
+LEAST_ROUNDS: Final = 5
+MOST_ROUNDS: Final = 25
+BUDGET_S: Final = 20.0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One way to ask. frame: which kind of image. task: "scores" is `forward` on the body's rectangle, "labels" all of
+    `predict` on the whole image. threads: of the processor. together: images in a batch.
+    """
+
+    frame: str
+    task: Task
+    device: str
+    threads: int
+    precision: Precision
+    together: int = 1
+
+
+def time_cell(
+    cell: Cell,
+    networks: Mapping[str, nn.Module],
+    batches: Sequence[torch.Tensor],
+    rounds: int,
+    budget_s: float,
+) -> dict[str, list[float]]:
+    """Milliseconds of every round, network by network; they must be in evaluation mode and on the cell's device.
+
+    batches: float32 [B, 1, H, W], there as well; rounds take them in turn. There are `rounds` of them, or fewer, but
+    at least `LEAST_ROUNDS`, once they have taken `budget_s`. Each network first answers once untimed.
+    """
+    found: dict[str, list[float]] = {name: [] for name in networks}
+    device = torch.device(cell.device)
+    names = list(networks)
+    # Layers' weights are rounded once: autocast forgets the rounded ones where its context ends.
+    with threads(cell.threads), torch.autocast(device.type, torch.bfloat16, enabled=cell.precision == "bfloat16"):
+        for name in names:
+            _milliseconds(_job(cell.task, networks[name], batches[0]), device)
+        start = time.perf_counter()
+        for number in range(rounds):
+            if number >= LEAST_ROUNDS and time.perf_counter() - start > budget_s:
+                break
+            for turn in range(len(names)):
+                name = names[(number + turn) % len(names)]
+                job = _job(cell.task, networks[name], batches[number % len(batches)])
+                found[name].append(_milliseconds(job, device))
+    return found
+
+
+def summary(taken: Mapping[str, Sequence[float]], reference: str) -> dict[str, Any]:
+    """Median and quartiles of each network's milliseconds, and how many times as long as `reference` it took.
+
+    times_as_long: median of the rounds' quotients, since what else the machine does slows neighbours alike.
+    """
+    rows = {}
+    for name, values in taken.items():
+        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
+        ratios = [value / other for value, other in zip(values, taken[reference], strict=True)]
+        rows[name] = {
+            "ms": round(median, 3),
+            "quartiles": [round(low, 3), round(high, 3)],
+            "rounds": len(values),
+            "times_as_long": round(statistics.median(ratios), 3),
+        }
+    return rows
+
+
+def _job(task: Task, network: nn.Module, batch: torch.Tensor) -> Callable[[], Any]:
+    if task == "labels":
+        return lambda: predict(network, batch)
+
+    def scores() -> torch.Tensor:
+        with torch.inference_mode():
+            answer: torch.Tensor = network(batch)
+            return answer
+
+    return scores
+
+
+def _milliseconds(job: Callable[[], Any], device: torch.device) -> float:
+    """How long it takes until the answer is there: a GPU is told what to do and does it later."""
+    _wait(device)
+    start = time.perf_counter()
+    answer = job()
+    _wait(device)
+    taken = 1e3 * (time.perf_counter() - start)
+    del answer  # freeing it is not part of the job
+    return taken
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def operations(network: nn.Module, frame: NDArray[np.float32]) -> float:
+    """Multiplications and additions of `forward` on a frame [H, W], in thousand millions."""
+    with torch.inference_mode(), FlopCounterMode(display=False) as counter:
+        network(as_batch(frame, 1, device_of(network)))
+    return float(round(counter.get_total_flops() / 1e9, 6))

@@ -1,0 +1,150 @@
+"""`bench sensors`: how well a network labels what other cameras see, by what is made of their frames before.
+
+Bodies of the open set's test split are drawn as each camera would see them, with nothing round them and no artifact:
+what is measured is geometry alone. docs/segment.md says how to read the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.rendering.renderer import Renderer
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.packing.sampler import surface_points
+from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.networks.registry import predict
+from bodyseg_model.segmentation.resampling import view_body
+from bodyseg_model.evaluation.scores import ConfusionMatrix
+
+Method = Literal["as it is", "scaled", "turned and scaled"]
+METHODS: Final[tuple[Method, ...]] = get_args(Method)
+
+KNOWN: Final = "the paper's"
+KNOWN_AT_M: Final = 2.55  # one of the three distances of training
+DISTANCES_M: Final = (1.2, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5)
+DIRECTIONS_DEG: Final = (-24, -16, -8, 8, 16, 24)
+ASIDE_AT_M: Final = 3.5  # from nearer, arms would be out of view at 24 degrees
+AZIMUTHS_DEG: Final = (0, 50, 110, 180, 220, 300)
+
+Image = NDArray[np.float32]
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A camera that stands at some distance from a body's middle and looks past it to the right, by `turn_deg`."""
+
+    sensor: str
+    camera: Camera
+    distance_m: float
+    turn_deg: int = 0
+
+    def placed(self, mesh: Mesh, azimuth_deg: int) -> PlacedCamera:
+        """The camera where a body is seen from an azimuth."""
+        axes = axes_at(azimuth_deg - self.turn_deg)
+        return PlacedCamera(self.camera, axes, mesh.centre - self.distance_m * axes_at(azimuth_deg)[2])
+
+
+def all_scenes() -> list[Scene]:
+    """The known camera as it is known; the others at all distances, and past a body in all directions."""
+    scenes = [Scene(KNOWN, load_rig().camera, KNOWN_AT_M)]
+    for shape, (sensor, _) in SENSORS.items():
+        camera = frame_camera(shape, sensor).camera
+        scenes += [Scene(sensor, camera, distance) for distance in DISTANCES_M]
+        scenes += [Scene(sensor, camera, ASIDE_AT_M, turn) for turn in DIRECTIONS_DEG]
+    return scenes
+
+
+def bench_sensors(
+    views: int = 12,
+    runs: Sequence[Path] = (),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Average per-class accuracy in each scene by every one of `METHODS`.
+
+    views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network to ask is in the first of them; without, it
+    is the one that ships. in_view: the share of the bodies' vertices that the frames hold, hidden ones counted. Raises
+    BadConfig for no body or no network, MissingLibrary without Anny.
+    """
+    count = whole_number("the number of bodies", views, 1)
+    network = load_network(runs[0] if runs else SHIPPED).network
+    scenes = all_scenes()
+    tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
+    in_view: list[list[float]] = [[] for _ in scenes]
+    source = open_source("open")
+    bodies = _spread([body for body in source.bodies() if body.split == "test"], count)
+    for done, body in enumerate(bodies, start=1):
+        built = source.build(body)
+        parts, renderer = partition(built.mesh, built.landmarks), open_renderer("raster", built.mesh)
+        for scene, tally, shares in zip(scenes, tallies, in_view, strict=True):
+            for azimuth in AZIMUTHS_DEG:
+                placed = scene.placed(built.mesh, azimuth)
+                range_m, truth = _see(renderer, built.mesh, parts, placed)
+                shares.append(_share_in_view(built.mesh, placed))
+                for method in METHODS:
+                    tally[method].add(truth, label(network, range_m, scene.camera, method))
+        renderer.close()
+        progress(done, len(bodies))
+    return {
+        "network": runs[0].name if runs else "shipped",
+        "bodies": len(bodies),
+        "azimuths_deg": list(AZIMUTHS_DEG),
+        "scenes": [
+            {
+                "sensor": scene.sensor,
+                "distance_m": scene.distance_m,
+                "turn_deg": scene.turn_deg,
+                "in_view": round(float(np.mean(shares)), 4),
+                "accuracy": {method: round(matrix.average_per_class_accuracy(), 4) for method, matrix in tally.items()},
+            }
+            for scene, tally, shares in zip(scenes, tallies, in_view, strict=True)
+        ],
+    }
+
+
+def label(network: nn.Module, range_m: Image, camera: Camera, method: Method) -> Labels:
+    """Labels [H, W] of a frame of one body without background, [H, W], metres."""
+    if method == "as it is":
+        return predict(network, torch.from_numpy(range_m)[None, None]).labels[0].numpy()
+    pixels = np.flatnonzero(range_m)
+    view = view_body(range_m, pixels, camera, load_rig(), turn_rad=0.0 if method == "scaled" else None)
+    labels = np.full(range_m.shape, BACKGROUND, np.uint8)
+    labels.ravel()[pixels] = view.back(predict(network, torch.from_numpy(view.range_m)[None, None]).labels[0].numpy())
+    return labels
+
+
+def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera) -> tuple[Image, Labels]:
+    """What a camera sees of a body, and the parts."""
+    seen = renderer.see(placed)
+    rows, columns = np.nonzero(seen.face >= 0)
+    truth = np.full(seen.face.shape, BACKGROUND, np.uint8)
+    truth[rows, columns] = parts.labels_at(mesh, seen.face[rows, columns], surface_points(seen, placed, rows, columns))
+    return seen.range, truth
+
+
+def _share_in_view(mesh: Mesh, placed: PlacedCamera) -> float:
+    """The share of a mesh's vertices inside the frame."""
+    points, _ = placed.project(mesh.vertices)
+    return float(((points >= 0) & (points < (placed.camera.columns, placed.camera.rows))).all(axis=1).mean())
+
+
+def _spread(bodies: Sequence[BodyRef], count: int) -> list[BodyRef]:
+    """`count` of them, or all if there are fewer, evenly over the list."""
+    kept = min(count, len(bodies))
+    return [bodies[(2 * place + 1) * len(bodies) // (2 * kept)] for place in range(kept)]

@@ -1,0 +1,173 @@
+"""`bench variants`: what training with each artifact is worth, and how robust that makes a network (Figs. 7 and 8).
+
+One network for each of the five variants and each seed, alike in everything else, is judged on the test images of all
+five variants and on two sweeps of exact strengths. docs/variants.md says how to read the answer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from benches.model.variants.claims import Ask, Tree, accuracies, claims
+from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, runs_in, train
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Examiner, Setting, Sweep
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_model.networks.registry import build, parameters
+from bodyseg_model.training.distributed import Ranks, find_device
+from bodyseg_model.training.loop import Figures
+
+_PASSES: Final = 3
+"""An image trained on takes about as long as so many that are only looked at: forwards, and twice as much backwards."""
+
+
+def bench_variants(
+    data: str,
+    runs: tuple[Path, ...],
+    seeds: int = 3,
+    steps: int | None = None,
+    images: int = 500,
+    alone: bool = False,
+    progress: Callable[..., None] = lambda done, total, note="": None,
+) -> dict[str, Any]:
+    """Train what is missing in the folder `runs`, then judge every network by the same `images` test images of `data`.
+
+    Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
+    the preset's. Scores are kept in each run's sweep.json. alone: sweep noise and missing data by themselves, too.
+
+    Raises BadConfig for more than one folder, wrong numbers, or trainings that differ in more than variant and seed;
+    otherwise as training and evaluating do.
+    """
+    if len(runs) != 1:
+        raise BadConfig(f"bench variants keeps its trainings in one folder, found {len(runs)} with --runs")
+    whole_number("the number of test images", images, 1)
+    trainings = runs_in(runs[0], seeds)
+    plan = common_plan(trainings, data, steps)
+    sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})
+    settings = list(dict.fromkeys([*TABLE.values(), *(each for sweep in sweeps.values() for each in sweep.settings)]))
+    examiner = Examiner(data, images)
+    test_images = min(images, len(examiner.images(settings[0])))
+    work = _Work(trainings, plan, test_images * len(settings), progress)
+    start = time.perf_counter()
+    device = find_device()
+    for run in work.missing:
+        train(run, plan, data, Ranks(0, 1, device), work.report(run))
+        work.trained(run)
+    found: dict[tuple[Run, Setting], Tree] = {}
+    networks = {run: load_network(run.path) for run in trainings}
+    for setting in settings:  # the outer loop, so that every set of test images is opened once
+        for run, trained in networks.items():
+            network = trained.network.to(device)
+            extras = run.variant == "all" and setting == TABLE["all"]
+            found[run, setting] = examiner.scores(run.path, network, setting, extras)
+            work.judged(run, setting, test_images)
+
+    def ask(variant: VariantName, setting: Setting) -> list[Tree]:
+        return [found[run, setting] for run in trainings if run.variant == variant]
+
+    manifest = examiner.images(settings[0]).manifest
+    return {
+        "scale": {
+            "steps": plan.recipe.steps,
+            "images_a_step": _images_a_step(plan),
+            "train_images": manifest.samples("train"),
+            "test_images": test_images,
+            "test_images_of": manifest.samples("test"),
+            "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
+            "seeds": seeds,
+        },
+        "network": NETWORK,
+        "parameters": parameters(build(NETWORK, plan.settings)),
+        "settings": plan.settings,
+        "recipe": asdict(plan.recipe),
+        "data": {"source": manifest.source, "renderer": manifest.renderer, "train": plan.data["set"]},
+        "device": str(device),
+        "threads": torch.get_num_threads(),
+        "seconds": round(time.perf_counter() - start, 1),
+        "table": {
+            variant: {test: over_seeds(accuracies(ask, variant, setting)) for test, setting in TABLE.items()}
+            for variant in VARIANTS
+        },
+        "subsets": _subsets(ask),
+        "sweeps": {name: _curves(ask, sweep) for name, sweep in sweeps.items()},
+        "claims": claims(ask, alone),
+        "networks": [_origin(run, networks[run].card) for run in trainings],
+    }
+
+
+def _images_a_step(plan: Plan) -> int:
+    return plan.recipe.batch * plan.recipe.accumulate
+
+
+def _curves(ask: Ask, sweep: Sweep) -> Tree:
+    others = [name for name, has in vars(VARIANTS[sweep.settings[0].variant]).items() if has]
+    curves = {}
+    for variant in VARIANTS:
+        points = [over_seeds(accuracies(ask, variant, setting)) for setting in sweep.settings]
+        seeds = [list(values) for values in zip(*(point["seeds"] for point in points), strict=True)]
+        curves[variant] = {name: [point[name] for point in points] for name in ("mean", "sd")} | {"seeds": seeds}
+    return {
+        "title": sweep.title,
+        "artifacts_of_the_test_images": others,
+        "strengths": list(sweep.strengths),
+        "curves": curves,
+    }
+
+
+def _subsets(ask: Ask) -> Tree:
+    """Accuracy on each subset of the test images of `all`, by training variant (Fig. 6); null for one too small."""
+    found: Tree = {}
+    for variant in VARIANTS:
+        rows = [each["subsets"] for each in ask(variant, TABLE["all"])]
+        values = {name: [row[name]["average_per_class_accuracy"] for row in rows] for name in rows[0]}
+        found[variant] = {name: None if None in each else over_seeds(each) for name, each in values.items()}
+    return found
+
+
+def _origin(run: Run, card: dict[str, Any]) -> dict[str, Any]:
+    return {"name": run.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
+
+
+@dataclass
+class _Work:
+    """How much of the whole is done, in images looked at, for whoever watches."""
+
+    trainings: list[Run]
+    plan: Plan
+    images_a_network: int
+    progress: Callable[..., None]
+    done: int = 0
+
+    def __post_init__(self) -> None:
+        self.missing = [run for run in self.trainings if not run.finished]
+        self._total = len(self.missing) * self._of_training(self.plan.recipe.steps)
+        self._total += len(self.trainings) * self.images_a_network
+
+    def _of_training(self, steps: int) -> int:
+        return _PASSES * _images_a_step(self.plan) * steps
+
+    def report(self, run: Run) -> Callable[[Figures], None]:
+        def show(figures: Figures) -> None:
+            note = f"training {run.name}, step {figures.step} of {self.plan.recipe.steps}, per class "
+            self.progress(self.done + self._of_training(figures.step), self._total, f"{note}{figures.accuracy:.1%}")
+
+        return show
+
+    def trained(self, run: Run) -> None:
+        self._add(self._of_training(self.plan.recipe.steps), f"trained {run.name}")
+
+    def judged(self, run: Run, setting: Setting, images: int) -> None:
+        self._add(images, f"{run.name} on {setting.name}")
+
+    def _add(self, images: int, note: str) -> None:
+        self.done += images
+        self.progress(self.done, self._total, note)

@@ -1,0 +1,118 @@
+"""The trainings that `bench variants` compares: one for each variant and seed, alike in everything else.
+
+Trainings of one seed share first weights, order of the images, mirrors and the artifacts' draws, whatever their
+variant. So two of them differ by the artifacts alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.provenance import provenance
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands.options import place_name
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_model.networks.checkpoints import read_json
+from bodyseg_model.networks.registry import build, settings_of
+from bodyseg_model.training.distributed import Ranks
+from bodyseg_model.training.recipes import Recipe, recipe_for
+from bodyseg_model.training.run_folder import RunFolder
+from bodyseg_model.training.loop import Course, Report, Training
+
+NETWORK: Final = "compact"
+_COURSE: Final = Course()
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training and its folder."""
+
+    variant: VariantName
+    seed: int
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """VARIANT-SEED, which is also the folder's name."""
+        return self.path.name
+
+    @property
+    def finished(self) -> bool:
+        """Whether its network is there: the card is written last."""
+        return RunFolder(self.path).network.with_suffix(".json").exists()
+
+    def plan(self) -> dict[str, Any] | None:
+        """What its folder says is trained there on what; None if nothing is. Raises BadConfig for a damaged file."""
+        for name in ("network.json", "run.json"):
+            if (self.path / name).exists():
+                return read_json(self.path / name)
+        return None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
+
+    recipe: Recipe
+    settings: dict[str, Any]
+    data: dict[str, Any]
+
+    def of(self, run: Run) -> dict[str, Any]:
+        """What the folder of `run` has to say."""
+        return {
+            "network": NETWORK,
+            "settings": self.settings,
+            "recipe": asdict(self.recipe),
+            "variant": run.variant,
+            "data": {**self.data, "variant": run.variant, "seed": run.seed},
+            "seed": run.seed,
+        }
+
+
+def runs_in(folder: Path, seeds: int) -> list[Run]:
+    """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
+    numbers = range(whole_number("the number of seeds", seeds, 1))
+    return [Run(variant, seed, folder / f"{variant}-{seed}") for seed in numbers for variant in VARIANTS]
+
+
+def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
+    """What the trainings that are there share, and what the others will; the preset recipe if there is none.
+
+    Raises BadConfig, naming the folder, if one is of other data, of another network, recipe or number of steps.
+    """
+    there = [(run, plan) for run in runs if (plan := run.plan()) is not None]
+    identity = RangeImages(data, "none", "train").identity()
+    if there:
+        run, first = there[0]
+        try:
+            shared = Plan(Recipe.from_json(first["recipe"]), dict(first["settings"]), identity)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
+        if steps is not None and shared.recipe.steps != steps:
+            raise BadConfig(f"{run.path} is a training of {shared.recipe.steps} steps, --steps asks for {steps}")
+    else:
+        shared = Plan(recipe_for(NETWORK, steps=steps), settings_of(build(NETWORK)), identity)
+    for run, plan in there:
+        for name, wanted in shared.of(run).items():
+            if plan.get(name) != wanted:
+                raise BadConfig(
+                    f"trainings to compare differ in variant and seed alone: {name} of {run.path} is "
+                    f"{plan.get(name)!r}, expected {wanted!r}"
+                )
+    return shared
+
+
+def train(run: Run, plan: Plan, data: str, ranks: Ranks, report: Report) -> None:
+    """Train to the end, from the folder's last checkpoint if there is one, as `bodyseg train` would.
+
+    Raises what `Training.run` raises.
+    """
+    network = build(NETWORK, plan.settings, run.seed)
+    images = RangeImages(data, run.variant, "train", run.seed)
+    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), ranks, run.seed, _COURSE)
+    command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
+    training.run(True, report, {**provenance(command), "pretrained": None})

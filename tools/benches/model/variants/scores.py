@@ -1,0 +1,164 @@
+"""What `bench variants` asks every network, and the answers, kept beside the network.
+
+Section 3.6 of the paper: "test images always include random additive noise, missing data, and occlusions". So where it
+sweeps one artifact (Figs. 7 and 8), the other two are as in X_all: the images of that set, each with the same strength
+of the one artifact in place of its own. Section 4.2 agrees: over its sweep of noise, training with missing data and
+with occlusions gains most, which it only can where test images have them.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import inspect
+import json
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+from torch import nn
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_model.networks import batch_transforms as crops, registry as networks, range_input
+from bodyseg_model.evaluation import evaluation, scores
+from bodyseg_model.networks.checkpoints import read_bytes, read_json, write_json
+from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
+from bodyseg_model.evaluation.report import report
+
+FORMAT: Final = "bodyseg sweep 1"
+FILE: Final = "sweep.json"
+"""In a run's folder."""
+
+SIGMAS_MM: Final = (0, 10, 20, 30, 40, 50, 60, 80, 100)
+MISSING: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+
+_SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
+_BATCH: Final = 1  # as a sensor gives them: what is cut out of a batch, and so its answers, depends on all its bodies
+_KEPT: Final = ("images", "pixels", "average_per_class_accuracy", "pixel_accuracy", "mean_iou", "swaps", "subsets")
+_KEPT_OF_EXTRAS: Final = ("confidence", "border_distance_px")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Test images of one kind: a variant, with one strength of noise or of missing data for all if it is not None."""
+
+    variant: VariantName
+    noise_mm: float | None = None
+    missing: float | None = None
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        strengths = [f"sigma {self.noise_mm:g} mm"] if self.noise_mm is not None else []
+        strengths += [f"{self.missing:.0%} missing"] if self.missing is not None else []
+        return ", ".join([self.variant, *strengths])
+
+    def open(self, data: str) -> RangeImages:
+        """The images, of the test split."""
+        return open_images(data, self.variant, "test", _SEED, self.noise_mm, self.missing)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One artifact in rising strength; the settings belong to the strengths, one by one."""
+
+    title: str
+    strengths: tuple[float, ...]
+    settings: tuple[Setting, ...]
+
+
+TABLE: Final = {name: Setting(name) for name in VARIANTS}
+"""The test sets of Table 1."""
+
+SWEEPS: Final = {
+    "noise": Sweep("noise", SIGMAS_MM, tuple(Setting("all", noise_mm=sigma) for sigma in SIGMAS_MM)),
+    "missing": Sweep("missing data", MISSING, tuple(Setting("all", missing=share) for share in MISSING)),
+}
+"""Figs. 7 and 8: the other artifacts as in X_all."""
+
+SWEEPS_ALONE: Final = {
+    "noise_alone": Sweep("noise alone", SIGMAS_MM, tuple(Setting("noise", noise_mm=sigma) for sigma in SIGMAS_MM)),
+    "missing_alone": Sweep("missing data alone", MISSING, tuple(Setting("md", missing=share) for share in MISSING)),
+}
+"""The same without the other artifacts, which the paper does not show."""
+
+
+class Examiner:
+    """Asks one network after the other, and does not ask again what is kept in its folder."""
+
+    def __init__(self, data: str, images: int) -> None:
+        self._data, self._count = data, images
+        self._opened: tuple[Setting, RangeImages] | None = None
+
+    def images(self, setting: Setting) -> RangeImages:
+        """The test images of a setting; the last ones stay open."""
+        if self._opened is None or self._opened[0] != setting:
+            self._opened = setting, setting.open(self._data)
+        return self._opened[1]
+
+    def scores(self, folder: Path, network: nn.Module, setting: Setting, extras: bool) -> dict[str, Any]:
+        """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
+
+        extras: count confidences and distances to borders as well. Raises BadConfig for a file of kept scores that
+        cannot be read or written; otherwise as `evaluate`.
+        """
+        kept = _Kept(folder, network)
+        images = self.images(setting)
+        key = _digest({"images": images.identity(), "count": self._count, "batch": _BATCH, "extras": extras})
+        found = kept.scores.get(key)
+        if found is None:
+            chosen = EXTRAS if extras else ()
+            answer = report(evaluate(network, images, self._count, extras=chosen, batch_size=_BATCH))
+            found = {"setting": setting.name}
+            found |= {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
+            kept.add(key, found)
+        return found
+
+
+class _Kept:
+    """The scores in a run's folder that belong to its network as it is now, and to the code as it is now."""
+
+    def __init__(self, folder: Path, network: nn.Module) -> None:
+        self._file = folder / FILE
+        weights = hashlib.sha256(read_bytes(folder / "network.safetensors")).hexdigest()
+        card = read_json(folder / "network.json")
+        self._of = {
+            "network": weights,
+            "settings": card.get("settings"),
+            "code": _code_digest(type(network).__module__),
+        }
+        self.scores: dict[str, dict[str, Any]] = {}
+        if self._file.exists():
+            content = read_json(self._file)
+            if content.get("format") != FORMAT or not isinstance(content.get("scores"), dict):
+                raise BadConfig(f"{self._file} holds no scores of the format {FORMAT!r}: move it away")
+            if content.get("of") == self._of:
+                self.scores = content["scores"]
+
+    def add(self, key: str, found: dict[str, Any]) -> None:
+        self.scores[key] = found
+        write_json(self._file, {"format": FORMAT, "of": self._of, "scores": self.scores})
+
+
+def _digest(facts: Any) -> str:
+    return hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+@cache
+def _code_digest(module: str) -> str:
+    """Of the code of a network's module and all else that shapes scores, comments and docstrings aside."""
+    others = networks, crops, range_input, evaluation, scores
+    return _digest([_meaning(code) for code in (sys.modules[module], *others)])
+
+
+def _meaning(module: ModuleType) -> str:
+    tree = ast.parse(inspect.getsource(module))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            node.body = node.body[1:]
+    return ast.dump(tree)
