@@ -31,7 +31,7 @@ check: install
 
 # Charts and page of results from the JSON in docs/results.
 page: install
-	$(BIN)/bodyseg chart --in docs/results --out docs/results/charts --page docs/results/index.md
+	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md
 
 # Newest versions that pyproject.toml allows, as the next exact list; a new PyTorch is chosen by hand in the list.
 lock:

@@ -11,28 +11,28 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, Augmentation
     from bodyseg_data.core.errors import BodysegError
-    from bodyseg_data.loading.loader import Loader, loader
     from bodyseg_data.core.parts import BACKGROUND, PARTS
     from bodyseg_data.core.rig import Rig, load_rig
     from bodyseg_data.core.sample import Sample
+    from bodyseg_data.loading.loader import Loader, loader
     from bodyseg_data.loading.range_images import Batch, RangeImages
-    from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, Augmentation
 
 _HOME: Final = {
-    "BodysegError": "errors",
-    "BACKGROUND": "parts",
-    "PARTS": "parts",
-    "Rig": "rig",
-    "load_rig": "rig",
-    "Sample": "sample",
-    "Batch": "streaming",
-    "Loader": "loading",
-    "RangeImages": "streaming",
-    "loader": "loading",
-    "VARIANTS": "variants",
-    "Artifacts": "variants",
-    "Augmentation": "variants",
+    "BodysegError": "core.errors",
+    "BACKGROUND": "core.parts",
+    "PARTS": "core.parts",
+    "Rig": "core.rig",
+    "load_rig": "core.rig",
+    "Sample": "core.sample",
+    "Batch": "loading.range_images",
+    "Loader": "loading.loader",
+    "RangeImages": "loading.range_images",
+    "loader": "loading.loader",
+    "VARIANTS": "artifacts.variants",
+    "Artifacts": "artifacts.variants",
+    "Augmentation": "artifacts.variants",
 }
 
 __all__ = [

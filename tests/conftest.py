@@ -10,15 +10,16 @@ from typing import Any
 
 import pytest
 from fakes import Figures
+from folders import SHARED_DATA
 
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.packing import pack as packing
 
 
 @pytest.fixture(scope="session")
 def mit_folder() -> Path:
     """The folder of real MIT frames; their licence keeps them out of the repository."""
-    folder = Path(os.environ.get("BODYSEG_MIT", Path(__file__).parents[2] / "shared" / "data" / "mit"))
+    folder = Path(os.environ.get("BODYSEG_MIT", SHARED_DATA / "mit"))
     if not (folder / "I_crane").is_dir():
         pytest.skip(f"real MIT frames are absent: no I_crane in {folder} (set BODYSEG_MIT to the folder that has it)")
     return folder

@@ -181,7 +181,11 @@ def test_imports_of_networks_point_backwards_only(module: str, path: Path) -> No
 def test_an_import_against_the_flow_would_be_seen(tmp_path: Path) -> None:
     file = tmp_path / "x.py"
     file.write_text("from bodyseg_data import sheet, cli\nimport bodyseg_data.loading.range_images\n")
-    assert imports(file) == {"bodyseg_data.drawing.contact_sheet", "bodyseg_data.commands.cli", "bodyseg_data.loading.range_images"}
+    assert imports(file) == {
+        "bodyseg_data.drawing.contact_sheet",
+        "bodyseg_data.commands.cli",
+        "bodyseg_data.loading.range_images",
+    }
 
 
 def loaded_by(statement: str) -> list[str]:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadMesh
+from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_point import METRES
 from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M
-from bodyseg_data.core.parts import LANDMARKS
 
 Units = Literal["auto", "m", "cm", "mm", "in"]
 UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]

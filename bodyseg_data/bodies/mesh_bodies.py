@@ -16,16 +16,25 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies.alignment import (
+    UPRIGHT_DEG,
+    Placement,
+    Units,
+    UpAxis,
+    check_placing,
+    check_standing,
+    find_placement,
+    metres_a_unit,
+)
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
-from bodyseg_data.meshes.landmarks.files import load_landmark_file
+from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, Snapped
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
+from bodyseg_data.meshes.landmarks.files import load_landmark_file
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.readers.files import read_mesh
 from bodyseg_data.meshes.repair import repair
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Placement, Units, UpAxis, check_placing, check_standing, find_placement, metres_a_unit
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 

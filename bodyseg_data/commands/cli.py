@@ -8,14 +8,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.commands.options import parse
+from bodyseg_data.core.errors import BadConfig, BodysegError
 
-COMMANDS: Final[dict[str, tuple[str, str]]] = {
+Commands = Mapping[str, tuple[str, str]]
+
+COMMANDS: Final[Commands] = {
     "shard": ("bodyseg_data.commands.shard", "render bodies and pack them into shards"),
     "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
@@ -26,8 +28,6 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "stability": ("bodyseg_model.commands.stability", "test networks where methods fail"),
-    "bench": ("benches.bench", "measure speed and accuracy side by side"),
-    "chart": ("benches.chart", "chart speed against accuracy, one chart a choice"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""
@@ -48,8 +48,10 @@ class _Terminated(KeyboardInterrupt):
     """SIGTERM, which ends a command as tidily as Ctrl-C."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, program: str = "bodyseg ") -> int:
     """Run one command and say what goes wrong in one line.
+
+    commands: those to choose from; program: whatever stands before their names on a command line.
 
     Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 nobody reads the output, 143
     terminated, 70 a fault of this program.
@@ -61,15 +63,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
     before = _handle_signals()
     try:
-        status = _run(name, words[1:])
+        status = _run(program, commands, name, words[1:])
         sys.stdout.flush()
         return status
     except BodysegError as error:
-        return _say(name, str(error), 2)
+        return _say(f"{program}{name}", str(error), 2)
     except _Terminated:
-        return _say(name, "terminated", 143)
+        return _say(f"{program}{name}", "terminated", 143)
     except KeyboardInterrupt:
-        return _say(name, "interrupted", 130)
+        return _say(f"{program}{name}", "interrupted", 130)
     except BrokenPipeError:
         # What is left in the buffer has no reader; without a place to go it would raise again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -78,12 +80,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
         where = f"{error.filename}: " if error.filename else ""
-        return _say(name, f"{where}{error.strerror or error}", 2)
+        return _say(f"{program}{name}", f"{where}{error.strerror or error}", 2)
     except Exception as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
         what = f"{type(error).__name__}: {error}"
-        return _say(name, f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
+        return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
         if signal.getsignal(signal.SIGTERM) is _stop:  # else this process is ending
             for number, action in before.items():
@@ -110,25 +112,25 @@ def _stop(number: int, frame: Any) -> None:
     raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
 
-def _run(name: str, words: list[str]) -> int:
+def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
     if name in ("", "-h", "--help"):
-        sys.stdout.write(_overview())
+        sys.stdout.write(_overview(program, commands))
         return 0
-    if name not in COMMANDS:
-        raise BadConfig(f"no such command; there are {', '.join(COMMANDS)}")
-    module, summary = COMMANDS[name]
+    if name not in commands:
+        raise BadConfig(f"no such command; there are {', '.join(commands)}")
+    module, summary = commands[name]
     command: Command = importlib.import_module(module)
-    options = parse(command.Options, words, f"bodyseg {name}", summary, command.EXAMPLE)
+    options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)
     return command.run(options)
 
 
-def _say(name: str, message: str, status: int) -> int:
+def _say(command: str, message: str, status: int) -> int:
     with contextlib.suppress(OSError):  # nobody listens
-        sys.stderr.write(f"{' '.join(('bodyseg', name)).strip()}: {' '.join(message.split())}\n")
+        sys.stderr.write(f"{command.strip()}: {' '.join(message.split())}\n")
     return status
 
 
-def _overview() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items()]
-    return "\n".join(["usage: bodyseg COMMAND [--help] ...", "", *lines, ""])
+def _overview(program: str, commands: Commands) -> str:
+    width = max(map(len, commands))
+    lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items()]
+    return "\n".join([f"usage: {program}COMMAND [--help] ...", "", *lines, ""])

@@ -11,21 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.commands.inspect import contact_sheet
+from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
-from bodyseg_data.packing.engines.engine import PROCESSES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_atomically
-from bodyseg_data.loading.loader import loader
 from bodyseg_data.core.machine import processors
-from bodyseg_data.commands.options import option
-from bodyseg_data.packing.pack import Packing
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.drawing.style import save_picture
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.drawing.style import save_picture
+from bodyseg_data.loading.loader import loader
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.packing.engines.engine import PROCESSES
+from bodyseg_data.packing.pack import Packing
 
 EXAMPLE = "bodyseg demo --out demo"
 

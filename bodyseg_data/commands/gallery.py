@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.gallery import choose, draw_gallery
-from bodyseg_data.commands.options import option
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 

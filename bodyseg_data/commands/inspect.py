@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
+from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import option
 from bodyseg_data.core.parts import PARTS
-from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
 from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
+from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 

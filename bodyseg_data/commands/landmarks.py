@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import SourceName, open_source
+from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_atomically
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.readers.files import read_mesh
-from bodyseg_data.commands.options import option
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
 from bodyseg_data.drawing.body_views import HEIGHTS_PX, Sitter, draw_portraits
+from bodyseg_data.drawing.style import check_picture, save_picture
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.meshes.readers.files import read_mesh
 
 if TYPE_CHECKING:
     from bodyseg_data.bodies.landmark_fitting.search import Proposal

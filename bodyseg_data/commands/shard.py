@@ -10,23 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
-from bodyseg_data.bodies.sources import SourceName
-from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.shards.sample_codec import CodecName
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.partition.geodesics import Geodesics
-from bodyseg_data.core.machine import processors
-from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.commands.options import command_line, option
-from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.rendering import RendererName
+from bodyseg_data.bodies.names import collapsed
+from bodyseg_data.bodies.sources import SourceName
+from bodyseg_data.commands.options import command_line, option
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.machine import processors
+from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.meshes.partition.geodesics import Geodesics
+from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
+from bodyseg_data.packing.pack import Packing, pack, plan
+from bodyseg_data.rendering import RendererName
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.sample_codec import CodecName
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 

@@ -196,7 +196,7 @@ def load_rig(name_or_path: str | Path = "paper") -> Rig:
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        shipped = resources.files("bodyseg_data") / "rigs" / f"{name_or_path}.toml"
+        shipped = resources.files(__package__) / "rigs" / f"{name_or_path}.toml"
         if not shipped.is_file():
             raise BadConfig(f"no rig is called {str(name_or_path)!r}: give 'paper' or the path of a .toml file")
         text = shipped.read_text(encoding="utf-8")

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import COLOURS, PART_COUNT
+from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.core.parts import COLOURS, PART_COUNT
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
-from bodyseg_data.rendering import open_renderer
 from bodyseg_data.packing.sampler import surface_points
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
+from bodyseg_data.rendering import open_renderer
 
 Sitter = tuple[str, Mesh, Partition, NDArray[np.int64]]
 """Title, mesh, its parts, landmarks int64 [33]."""

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.core.parts import colour_labels
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.artifacts.variants import VARIANTS, RangeImage, VariantName
+from bodyseg_data.core.parts import colour_labels
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
 """Where nothing was measured."""

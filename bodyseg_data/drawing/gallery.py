@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 COLUMNS: Final = 12
 _TILE_ROWS: Final = 320

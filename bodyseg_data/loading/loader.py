@@ -13,12 +13,12 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.loading.batch_order import BatchOrder, Pass, flag, whole_number
 from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.loading.batch_order import BatchOrder, Pass, flag, whole_number
+from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import Here, StartMethod, Workers
-from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 
 Fault = tuple[int, BodysegError]
 """(place in the batch, why it could not be filled): raised where the user is, not in a worker."""

@@ -22,18 +22,18 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from bodyseg_data.shards.cache.addresses import open_store
-from bodyseg_data.loading.batch_order import BatchOrder, Request
-from bodyseg_data.shards.cache.store import keep_shards
-from bodyseg_data.shards.sample_codec import Into
+from bodyseg_data.artifacts.variants import Artifacts, Augmentation, RangeImage, artifacts_of, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
-from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
-from bodyseg_data.shards.tar import ShardReader
 from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.loading.batch_order import BatchOrder, Request
+from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.cache.store import keep_shards
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.sample_codec import Into
 from bodyseg_data.shards.stores.remote import Patience
-from bodyseg_data.artifacts.variants import Artifacts, Augmentation, RangeImage, artifacts_of, check_variant
+from bodyseg_data.shards.tar import ShardReader
 
 
 class Batch(TypedDict):

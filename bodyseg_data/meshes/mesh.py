@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.topology import components, find_edges
 from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.meshes.topology import components, find_edges
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""

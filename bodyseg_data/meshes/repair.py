@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.topology import components
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.system_libraries import missing_library, require_libraries
+from bodyseg_data.meshes.topology import components
 
 SAME_POINT_M: Final = 1e-6
 """Vertices closer than this, in metres, are one vertex: far below what a scanner resolves, above rounding in files."""

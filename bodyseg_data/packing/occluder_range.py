@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import FARTHEST, GAP_STEPS, Floats, ShadowTest, framed
-from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.core.rig import Rig
+from bodyseg_data.packing.coarsening import coarsened
 
 # The test interpolates in single precision; one step is far more than it can be off by.
 _SURELY_LIT: Final = GAP_STEPS - np.float32(1)

@@ -20,23 +20,23 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.shards.sample_codec import CodecName, check_codec, encode_sample
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
-from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
-from bodyseg_data.packing.state import claimed, finished_shards, record_shard
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
-from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.shards.tar import ShardWriter
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View, ViewGrid
+from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.packing.state import claimed, finished_shards, record_shard
+from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
+from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
+from bodyseg_data.shards.sample_codec import CodecName, check_codec, encode_sample
+from bodyseg_data.shards.tar import ShardWriter
 
 PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""

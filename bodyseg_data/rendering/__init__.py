@@ -1,1 +1,36 @@
-"""Registry of renderers."""
+"""Registry of renderers: a new one is a file in this folder and an entry of `RENDERERS`."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final, Literal
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.renderer import Renderer
+
+RENDERERS: Final[dict[str, str]] = {
+    "raster": "raster.RasterRenderer",
+    "embree": "embree.EmbreeRenderer",
+    "opengl": "opengl.OpenGLRenderer",
+}
+"""Name -> "module.Class" of this folder, imported when a renderer of that name is opened."""
+
+if TYPE_CHECKING:
+    RendererName = str
+else:
+    RendererName = Literal[tuple(RENDERERS)]
+
+
+def check_renderer(name: str) -> None:
+    """Raise BadConfig unless a renderer is called `name`."""
+    if name not in RENDERERS:
+        raise BadConfig(f"the renderer must be one of {', '.join(RENDERERS)}, found {name!r}")
+
+
+def open_renderer(name: str, mesh: Mesh) -> Renderer:
+    """The renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary if it needs what is not installed."""
+    check_renderer(name)
+    module, kind = RENDERERS[name].split(".")
+    renderer: Renderer = getattr(import_module(f"{__name__}.{module}"), kind)(mesh)
+    return renderer

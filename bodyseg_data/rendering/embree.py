@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Surface
-from bodyseg_data.rendering.outline import Outline
 from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.outline import Outline
+from bodyseg_data.rendering.renderer import Surface
 
 try:
     from embreex.mesh_construction import TriangleMesh

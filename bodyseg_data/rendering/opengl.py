@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Surface
 from bodyseg_data.core.rig import Camera, PlacedCamera
 from bodyseg_data.core.system_libraries import SOFTWARE_DRIVER, missing_library
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.renderer import Surface
 
 _FEATURE: Final = "the opengl renderer"
 _EMBREE: Final = "the embree renderer needs nothing from the system"

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.meshes.mesh import Mesh
 
 BLOCK_PX: Final = 2
 """Side of a block. Smaller ones fit the outline more closely, larger ones are marked faster (docs/renderers.md)."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering.renderer import Surface
-from bodyseg_data.core.rig import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle that comes nearer to the camera's plane is looked for in the whole frame
 _MARGIN_PX: Final = 1e-6  # added to the box of a triangle's pixels, for rounding

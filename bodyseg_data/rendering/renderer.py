@@ -7,16 +7,12 @@ of it (labels, facing, stored integers) is the same code for every renderer (`sa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.rig import PlacedCamera
-
-RendererName = Literal["raster", "embree", "opengl"]
 
 
 @dataclass(frozen=True)
@@ -45,25 +41,3 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Give back whatever the renderer holds. Safe to call twice."""
-
-
-def check_renderer(name: str) -> None:
-    """Raise BadConfig unless a renderer is called `name`."""
-    if name not in get_args(RendererName):
-        raise BadConfig(f"the renderer must be one of {', '.join(get_args(RendererName))}, found {name!r}")
-
-
-def open_renderer(name: str, mesh: Mesh) -> Renderer:
-    """The renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary if it needs what is not installed."""
-    check_renderer(name)
-    if name == "opengl":
-        from bodyseg_data.rendering.opengl import OpenGLRenderer
-
-        return OpenGLRenderer(mesh)
-    if name == "embree":
-        from bodyseg_data.rendering.embree import EmbreeRenderer
-
-        return EmbreeRenderer(mesh)
-    from bodyseg_data.rendering.raster import RasterRenderer
-
-    return RasterRenderer(mesh)

@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.shards.sample_codec import CODECS
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.files import write_atomically
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.rig import Rig, rig_from_json
 from bodyseg_data.core.sample import RANGE_STEP_M, check_key
 from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.shards.sample_codec import CODECS
 from bodyseg_data.shards.stores.store import TIMES, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"

@@ -16,12 +16,12 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.codecs.bodyseg_images import Decoded, decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import join_labels, split_labels
-from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Known, Sample, info_from_json
+from bodyseg_data.shards.codecs.bodyseg_images import Decoded, decode_images, encode_images
+from bodyseg_data.shards.codecs.labels import join_labels, split_labels
+from bodyseg_data.shards.codecs.png import decode_png, encode_png
 
 CodecName = Literal["bsi", "png"]
 CODECS: Final[tuple[CodecName, ...]] = get_args(CodecName)

@@ -9,19 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
+from bodyseg_data.artifacts.variants import VariantName
+from bodyseg_data.commands.options import command_line, option, place_name
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import command_line, option, place_name
-from bodyseg_data.drawing.style import new_chart, save_picture
+from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.splits import Split
+from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
 from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_images
+from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
-from bodyseg_model.evaluation.frame_times import time_frames
+from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
 from bodyseg_model.training.distributed import find_device, use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"

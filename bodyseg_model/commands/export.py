@@ -6,8 +6,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.commands.options import option
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import load_network, read_json, save_network
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"

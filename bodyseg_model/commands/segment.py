@@ -10,20 +10,20 @@ from typing import Any, Final
 
 from PIL import Image
 
+from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.machine import hardware
-from bodyseg_data.commands.options import option
 from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json
+from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.training.distributed import find_device
 from bodyseg_model.segmentation.segmenter import Segmenter, Stopwatch
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
+from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 

@@ -10,13 +10,12 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.core.provenance import provenance, write_figures
+from bodyseg_data.commands.options import command_line, option, place_name
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import command_line, option, place_name
+from bodyseg_data.core.provenance import provenance, write_figures
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.training.distributed import find_device, use_threads
 from bodyseg_model.stability.examining import examine
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
@@ -26,6 +25,7 @@ from bodyseg_model.stability.severities import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.summary import motion_over_seeds, summarise
 from bodyseg_model.stability.tables import tables
 from bodyseg_model.stability.temporal import temporal
+from bodyseg_model.training.distributed import find_device, use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 

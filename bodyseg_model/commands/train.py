@@ -17,19 +17,19 @@ from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.core.provenance import provenance
+from bodyseg_data.artifacts.variants import Artifacts, VariantName, artifacts_of
+from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import command_line, option
-from bodyseg_data.artifacts.variants import Artifacts, VariantName, artifacts_of
+from bodyseg_data.core.provenance import provenance
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
-from bodyseg_model.networks.registry import build
-from bodyseg_model.training.geometric_augmentation import Placements
 from bodyseg_model.networks.pretrained import import_alexnet
+from bodyseg_model.networks.registry import build
 from bodyseg_model.training.distributed import joined_ranks, use_threads
+from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training.loop import Course, Figures, Report, Training
 from bodyseg_model.training.recipes import PRESETS, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.training.loop import Course, Figures, Report, Training
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 

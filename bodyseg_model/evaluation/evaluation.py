@@ -17,18 +17,18 @@ from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.artifacts.variants import Artifacts, artifacts_of
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.loader import loader
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import Batch, RangeImages
-from bodyseg_data.artifacts.variants import Artifacts, artifacts_of
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
-from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
 EXTRAS: Final[tuple[Extra, ...]] = ("confidences", "borders")

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import PART_COUNT, PARTS
 from bodyseg_data.drawing.style import new_chart, save_chart
-from bodyseg_model.evaluation.report import PAPERS_THRESHOLD
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.evaluation.report import PAPERS_THRESHOLD
 
 Tree = dict[str, Any]
 

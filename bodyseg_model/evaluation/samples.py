@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.drawing.contact_sheet import colour_range
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_model.evaluation.evaluation import Seen
-from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 
 _THRESHOLD: Final = f"{100 * PAPERS_THRESHOLD:.0f} %"

@@ -23,7 +23,7 @@ FORMAT: Final = "bodyseg network 1"
 NETWORK: Final = "network.safetensors"
 """The trained network in a run's folder; its card is the .json beside it."""
 
-SHIPPED: Final = Path(__file__).parent / "weights" / "compact.safetensors"
+SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
 _LARGEST_FILE: Final = 1 << 31
 

@@ -13,11 +13,11 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.compact import Compact, CompactSettings
+from bodyseg_model.networks.baselines import Rival, deeplab, segformer
 from bodyseg_model.networks.batch_transforms import body_window
+from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks.range_input import check_range_images
-from bodyseg_model.networks.baselines import Rival, deeplab, segformer
 
 
 class Prediction(NamedTuple):

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.codecs.png import decode_png
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.shards.codecs.png import decode_png
 
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}

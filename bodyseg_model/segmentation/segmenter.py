@@ -16,8 +16,8 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
-from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.resampling import view_body
 
 STAGES: Final = ("background", "resample", "network", "back")

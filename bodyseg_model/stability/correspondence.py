@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Surface
-from bodyseg_data.packing.sampler import faces_towards, surface_points
 from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.sampler import faces_towards, surface_points
+from bodyseg_data.rendering.renderer import Surface
 
 NEAR_M: Final = 0.005
 """A place is seen by the pixel it falls in if what the pixel's centre sees is at most this far from it. A pixel is

@@ -18,12 +18,14 @@ from torch import nn
 
 from bodyseg_data.artifacts import losses
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks import batch_transforms as crops, registry as networks, range_input
-from bodyseg_model.segmentation import resampling
 from bodyseg_model.evaluation import scores
+from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
+from bodyseg_model.networks import batch_transforms as crops
+from bodyseg_model.networks import range_input
+from bodyseg_model.networks import registry as networks
 from bodyseg_model.networks.checkpoints import NETWORK, read_bytes, read_json, write_json
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
+from bodyseg_model.segmentation import resampling
 from bodyseg_model.stability import scenes as scenes_module
 from bodyseg_model.stability import severities
 from bodyseg_model.stability.groups import Run

@@ -23,7 +23,7 @@ _STYLES: Final = {
     "md": _Style("#00785a", (0, (6, 2, 1.2, 2)), "D"),
     "all": _Style("#b8360f", "-", "*"),
 }
-"""Training variant -> its line, as in the figure of `bodyseg bench variants`; for the first group of each variant."""
+"""Training variant -> its line, as in the figure of `tools/bench variants`; for the first group of each variant."""
 
 _SPARE: Final = (
     _Style("#8a5aa3", (0, (4, 1.5)), "v"),

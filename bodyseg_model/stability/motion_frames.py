@@ -10,13 +10,13 @@ import numpy as np
 
 from bodyseg_data.bodies.source import Body, BodyRef, BodySource
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.sampler import faces_towards, sample_key
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.sampler import faces_towards, sample_key
+from bodyseg_data.rendering import open_renderer
 from bodyseg_model.stability.correspondence import SeenBody
 
 DISTANCE_CM: Final = 255

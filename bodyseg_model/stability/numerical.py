@@ -14,14 +14,14 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
 from bodyseg_model.networks.registry import device_of, margin, predict
 from bodyseg_model.training.distributed import threads
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 
 BATCH_SIZES: Final = (2, 7, 16)
 

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.sampler import Sampler, surface_points
-from bodyseg_data.packing.occluder_range import shadow_test
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
 from bodyseg_data.core.sample import Sample, steps
-from bodyseg_data.loading.range_images import RangeImages, metres
 from bodyseg_data.core.views import View
+from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.packing.occluder_range import shadow_test
+from bodyseg_data.packing.sampler import Sampler, surface_points
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting, altered

@@ -17,17 +17,17 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.artifacts.variants import Augmentation, RangeImage, VariantName
+from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
 from bodyseg_data.bodies.source import BodySource
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import metres
-from bodyseg_data.artifacts.variants import Augmentation, RangeImage, VariantName
-from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.stability.correspondence import NOT_SEEN, SeenBody, follow
 from bodyseg_model.stability.motion_frames import Frame, choose_shots, take_shot
 

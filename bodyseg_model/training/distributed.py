@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 import torch.distributed
 
-from bodyseg_data.loading.batch_order import find_ranks
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.batch_order import find_ranks
 
 
 @dataclass(frozen=True)

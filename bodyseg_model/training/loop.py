@@ -18,21 +18,21 @@ import torch
 from torch import nn
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.core.errors import BadConfig, Diverged
-from bodyseg_data.loading.loader import Loader
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
-from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
+from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import margin, settings_of
+from bodyseg_model.training.distributed import Ranks
 from bodyseg_model.training.loss import Objective, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_rate
-from bodyseg_model.training.distributed import Ranks
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.run_folder import Checkpoint, RunFolder
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 
 _SAMPLES_FOR_WEIGHTS: Final = 128
 

@@ -12,7 +12,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from bodyseg_data.artifacts.losses import KINDS, LONGEST, MOST_PATCHES, MOST_STRIPES, Losses, lost_grazing, lost_patches, lost_stripes, slants
+from bodyseg_data.artifacts.losses import (
+    KINDS,
+    LONGEST,
+    MOST_PATCHES,
+    MOST_STRIPES,
+    Losses,
+    lost_grazing,
+    lost_patches,
+    lost_stripes,
+    slants,
+)
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera

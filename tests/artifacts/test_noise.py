@@ -16,12 +16,12 @@ from scipy import stats
 
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
+from bodyseg_data.artifacts.variants import Artifacts, Augmentation, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance, pixel_draws, stream
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import Sample, SampleInfo
-from bodyseg_data.artifacts.variants import Artifacts, Augmentation, VariantName
 
 SIGMAS = 5.0
 """How many of its own standard deviations an estimate may be off: once in 1.7 million."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.data.occlusion.views import exact_view, exact_views, postures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -15,15 +16,14 @@ from shapes import ball, figure
 
 from bodyseg_data.artifacts import occlusion_compiled, occlusion_reference
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from benches.data.occlusion.views import exact_view, exact_views, postures
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.rendering.embree import EmbreeRenderer
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

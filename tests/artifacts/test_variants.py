@@ -17,12 +17,20 @@ from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.variants import (
+    PAIRS,
+    VARIANTS,
+    Artifacts,
+    Augmentation,
+    RangeImage,
+    VariantName,
+    check_variant,
+)
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, Artifacts, Augmentation, RangeImage, VariantName, check_variant
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, turn
 
+from bodyseg_data.bodies.alignment import (
+    METRES,
+    Placement,
+    check_placing,
+    check_standing,
+    find_placement,
+    metres_a_unit,
+)
 from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.bodies.alignment import METRES, Placement, check_placing, check_standing, find_placement, metres_a_unit
 
 Floats = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.clothes.wardrobe import FINE_M, OUTFITS, Outfit, Refinement, Wardrobe
+from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, BadMesh
+from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.core.parts import LANDMARKS
 
 Floats = NDArray[np.float64]
 

@@ -14,22 +14,23 @@ from shapes import ball, figure
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from bodyseg_data.bodies.landmark_fitting import search as proposal_module  # noqa: E402
 from benches.data.surface.proposal import measure, shuffled  # noqa: E402
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.bodies.sources import open_source  # noqa: E402
+
 from bodyseg_data.bodies.anny.people import SUBJECT_A  # noqa: E402
 from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting import search as proposal_module  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, remoteness, spread_over  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
+from bodyseg_data.bodies.source import Body
+from bodyseg_data.bodies.sources import open_source  # noqa: E402
 from bodyseg_data.commands.cli import main  # noqa: E402
 from bodyseg_data.core.errors import BadMesh  # noqa: E402
-from bodyseg_data.meshes.landmarks.files import load_landmark_file  # noqa: E402
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks  # noqa: E402
-from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 from bodyseg_data.core.parts import LANDMARKS  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, remoteness, spread_over  # noqa: E402
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks  # noqa: E402
+from bodyseg_data.meshes.landmarks.files import load_landmark_file  # noqa: E402
+from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -14,10 +14,10 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.loading.batch_order import BatchOrder
+from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import BadConfig, WorkerLost
 from bodyseg_data.loading import workers as processes
-from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.loading.batch_order import BatchOrder
 
 
 def _open_files() -> int:

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from benches import bench
+from folders import ROOT
 from PIL import Image
 
-from bodyseg_data.commands import cli
-from benches import bench
-from bodyseg_data.commands import shard
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands import cli, shard
 from bodyseg_data.commands.options import option, parse
-
-ROOT = Path(__file__).parents[1]
+from bodyseg_data.core.errors import BadConfig
 
 
 @dataclass(frozen=True)
@@ -128,14 +126,14 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
             ["shard", "--source", "open", "--out", "x", "--engine", "dask://127.0.0.1:1"],
             "no Dask scheduler at 127.0.0.1:1",
         ),
-        (["bench", "scaling", "--figure", "x.png"], "bodyseg bench: bench scaling draws no figure: leave --figure out"),
-        (["bench", "render", "--figure", "x.jpg"], "bodyseg bench: --figure must be a .png file, found x.jpg"),
+        (["bench", "scaling", "--figure", "x.png"], "tools/bench: bench scaling draws no figure: leave --figure out"),
+        (["bench", "render", "--figure", "x.jpg"], "tools/bench: --figure must be a .png file, found x.jpg"),
         (
             ["bench", "occlusion", "--json", "none/x.json"],
             "--json needs a file in a folder that is there, found none/x",
         ),
         (["landmarks", "--source", "open", "--out", "x.png", "--height", "0"], "100 to 4000 pixels, found 0"),
-        (["bench", "partition", "--views", "3"], "bodyseg bench: bench partition measures whole bodies"),
+        (["bench", "partition", "--views", "3"], "tools/bench: bench partition measures whole bodies"),
         (
             ["bench", "render", "--mit", "x"],
             "--mit is for bench partition, reduction, clothes, proposal, found it with",

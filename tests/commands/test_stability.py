@@ -16,10 +16,10 @@ from label_networks import Places
 from bodyseg_data import RangeImages
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.commands import stability as command
-from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.stability import examining, scenes
 from bodyseg_model.stability.examining import accuracy, examine
 from bodyseg_model.stability.groups import load_runs

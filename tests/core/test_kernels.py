@@ -31,9 +31,7 @@ def _outer(count):
 
 outer = compiled(_outer, "a test")
 """
-INNER = (
-    "from bodyseg_data.core.kernels import compiled\ndef _inner(x):\n    return x + 3\ninner = compiled(_inner, 'a test')\n"
-)
+INNER = "from bodyseg_data.core.kernels import compiled\ndef _inner(x):\n    return x + 3\ninner = compiled(_inner, 'a test')\n"
 LIMITS = "LIMIT = 2\n"
 
 

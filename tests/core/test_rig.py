@@ -13,7 +13,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig, parse_rig, rig_from_json
 from bodyseg_data.core.views import View, ViewGrid
 
-PAPER = (resources.files("bodyseg_data") / "rigs" / "paper.toml").read_text()
+PAPER = (resources.files("bodyseg_data.core") / "rigs" / "paper.toml").read_text()
 
 
 def test_the_paper_rig_has_the_papers_numbers() -> None:

@@ -6,18 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from samples import GOOD
 
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.sample import Sample, SampleInfo, check_key, steps
-
-GOOD = Sample(
-    key="open-A-posture-00-d215-a000",
-    range=np.array([[0, 21500], [1, 65535]], np.uint16),
-    projector_range=np.array([[0, 7]], np.uint16),
-    labels=np.array([[255, 0], [32, 5]], np.uint8),
-    faces_projector=np.array([[False, True], [True, False]]),
-    info=SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train"),
-)
+from bodyseg_data.core.sample import Sample, check_key, steps
 
 
 def test_a_good_sample_passes() -> None:

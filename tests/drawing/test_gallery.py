@@ -10,8 +10,8 @@ from PIL import Image
 
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.drawing.gallery import COLUMNS, choose, shading
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.drawing.gallery import COLUMNS, choose, shading
 
 CAMERA = load_rig().camera
 

@@ -17,15 +17,15 @@ from bodyseg_data import RangeImages
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
 from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, Scores, Seen, evaluate, open_images
-from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.evaluation.report import report
+from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import Prediction, build, predict
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from shapes import figure
 
 from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.meshes.mesh import Mesh
 
 
 class Figures:

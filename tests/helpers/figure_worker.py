@@ -13,10 +13,10 @@ from pathlib import Path
 
 from fakes import Figures
 
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.packing import pack as packing
 
 TROUBLE = Path(os.environ["BODYSEG_TROUBLE"])
 

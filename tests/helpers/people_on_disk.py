@@ -12,9 +12,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.core.parts import LANDMARKS
 
 Floats = NDArray[np.float64]
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
+from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
 
 
@@ -35,3 +38,34 @@ def figure(name: str = "figure") -> Mesh:
         faces.append(np.asarray(shape.faces) + count)
         count += len(shape.vertices)
     return Mesh(name, np.concatenate(vertices), np.concatenate(faces))
+
+
+def evenly_drawn(mesh: Mesh, seed: int = 0) -> Any:
+    """33 different vertices of the surface."""
+    return np.random.default_rng(seed).choice(np.unique(mesh.faces), PART_COUNT, replace=False).astype(np.int64)
+
+
+def box_mesh(steps: int = 12, side: float = 1.0, depth: float = 0.1) -> Mesh:
+    """A flat box, `side` square and `depth` thick, every face a square grid; its front is the plane z = depth."""
+    points: dict[tuple[float, float, float], int] = {}
+    faces: list[list[int]] = []
+
+    def index(point: Any) -> int:
+        key = tuple(round(float(value), 9) for value in point)
+        return points.setdefault((key[0], key[1], key[2]), len(points))
+
+    size = np.array([side, side, depth])
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        nu, nv = (1 if extent == 2 else steps for extent in (u, v))
+        for outer in (0, 1):
+            for i in range(nu):
+                for j in range(nv):
+                    corners = []
+                    for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                        point = np.zeros(3)
+                        point[axis], point[u], point[v] = outer, (i + du) / nu, (j + dv) / nv
+                        corners.append(index(point * size))
+                    a, b, c, d = corners if outer else corners[::-1]
+                    faces += [[a, b, c], [a, c, d]]
+    return Mesh("box", np.array(list(points)), np.array(faces))

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from folders import ROOT
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, MissingData
+from bodyseg_data.core.errors import BadConfig, BadShard
 
 Bits = list[tuple[tuple[str, ...], bytes, bytes]]
 
@@ -207,7 +208,7 @@ def test_the_order_belongs_to_the_seed(figures_set: Path) -> None:
 def test_the_lines_of_the_readme_run_and_differ_by_epoch(
     figures_set: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    readme = (ROOT / "README.md").read_text()
     (lines,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     lines = lines.replace("demo/shards", str(figures_set))
     assert str(figures_set) in lines

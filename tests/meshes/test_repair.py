@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.meshes import repair as mesh_repair
 from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import BadMesh, MissingLibrary
+from bodyseg_data.meshes import repair as mesh_repair
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.repair import repair
 

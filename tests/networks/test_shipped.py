@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bodyseg_data import RangeImages
-from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
+from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_model.evaluation.evaluation import evaluate
+from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:

@@ -26,20 +26,20 @@ from typing import Any
 import numpy as np
 import pytest
 from fakes import Figures
+from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
 
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.packing.engines.engine import Engine, check_engine, open_engine
-from bodyseg_data.packing.engines import cluster, workers
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.engines import cluster, workers
+from bodyseg_data.packing.engines.engine import Engine, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.packing.state import STATE_NAME
-from bodyseg_data.core.views import ViewGrid
 
-TESTS = Path(__file__).parent
 PACKING = Packing("open", views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as the fixture figures_set
 
 
@@ -76,7 +76,7 @@ class Nodes:
 
     def start(self, *module: str, **environment: str) -> subprocess.Popen[bytes]:
         log = self.folder / f"{module[0]}-{len(self.workers)}.log"
-        paths = os.pathsep.join([str(TESTS), str(TESTS.parent)])
+        paths = os.pathsep.join([str(HELPERS), str(ROOT)])
         settings = {"BODYSEG_TROUBLE": str(self.folder), "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **environment}
         command = [sys.executable, "-m", f"distributed.cli.dask_{module[0]}", *module[1:]]
         with log.open("wb") as file:
@@ -93,7 +93,7 @@ class Nodes:
 
     def start_worker(self, *words: str) -> subprocess.Popen[bytes]:
         address = f"tcp://127.0.0.1:{self.port}"
-        more = ("--no-dashboard", "--preload", str(TESTS / "figure_worker.py"), "--local-directory", str(self.folder))
+        more = ("--no-dashboard", "--preload", str(HELPERS / "figure_worker.py"), "--local-directory", str(self.folder))
         self.workers.append(self.start("worker", address, "--host", "127.0.0.1", *more, *words))
         return self.workers[-1]
 
@@ -266,9 +266,7 @@ def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pyt
 
 
 def test_every_package_that_makes_shards_is_compared() -> None:
-    declared = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["project"]["optional-dependencies"][
-        "render"
-    ]
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["render"]
     names = {re.split(r"[^\w-]", line)[0] for line in declared}
     assert names
     assert names <= set(workers._SHAPE_BYTES)
@@ -419,7 +417,7 @@ def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
     words = ["shard", "--source", "open", "--views", "4", "--azimuth-span", "360", "--shard-samples", "5"]
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *words, "--engine", nodes.engine, "--out", str(out)],
-        env=os.environ | {"PYTHONPATH": str(TESTS), "BODYSEG_TROUBLE": str(nodes.folder)},
+        env=os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

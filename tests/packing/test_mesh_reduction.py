@@ -13,22 +13,31 @@ from typing import cast
 
 import numpy as np
 import pytest
+from benches.data.surface.broken_bodies import CASES, sound
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.packing import mesh_reduction
-from bodyseg_data.core import system_libraries
-from benches.data.surface.broken_bodies import CASES, sound
 from bodyseg_data.bodies.source import Body
+from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.meshes.mending import find_edges
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.mesh_reduction import Reduction, check_tolerance, edges_collapsed, probe_cameras, range_error, reduce, reduced_body, seen_ranges
-from bodyseg_data.meshes.repair import load_pymeshlab
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mending import find_edges
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.packing import mesh_reduction
+from bodyseg_data.packing.mesh_reduction import (
+    Reduction,
+    check_tolerance,
+    edges_collapsed,
+    probe_cameras,
+    range_error,
+    reduce,
+    reduced_body,
+    seen_ranges,
+)
+from bodyseg_data.shards.manifest import read_manifest
 
 RIG = load_rig()
 BALL = ball(subdivisions=5)  # 20 480 triangles

@@ -17,17 +17,17 @@ from typing import Any
 import pytest
 from fakes import Figures
 
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.pack import Packing, plan, spread
 from bodyseg_data.packing.state import STATE_NAME, claimed
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.shards.manifest import read_manifest
 
 Pack = Callable[..., Path]
 

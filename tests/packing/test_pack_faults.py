@@ -12,15 +12,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
 from fakes import Figures
 
-from bodyseg_data.packing import pack as packing
-from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
-from bodyseg_data.core.provenance import write_figures
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.core.provenance import write_figures
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.pack import Packing
 
 SMALL = Packing("open", views=ViewGrid(count=1), shard_samples=2)
 

@@ -14,18 +14,18 @@ from shapes import ball, figure
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_data.core.errors import BadSample, MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.coarsening import COARSEST_STEP
-from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.borders import find_borders
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.packing.coarsening import COARSEST_STEP
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 
 REF = BodyRef("people", "P007", "ball-1", "standing", "test")
 RADIUS = 0.5

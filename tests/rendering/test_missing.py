@@ -9,18 +9,17 @@ import importlib.util
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from folders import HELPERS, ROOT
 
 from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.system_libraries import missing_library, require_libraries
 
-HERE = Path(__file__).parent
-OPEN_GL = "from bodyseg_data.rendering.renderer import open_renderer\nopen_renderer('opengl', ball())"
-OPEN_RASTER = "from bodyseg_data.rendering.renderer import open_renderer\nopen_renderer('raster', ball())"
-OPEN_EMBREE = "from bodyseg_data.rendering.renderer import open_renderer\nopen_renderer('embree', ball())"
+OPEN_GL = "from bodyseg_data.rendering import open_renderer\nopen_renderer('opengl', ball())"
+OPEN_RASTER = "from bodyseg_data.rendering import open_renderer\nopen_renderer('raster', ball())"
+OPEN_EMBREE = "from bodyseg_data.rendering import open_renderer\nopen_renderer('embree', ball())"
 REPAIR = "from bodyseg_data.meshes.repair import repair\nrepair('ball', ball().vertices, ball().faces)"
 
 STAGE = """
@@ -57,7 +56,7 @@ needs_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="l
 def outcome(action: str, hidden: tuple[str, ...] = (), packages: tuple[str, ...] = (), **settings: str) -> str:
     """What became of `action` in a process without the libraries `hidden` and without `packages`."""
     script = STAGE.format(
-        paths=[str(HERE), str(HERE.parent)],
+        paths=[str(HELPERS), str(ROOT)],
         hidden=hidden,
         packages=packages,
         action=action.replace("\n", "\n    "),

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import HELPERS, ROOT
+from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
-from test_rendering import FRONT, RIG, body_rays, see, skip_without_opengl
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.rendering.renderer import Surface
-from bodyseg_data.rendering import open_renderer
 from bodyseg_data.core.views import View
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering.renderer import Surface
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +104,7 @@ def test_a_fork_is_told_so_instead_of_hanging() -> None:
         "import os, sys\n"
         "from shapes import ball\n"
         "from bodyseg_data.core.errors import BadConfig\n"
-        "from bodyseg_data.rendering.renderer import open_renderer\n"
+        "from bodyseg_data.rendering import open_renderer\n"
         "parent = open_renderer('opengl', ball())\n"
         "child = os.fork()\n"
         "if child == 0:\n"
@@ -116,9 +117,8 @@ def test_a_fork_is_told_so_instead_of_hanging() -> None:
         "    os._exit(0)\n"
         "os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
     )
-    here = Path(__file__).parent
     answer = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = [{str(here)!r}, {str(here.parent)!r}]\n{script}"],
+        [sys.executable, "-c", f"import sys; sys.path[:0] = [{str(HELPERS)!r}, {str(ROOT)!r}]\n{script}"],
         capture_output=True,
         text=True,
         timeout=60,

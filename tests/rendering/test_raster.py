@@ -9,11 +9,11 @@ import pytest
 from plain_views import check_filled
 from shapes import figure
 
+from bodyseg_data.core.rig import PlacedCamera, load_rig
+from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering import raster
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
 
 RIG = load_rig()
 

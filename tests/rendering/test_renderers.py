@@ -14,26 +14,17 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
 
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Renderer, Surface
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
-
-RIG = load_rig()
-FRONT = View(255, 0)
-
-
-def skip_without_opengl() -> None:
-    try:
-        open_renderer("opengl", ball(subdivisions=0)).close()
-    except MissingLibrary as error:
-        pytest.skip(str(error))
+from bodyseg_data.rendering.renderer import Renderer, Surface
 
 
 @pytest.fixture(params=["raster", "embree", "opengl"])
@@ -46,18 +37,6 @@ def renderer(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def opengl() -> None:
     skip_without_opengl()
-
-
-def see(renderer: str, mesh: Mesh, *cameras: PlacedCamera) -> list[Surface]:
-    opened = open_renderer(renderer, mesh)
-    try:
-        return [opened.see(camera) for camera in cameras]
-    finally:
-        opened.close()
-
-
-def body_rays(camera: PlacedCamera) -> NDArray[np.float64]:
-    return camera.camera.pixel_rays() @ camera.axes
 
 
 def sphere_range(camera: PlacedCamera, centre: NDArray[np.float64], radius: float) -> NDArray[np.float64]:

@@ -12,9 +12,9 @@ from plain_views import check_filled, check_rays
 from shapes import ball, figure
 
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.rig import PlacedCamera, load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
 
 RIG = load_rig()
 

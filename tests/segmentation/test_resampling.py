@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.segmentation.resampling import LARGEST_SIDE, BodyView, view_body
 
 PAPER = load_rig()

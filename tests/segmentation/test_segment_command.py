@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from folders import SHARED_DATA
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
@@ -20,8 +21,8 @@ from pngs import png
 
 from bodyseg_data.commands import cli
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.commands import segment
+from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
 
 Frame = NDArray[np.uint16]
@@ -259,7 +260,7 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert segment.EXAMPLE in capsys.readouterr().out
 
 
-REAL = Path(os.environ.get("BODYSEG_REAL", Path(__file__).parents[2] / "shared" / "data" / "real"))
+REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
 
 
 @pytest.mark.parametrize(

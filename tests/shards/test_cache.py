@@ -18,14 +18,14 @@ from typing import Any
 import pytest
 
 from bodyseg_data import RangeImages
-from bodyseg_data.shards.cache.addresses import open_store
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary
-from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
+from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
-from bodyseg_data.shards.tar import ShardReader
-from bodyseg_data.shards.stores.store import LocalFolder, open_file
+from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
 from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.store import LocalFolder, open_file
+from bodyseg_data.shards.tar import ShardReader
 
 fsspec = pytest.importorskip("fsspec")
 

@@ -8,27 +8,26 @@ import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
+from folders import GOLDEN
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from strategies import same, samples
 
 from bodyseg_data.core import kernels
-from bodyseg_data.shards.sample_codec import CODECS, CodecName, check_codec, decode_sample, encode_sample
+from bodyseg_data.core.errors import BadConfig, BadSample
+from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.shards.sample_codec import CODECS, CodecName, check_codec, decode_sample, encode_sample
 
-GOLDEN = Path(__file__).parent / "golden"
 INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
 KERNELS = ("numpy", "compiled")
 

@@ -19,13 +19,13 @@ from servers import Nginx, Reply, free_port, nginx, s3_server
 from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadShard, Unreachable
+from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.shards.manifest import Manifest, read_manifest
-from bodyseg_data.shards.tar import ShardReader
-from bodyseg_data.shards.stores.store import LocalFolder
 from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.store import LocalFolder
+from bodyseg_data.shards.tar import ShardReader
 
 QUICK = Patience(tries=12, first_wait_s=0.001, stall_s=0.3)
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 import webdataset
-from test_sample import GOOD
+from samples import GOOD
 
 from bodyseg_data.commands.cli import main
-from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.shards.codecs.png import encode_png
 from bodyseg_data.core.errors import BadSample, BadShard
+from bodyseg_data.shards.codecs.png import encode_png
 from bodyseg_data.shards.manifest import MANIFEST_NAME, _digest, read_manifest, record_from_json, record_to_json
+from bodyseg_data.shards.sample_codec import encode_sample
 from bodyseg_data.shards.tar import ShardReader, ShardWriter, _read_header, find_faults, parse_members
 
 

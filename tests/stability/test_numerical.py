@@ -12,11 +12,11 @@ from small_rig import SMALL
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.variants import Artifacts
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import Artifacts
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.stability.numerical import BATCH_SIZES, Whole, numerical

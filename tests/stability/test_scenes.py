@@ -13,9 +13,9 @@ from shapes import figure
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.core.rig import axes_at, load_rig
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.stability import scenes as module
 from bodyseg_model.stability.scenes import Picture, Scenes, looking_down, picture, sensor, with_baseline
 from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting

@@ -15,7 +15,14 @@ from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.stability.figure import _styles, draw_stability
 from bodyseg_model.stability.groups import Group, Run, group, group_of
 from bodyseg_model.stability.severities import CLEAN, Setting, Sweep
-from bodyseg_model.stability.summary import corruption_error, falls_below, motion_over_seeds, over_seeds, relative_robustness, summarise
+from bodyseg_model.stability.summary import (
+    corruption_error,
+    falls_below,
+    motion_over_seeds,
+    over_seeds,
+    relative_robustness,
+    summarise,
+)
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),

@@ -15,17 +15,17 @@ from shapes import ball, figure
 from small_rig import SMALL
 from torch import nn
 
+from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.views import View
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.stability.correspondence import NEAR_M, NOT_SEEN, SeenBody, follow
 from bodyseg_model.stability.motion_frames import AZIMUTHS_DEG, choose_shots, take_shot

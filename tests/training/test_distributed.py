@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from folders import HELPERS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_ranks
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import permutation
+from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_ranks
 
 
 class Numbers:
@@ -222,7 +223,7 @@ def test_two_processes_of_torchrun_and_going_on_with_one_and_three(figures_set: 
     images = RangeImages(figures_set, "all")
     expected = [batch["key"] for batch in loader(images, 6, shuffle=True)]
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    script = str(Path(__file__).with_name("rank_worker.py"))
+    script = str(HELPERS / "rank_worker.py")
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [*command, script, str(tmp_path), str(figures_set), "2"],

@@ -15,22 +15,23 @@ from typing import Any
 
 import pytest
 import torch
+from folders import HELPERS
 
 from bodyseg_data import RangeImages
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, Diverged
-from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.core.rig import Camera, load_rig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_model.training import loop as training
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training import loop as training
 from bodyseg_model.training.distributed import Ranks
+from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training.loop import Course, Figures, Training
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.training.loop import Course, Figures, Training
 
 ONE = Ranks(0, 1, torch.device("cpu"))
 TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}
@@ -188,7 +189,7 @@ def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monk
     settings = {"width": 1 / 16}
     words = ["train", "--data", str(figures_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
     words += ["--steps", "2", "--batch", "2", "--accumulate", "2", "--workers", "0", "--device", "cpu", "--seed", "4"]
-    worker = Path(__file__).with_name("train_worker.py")
+    worker = HELPERS / "train_worker.py"
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(worker)]
     done = subprocess.run(
         [*torchrun, *words, "--out", str(tmp_path / "two")],

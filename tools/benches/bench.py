@@ -1,4 +1,4 @@
-"""`bodyseg bench`: measure speed and accuracy side by side in one run."""
+"""`tools/bench`: measure speed and accuracy side by side in one run."""
 
 from __future__ import annotations
 
@@ -7,28 +7,31 @@ import json
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
+from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import option
+from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.drawing.style import check_picture, new_chart
 
-EXAMPLE = "bodyseg bench occlusion --json occlusion.json"
+EXAMPLE = "tools/bench occlusion --json occlusion.json"
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What a bench takes. views: what --views counts, and its default; None if it measures whole bodies. figure:
-    whether it draws one. needs, also: further options that it must and may be given. package: where its modules are.
+    """A bench: its home, and what it takes.
+
+    home: the module below `benches` whose `bench_NAME` measures. figure: the module beside it whose `draw_NAME` draws
+    the answer, if there is one. views: what --views counts, and its default; None if it measures whole bodies.
+    needs, also: further options that it must and may be given.
     """
 
+    home: str
+    figure: str | None = None
     views: str | None = None
-    figure: bool = False
     needs: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
-    package: str = "benches.data"
 
     @property
     def takes(self) -> tuple[str, ...]:
@@ -36,33 +39,40 @@ class Bench:
         return (*(("views",) if self.views else ()), *self.needs, *self.also)
 
 
-_OF_NETWORKS: Final = "benches.model"  # by name alone: nothing here imports a network until one is measured
-
 BENCHES: Final = {
-    "occlusion": Bench("views in all, 60", figure=True),
-    "borders": Bench("views of each body, 12", figure=True),
-    "partition": Bench(figure=True, also=("mit",)),
-    "reduction": Bench("views of each body, 4", figure=True, also=("mit",)),
-    "render": Bench("views in all, 486", figure=True),
-    "scaling": Bench("views of each body, 54"),
-    "interpenetration": Bench("one frame in how many, 5"),
-    "clothes": Bench(also=("mit",)),
-    "proposal": Bench(also=("mit",)),
-    "reliability": Bench("hostile inputs in all, 100000"),
-    "codec": Bench("samples in all, 60", figure=True),
-    "loader": Bench("samples in all, 1080", figure=True, also=("workers",)),
+    "occlusion": Bench("data.occlusion.bench", "figure", "views in all, 60"),
+    "borders": Bench("data.surface.borders", "borders_figure", "views of each body, 12"),
+    "partition": Bench("data.surface.partition", "partition_figure", also=("mit",)),
+    "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", also=("mit",)),
+    "render": Bench("data.render.bench", "figure", "views in all, 486"),
+    "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
+    "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
+    "clothes": Bench("data.surface.clothes", also=("mit",)),
+    "proposal": Bench("data.surface.proposal", also=("mit",)),
+    "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),
+    "codec": Bench("data.codec.bench", "figure", "samples in all, 60"),
+    "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", also=("workers",)),
     "variants": Bench(
-        figure=True, needs=("data", "runs"), also=("seeds", "steps", "images", "alone"), package=_OF_NETWORKS
+        "model.variants.bench", "figure", needs=("data", "runs"), also=("seeds", "steps", "images", "alone")
     ),
-    "network": Bench("typical frames, 12", figure=True, also=("runs", "scores"), package=_OF_NETWORKS),
-    "sensors": Bench("bodies, 12", figure=True, also=("runs",), package=_OF_NETWORKS),
+    "network": Bench("model.networks.network", "network_figure", "typical frames, 12", also=("runs", "scores")),
+    "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", also=("runs",)),
     "architectures": Bench(
-        "typical frames, 12", needs=("data", "runs"), also=("images", "forest"), package=_OF_NETWORKS
+        "model.networks.architectures",
+        None,
+        "typical frames, 12",
+        needs=("data", "runs"),
+        also=("images", "forest"),
     ),
-    "ablation": Bench(figure=True, needs=("data", "runs"), also=("images", "hard", "clothes"), package=_OF_NETWORKS),
-    "failures": Bench(figure=True, needs=("data",), also=("runs", "images", "hard"), package=_OF_NETWORKS),
+    "ablation": Bench("model.ablation.bench", "figure", needs=("data", "runs"), also=("images", "hard", "clothes")),
+    "failures": Bench("model.failures.bench", "figure", needs=("data",), also=("runs", "images", "hard")),
 }
-"""Name -> what it takes. `PACKAGE/NAME.py` measures by its `bench_NAME`, `PACKAGE/NAME_figure.py` draws."""
+"""Name -> bench. Modules are imported when their bench runs."""
+
+if TYPE_CHECKING:
+    BenchName = str
+else:
+    BenchName = Literal[tuple(BENCHES)]
 
 _COUNTS: Final = "; ".join(f"{name}: {bench.views}" for name, bench in BENCHES.items() if bench.views)
 
@@ -76,26 +86,7 @@ def _takers(name: str) -> str:
 class Options:
     """What the command takes."""
 
-    what: Literal[
-        "occlusion",
-        "borders",
-        "partition",
-        "reduction",
-        "render",
-        "scaling",
-        "interpenetration",
-        "clothes",
-        "proposal",
-        "reliability",
-        "codec",
-        "loader",
-        "variants",
-        "network",
-        "sensors",
-        "architectures",
-        "ablation",
-        "failures",
-    ] = option("what to measure", positional=True)
+    what: BenchName = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
     views: int | None = option(f"how much to measure on ({_COUNTS})", None)
@@ -125,7 +116,7 @@ def run(options: Options) -> int:
     shown = [f"--{name} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
     shown += [f"--{name} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
-    module = importlib.import_module(f"{bench.package}.{options.what}")
+    module = importlib.import_module(f"benches.{bench.home}")
     with Progress("measuring", "steps") as progress:
         figures: dict[str, Any] = getattr(module, f"bench_{options.what}")(progress=progress.update, **given)
     if options.json is None:
@@ -134,7 +125,7 @@ def run(options: Options) -> int:
         write_figures(options.json, origin | figures)
         sys.stderr.write(f"wrote {options.json}\n")
     if options.figure is not None:
-        module = importlib.import_module(f"{bench.package}.{options.what}_figure")
+        module = importlib.import_module(f"benches.{bench.home.rpartition('.')[0]}.{bench.figure}")
         getattr(module, f"draw_{options.what}")(figures, options.figure)
         sys.stderr.write(f"wrote {options.figure}\n")
     return 0
@@ -156,7 +147,7 @@ def _shown(value: Any) -> str:
 def _check(options: Options) -> None:
     bench = BENCHES[options.what]
     if options.figure is not None:
-        if not bench.figure:
+        if bench.figure is None:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
         check_picture(options.figure, "--figure")
         check_target(options.figure, "--figure")
@@ -166,7 +157,7 @@ def _check(options: Options) -> None:
     for name in (field.name for field in fields(options)):
         if name in ("what", "json", "figure") or not _is_given(getattr(options, name)) or name in bench.takes:
             continue
-        if name == "views" and bench.package != _OF_NETWORKS:
+        if name == "views" and not bench.home.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
         raise BadConfig(f"--{name} is for bench {_takers(name)}, found it with bench {options.what}")
     for name in bench.needs:

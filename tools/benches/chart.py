@@ -1,4 +1,4 @@
-"""`bodyseg chart`: speed against accuracy, one chart a choice, from what the benches measured."""
+"""`tools/chart`: speed against accuracy, one chart a choice, from what the benches measured."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.core.provenance import write_figures
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture, draw
 from benches.charts.fields import read_fields
 from benches.charts.page import render_page
 from benches.charts.report import described
+from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.commands.options import option
+from bodyseg_data.core.provenance import write_figures
 
-EXAMPLE = "bodyseg chart --in docs/results --out charts"
+EXAMPLE = "tools/chart --in docs/results --out charts"
 
 _ALL = "charts.json"
 
@@ -43,7 +43,7 @@ def run(options: Options) -> int:
     for choice in CHOICES:
         file = options.in_ / f"{choice.bench}.json"
         if not file.exists():
-            left_out[choice.name] = f"no {file.name}, which `bodyseg bench {choice.bench} --json {file}` makes"
+            left_out[choice.name] = f"no {file.name}, which `tools/bench {choice.bench} --json {file}` makes"
             continue
         fields = read_fields(file)
         panels = choice.panels(fields)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.topology import find_edges
 from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.meshes.topology import find_edges
 
 
 class Refinement:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.clothes.outfits import Outfit
-from bodyseg_data.meshes.topology import find_edges
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.meshes.topology import find_edges
 
 Floats = NDArray[np.float64]
 

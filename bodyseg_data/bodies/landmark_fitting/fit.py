@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Skin, Tensor
 from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Skin, Tensor
 from bodyseg_data.core.system_libraries import missing_library
 
 Stage = tuple[int, float, float]

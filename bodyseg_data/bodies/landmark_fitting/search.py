@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.bodies.anny.postures import POSTURES
-from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
 from bodyseg_data.bodies.landmark_fitting.fit import FINE_REACH_M, Fit, Matcher, Stage, apart, laid, lay, refine
 from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points, spread_over
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
+from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
+from bodyseg_data.meshes.mesh import Mesh
 
 UPRIGHT: Final = (np.eye(3),)
 """How the body's frame may be tilted in a mesh that is upright: not at all."""

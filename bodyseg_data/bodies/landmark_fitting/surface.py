@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.meshes.mesh import Mesh
 
 FEATURE: Final = "proposing landmarks"
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.anny.people import person
 from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
+from bodyseg_data.bodies.landmark_fitting.surface import farthest, remoteness
 from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.bodies.landmark_fitting.surface import farthest, remoteness
 
 _PEOPLE: Final = 96
 _SHAPES: Final = 14

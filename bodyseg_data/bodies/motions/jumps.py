@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, pelvis_over, standing
 from bodyseg_data.bodies.motions.stands import both
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 
 _GRAVITY: Final = 9.81
 _STEPS: Final = 200

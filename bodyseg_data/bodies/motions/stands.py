@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, standing
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 
 
 def both(trunk: Trunk, arms: Arm, legs: Leg) -> Pose:

@@ -1,1 +1,78 @@
-"""Registry of sources of bodies."""
+"""Registry of the sources of bodies: a new one is a file in this folder and an entry of `SOURCES`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.bodies.source import BodySource
+from bodyseg_data.core.errors import BadConfig
+
+
+@dataclass(frozen=True)
+class SourceEntry:
+    """A source's class, "module.Class" of this folder, imported when the source is opened.
+
+    reads: content of the folder that `--path` must name; None for sources that make their bodies and read no files.
+    """
+
+    home: str
+    reads: str | None = None
+
+    def open(self, *arguments: Any) -> BodySource:
+        """The source itself, constructed with `arguments`."""
+        module, name = self.home.split(".")
+        source: BodySource = getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
+        return source
+
+
+SOURCES: Final[dict[str, SourceEntry]] = {
+    "open": SourceEntry("open_bodies.OpenBodies"),
+    "bare": SourceEntry("open_bodies.BareBodies"),
+    "wide": SourceEntry("wide.WideBodies"),
+    "hard": SourceEntry("hard.HardBodies"),
+    "scape": SourceEntry("scape.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
+    "mit": SourceEntry("mit.MitBodies", reads="I_crane and the other sequences"),
+    "caesar": SourceEntry("caesar.CaesarBodies", reads="one mesh and one .lnd file a subject"),
+    "folder": SourceEntry("folder.FolderBodies", reads="meshes and landmark files"),
+    "paper": SourceEntry("paper.PaperBodies", reads="scape, mit and caesar"),
+}
+"""Name -> class. The order is that of messages and of `--help`."""
+
+if TYPE_CHECKING:
+    SourceName = str
+else:
+    SourceName = Literal[tuple(SOURCES)]
+
+
+def open_source(
+    name: str,
+    path: Path | None = None,
+    landmarks: Path | None = None,
+    units: Units = "auto",
+    up: UpAxis = "auto",
+) -> BodySource:
+    """The source called `name`.
+
+    path: the folder it reads, for sources that read one. landmarks: a landmark file for all of its meshes that have
+    none of their own, or a folder in which landmark files are looked for instead of in `path`. units, up: what the
+    mesh files are in and which of their axes points up, found from body and landmarks if "auto" (`alignment`).
+    Raises BadConfig.
+    """
+    if name not in SOURCES:
+        raise BadConfig(f"the source must be one of {', '.join(SOURCES)}, found {name!r}")
+    entry = SOURCES[name]
+    if entry.reads is None:
+        given = {"--path": path, "--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto"}
+        unused = [option for option, value in given.items() if value]
+        if unused:
+            raise BadConfig(f"the source {name!r} makes its bodies and reads no files: leave {', '.join(unused)} out")
+        return entry.open()
+    if path is None:
+        raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
+    if not path.is_dir():
+        raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
+    return entry.open(path, landmarks, units, up)

@@ -12,14 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import LANDMARK_SUFFIXES, files_below, given_landmarks
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
 from bodyseg_data.bodies.names import key_name
+from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core.splits import split_by_order
+from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred
 
 SUBJECTS: Final = 583
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import files_below, given_landmarks, landmark_file, meshes_in
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
 from bodyseg_data.bodies.names import key_name
+from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core.splits import Split
 
 _LONGEST_SUBJECT: Final = 20  # with the mesh's name and the view in a sample key of at most 80

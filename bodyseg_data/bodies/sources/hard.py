@@ -11,11 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies
 from bodyseg_data.bodies.anny.people import PEOPLE, person
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies
 
 _HANGING: Final = Arm()
 _HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)

@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny, no_anny, one_thread
+from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, Person, person, standing_pose
+from bodyseg_data.bodies.anny.postures import POSTURES
+from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
-from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, Person, person, standing_pose
-from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
-from bodyseg_data.bodies.anny.postures import POSTURES
+from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.splits import split_by_motion, split_by_order
+from bodyseg_data.meshes.mesh import Mesh
 
 if TYPE_CHECKING:
     import torch
@@ -100,13 +100,23 @@ class OpenBodies(MadeBodies):
     """The paper's subsets by open bodies, 2 329 in all.
 
     A: one man in 71 postures. B and C: a man and a woman, dressed, in four motions each. people: 583 people standing
-    with their arms a little off. dressed: False takes off what B and C wear, to measure what clothes are worth; the
-    source is then called "bare".
+    with their arms a little off.
     """
 
-    def __init__(self, dressed: bool = True) -> None:
-        moving = (each for subject in _MOVING for each in _moving(subject, dressed))
-        super().__init__("open" if dressed else "bare", dict([*_postures(), *moving, *_people()]))
+    def __init__(self) -> None:
+        super().__init__("open", _figures(dressed=True))
+
+
+class BareBodies(MadeBodies):
+    """The bodies of `OpenBodies`, B and C without clothes: for measuring the worth of clothes."""
+
+    def __init__(self) -> None:
+        super().__init__("bare", _figures(dressed=False))
+
+
+def _figures(dressed: bool) -> dict[BodyRef, Callable[[], Figure]]:
+    moving = (each for subject in _MOVING for each in _moving(subject, dressed))
+    return dict([*_postures(), *moving, *_people()])
 
 
 _MOVING: Final[tuple[Literal["B", "C"], ...]] = ("B", "C")

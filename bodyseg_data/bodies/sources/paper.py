@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.source import Body, BodyRef, BodySource
 from bodyseg_data.bodies.sources import caesar, mit, scape
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.bodies.alignment import Units, UpAxis
 
 _Opened = Callable[[Path, Path | None, Units, UpAxis], BodySource]
 

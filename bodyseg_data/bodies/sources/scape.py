@@ -10,11 +10,11 @@ import re
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import given_landmarks, landmark_file, meshes_in
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core.splits import split_by_order
 
 NUMBERS: Final = tuple(number for number in range(72) if number != 51)

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
+from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_names, json_table
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
-from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
 
 FARTHEST_M: Final = 0.03
 """A landmark farther than this from the surface belongs to another body, unit or frame, or was read wrongly.

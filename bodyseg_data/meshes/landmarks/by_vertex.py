@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.files import refuse_special
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.meshes.mesh import Mesh
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
 _KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
@@ -83,7 +83,7 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
     """
     path = Path(name_or_path)
     if path.suffix != ".json":
-        folder = resources.files("bodyseg_data") / "landmark_sets"
+        folder = resources.files(__package__) / "sets"
         names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
         if str(name_or_path) not in names:
             raise BadLandmarks(

@@ -24,8 +24,8 @@ import numpy as np
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.files import contents
-from bodyseg_data.meshes.landmarks.by_point import METRES, PointLandmarks
 from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.meshes.landmarks.by_point import METRES, PointLandmarks
 
 _MIDDLE: Final = (
     "Sellion",

@@ -13,11 +13,11 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.topology import Edges, components, find_edges
 from bodyseg_data.core.errors import BadConfig, Unanswerable
+from bodyseg_data.core.system_libraries import missing_library
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.repair import SAME_POINT_M
-from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.meshes.topology import Edges, components, find_edges
 
 Geodesics = Literal["exact", "unfolded", "edges", "marching", "heat"]
 

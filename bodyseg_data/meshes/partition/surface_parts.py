@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.partition.borders import Borders, find_borders
-from bodyseg_data.meshes.topology import components
 from bodyseg_data.core.errors import BadLandmarks, Unanswerable
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
+from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
 from bodyseg_data.meshes.mending import Mended, mend
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
-from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
+from bodyseg_data.meshes.partition.borders import Borders, find_borders
+from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
+from bodyseg_data.meshes.topology import components
 
 _FEATURE: Final = "partitioning a body"
 

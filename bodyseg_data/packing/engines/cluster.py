@@ -18,9 +18,9 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.packing.pack import Packing
 
 _PATIENCE_S: Final = 5.0

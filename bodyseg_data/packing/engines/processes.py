@@ -11,8 +11,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.core.machine import processors
+from bodyseg_data.packing.engines.engine import Engine
 
 
 @contextmanager

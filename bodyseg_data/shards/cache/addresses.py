@@ -10,8 +10,8 @@ from urllib.parse import unquote
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_data.shards.stores.store import LocalFolder, Store
 from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.store import LocalFolder, Store
 
 _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 

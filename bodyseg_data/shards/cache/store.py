@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.shards.manifest import ShardRecord
 from bodyseg_data.shards.cache.folder import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_at
-from bodyseg_data.shards.tar import check_bytes
-from bodyseg_data.shards.stores.store import TIMES, Store
+from bodyseg_data.shards.manifest import ShardRecord
 from bodyseg_data.shards.stores.remote import RemoteFolder
+from bodyseg_data.shards.stores.store import TIMES, Store
+from bodyseg_data.shards.tar import check_bytes
 
 
 class CachedStore:

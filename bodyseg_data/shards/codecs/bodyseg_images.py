@@ -17,9 +17,20 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.codecs.runs import ESCAPE, Box, Bytes, Runs, checked_lengths, escaped, find_runs, from_planes, planes, used_box
-from bodyseg_data.shards.codecs.slopes import Places, Slopes, restore, stretches, to_slopes
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.shards.codecs.runs import (
+    ESCAPE,
+    Box,
+    Bytes,
+    Runs,
+    checked_lengths,
+    escaped,
+    find_runs,
+    from_planes,
+    planes,
+    used_box,
+)
+from bodyseg_data.shards.codecs.slopes import Places, Slopes, restore, stretches, to_slopes
 
 MAX_SIDE: Final = 8192
 """Images with a longer side are refused before any memory is asked for."""

@@ -18,10 +18,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.codecs.labels import split_labels
-from bodyseg_data.shards.codecs.runs import Box, Bytes, Runs, escaped, escapes_of, from_planes, planes, unescaped
 from bodyseg_data.core.kernels import compiled, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.shards.codecs.labels import split_labels
+from bodyseg_data.shards.codecs.runs import Box, Bytes, Runs, escaped, escapes_of, from_planes, planes, unescaped
 
 Range = NDArray[np.uint16]
 Places = NDArray[np.int32]

@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
+from benches import chart
+from benches.chart import EXAMPLE, Options, run
+from benches.charts.choices import CHOICES
+from benches.charts.drawing import Picture
 from chart_figures import SOURCE, figures_of, write_figures_of
 from PIL import Image
 
-from benches.charts.choices import CHOICES
-from benches.charts.drawing import Picture
-from benches import chart
-from benches.chart import EXAMPLE, Options, run
-from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.commands.options import parse
+from bodyseg_data.core.errors import BadConfig
 
 pytest.importorskip("matplotlib")
 
@@ -53,8 +53,7 @@ def test_what_was_not_measured_is_left_out_by_name(
     lines = capsys.readouterr().err.splitlines()
     file = results / "occlusion.json"
     assert (
-        f"chart shadow_test is left out: no occlusion.json, which `bodyseg bench occlusion --json {file}` makes"
-        in lines
+        f"chart shadow_test is left out: no occlusion.json, which `tools/bench occlusion --json {file}` makes" in lines
     )
     assert f"chart renderer is left out: nothing to compare in {results / 'render.json'}" in lines
     assert lines[-1] == f"wrote 1 charts into {tmp_path / 'out'}" and len(lines) == len(CHOICES)
@@ -92,7 +91,7 @@ def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
 
 
 def test_the_example_is_a_command_line() -> None:
-    options = parse(Options, EXAMPLE.split()[2:], "bodyseg chart", "", EXAMPLE)
+    options = parse(Options, EXAMPLE.split()[2:], "tools/chart", "", EXAMPLE)
     assert options == Options(in_=Path("docs/results"), out=Path("charts"))
 
 

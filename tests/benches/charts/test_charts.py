@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chart_figures import BY_NAME, SOURCE, figures_of, panels_of
-from hypothesis import given
-from hypothesis import strategies as st
-from PIL import Image
-
 from benches.charts.choices import Choice, Panel
 from benches.charts.drawing import DPI, chart, draw
 from benches.charts.fronts import Axis, Point, front, shortfalls, unbeaten
 from benches.charts.labels import Label, Placed, place_labels
 from benches.charts.scales import axis_title, scale_of, shown
+from chart_figures import BY_NAME, SOURCE, figures_of, panels_of
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
 
 LESS, MORE = Axis("ms", "time"), Axis("per second", "speed", more_is_better=True)
 

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chart_figures import BY_NAME, RENDERERS, SOURCE, figures_of, panels_of
-
 from benches.charts.choices import CHOICES, Choice
 from benches.charts.fields import Field, read_fields
 from benches.charts.report import described
+from chart_figures import BY_NAME, RENDERERS, SOURCE, figures_of, panels_of
+from folders import ROOT
+
 from bodyseg_data.core.errors import BadConfig
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results"
+RESULTS = ROOT / "docs" / "results"
 
 
 # What is read out of the benches' figures

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-
 from benches.charts.page import render_page, sources_of
+
 from bodyseg_data.core.errors import BadConfig
 
 CONTENT = {

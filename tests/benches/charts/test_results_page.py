@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import pytest
-
 from benches.charts.choices import CHOICES, Choice
 from benches.charts.fields import read_fields
 from benches.charts.page import render_page, sources_of
 from benches.charts.report import described
+from folders import ROOT
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results"
+RESULTS = ROOT / "docs" / "results"
 PAGE = RESULTS / "index.md"
 TEMPLATE = RESULTS / "index.md.in"
 CHARTS = RESULTS / "charts"

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.codec import bench
+from benches.data.codec.baselines import Rival, rivals
+from benches.data.codec.bench import DEFAULT, bench_codec
+from benches.data.codec.figure import draw_codec
 from PIL import Image
 
 from bodyseg_data.core import kernels
-from benches.data.codec import bench
-from benches.data.codec.bench import DEFAULT, bench_codec
-from benches.data.codec.figure import draw_codec
-from benches.data.codec.baselines import Rival, rivals
 from bodyseg_data.core.errors import BadConfig
 
 pytest.importorskip("imagecodecs")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-
 from benches.data.surface.interpenetration import Depths, Skin, bench_interpenetration, groups_to_measure, penetration
-from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
+
 from bodyseg_data.bodies.anny.people import SUBJECT_A
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose
+from bodyseg_data.bodies.sources.hard import HardBodies
+from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
 from bodyseg_data.meshes.mesh import Mesh
 
 RADIUS = 0.3

@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-
-from bodyseg_data.commands import cli
 from benches.data.loader import bench
-from benches.data.loader import limits as loader_limits, litdata as loader_litdata, mds as loader_mds
+from benches.data.loader import limits as loader_limits
+from benches.data.loader import litdata as loader_litdata
+from benches.data.loader import mds as loader_mds
+from benches.data.loader.baselines import Premade, folder_bytes
 from benches.data.loader.figure import _TITLES, draw_loader
 from benches.data.loader.limits import limits, ratio
 from benches.data.loader.passes import Passes, _check, _Open, _run, checksum_of
 from benches.data.loader.processes import private_mb, processor_seconds
-from benches.data.loader.baselines import Premade, folder_bytes
+from PIL import Image
+
+from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.loading.range_images import Batch, RangeImages
 

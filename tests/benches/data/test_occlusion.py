@@ -10,23 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.occlusion import bench
+from benches.data.occlusion.baselines import DEFAULT, methods, nearest, plane, votes
+from benches.data.occlusion.bench import bench_occlusion
+from benches.data.occlusion.figure import draw_occlusion
+from benches.data.occlusion.stored import Storage, exact_masks, facing_bytes
+from benches.data.occlusion.tallies import SCENES
+from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, projector_scaled, with_baseline
 from PIL import Image
 from shapes import figure
 
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from benches.data.occlusion import bench
-from benches.data.occlusion.bench import bench_occlusion
-from benches.data.occlusion.figure import draw_occlusion
-from benches.data.occlusion.baselines import DEFAULT, methods, nearest, plane, votes
-from benches.data.occlusion.stored import Storage, exact_masks, facing_bytes
-from benches.data.occlusion.tallies import SCENES
-from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, projector_scaled, with_baseline
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering.embree import EmbreeRenderer
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
-from shapes import ball
-
+from benches.bench import Options, run
 from benches.data.surface import partition as bench
 from benches.data.surface.broken_bodies import CASES, scan, sound
 from benches.data.surface.partition import METHODS, bench_partition, wrong_surface
 from benches.data.surface.partition_figure import draw_partition
+from PIL import Image
+from shapes import ball
+
 from bodyseg_data.bodies.source import Body, BodyRef
-from benches.bench import Options, run
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.meshes.partition.surface_parts import partition
 

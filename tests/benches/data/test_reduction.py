@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.surface import reduction as benches
+from benches.data.surface.reduction_figure import draw_reduction
 from PIL import Image
 from shapes import figure
 
-from benches.data.surface import reduction as benches
-from benches.data.surface.reduction_figure import draw_reduction
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.meshes.repair import load_pymeshlab

@@ -6,20 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
-
-from benches.data.render import bench as render, alone as render_alone
-from benches.data.render.bench import bench_render
+from benches.data.render import alone as render_alone
+from benches.data.render import bench as render
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
+from benches.data.render.bench import bench_render
 from benches.data.render.figure import draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
+from PIL import Image
+
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_data.core.rig import PlacedCamera, axes_at
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.rendering.renderer import Renderer
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
 VIEWS = list(PACKING.views)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import sys
 
 import pytest
-
 from benches.data.render import scaling
+
 from bodyseg_data.core.errors import MissingLibrary
 
 

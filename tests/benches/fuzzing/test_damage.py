@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
+
 from bodyseg_data.core.errors import BadShard
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.manifest import MANIFEST_NAME, write_manifest
 from bodyseg_data.shards.tar import find_faults, parse_members
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.core.views import ViewGrid
 
 
 @pytest.fixture(scope="module")

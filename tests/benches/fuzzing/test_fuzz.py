@@ -17,20 +17,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
-
 from benches.fuzzing import fuzzing
+from benches.fuzzing.bench import by_all_loops
 from benches.fuzzing.fuzzing import TARGETS, Target, campaign, feed, one_input
 from benches.fuzzing.hostile_files import KEY, hostile_tar
-from benches.fuzzing.bench import by_all_loops
+from folders import ROOT
+from PIL import Image
+
 from bodyseg_data.commands.cli import main
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BodysegError
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest, record_from_json
 from bodyseg_data.core.rig import parse_rig
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest, record_from_json
+from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_data.shards.tar import parse_members
 
-ROOT = Path(__file__).parents[1]
 INPUTS = int(os.environ.get("BODYSEG_FUZZ", "200"))
 """How many inputs each reader gets here; `bench reliability` feeds 100 000."""
 
@@ -122,7 +122,7 @@ def test_a_png_with_more_than_its_pixels_is_refused(chunks: list[tuple[bytes, by
 
 
 def _sample_of_pngs() -> dict[str, bytes]:
-    from test_sample import GOOD
+    from samples import GOOD
 
     return encode_sample(GOOD, "png")
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from benches.fuzzing import bench as reliability
 from benches.fuzzing.bench import bench_reliability
 

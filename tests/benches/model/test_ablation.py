@@ -8,25 +8,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.model.ablation import bench as ablation
+from benches.model.ablation import costs as ablation_costs
+from benches.model.ablation.bench import bench_ablation
+from benches.model.ablation.conditions import EXAMS, clothes_exams, coarse_exams, hard_exam, stepped
+from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, processor_ms, rendering_costs
+from benches.model.ablation.figure import draw_ablation
+from benches.model.ablation.rows import ROW_OF_BASE, THINGS, Thing, enough, spread_of, table, verdict, worth
+from benches.model.ablation.runs import find_runs
+from benches.model.variants import scores as variants_scores
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.losses import lost_grazing
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies
-from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.commands.options import parse
-from benches.model.ablation import bench as ablation, costs as ablation_costs
-from benches.model.variants import scores as variants_scores
-from benches.model.ablation.bench import bench_ablation
-from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, processor_ms, rendering_costs
-from benches.model.ablation.conditions import EXAMS, clothes_exams, coarse_exams, hard_exam, stepped
-from benches.model.ablation.figure import draw_ablation
-from benches.model.ablation.rows import ROW_OF_BASE, THINGS, Thing, enough, spread_of, table, verdict, worth
-from benches.model.ablation.runs import find_runs
-from bodyseg_model.networks.checkpoints import load_network, read_json, save_network
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.shards.sample_codec import encode_sample
 from bodyseg_model.commands import train
-from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.checkpoints import load_network, read_json, save_network
+from bodyseg_model.networks.registry import build, predict
 
 STEPS = 1
 IMAGES = 2

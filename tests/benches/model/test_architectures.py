@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import nn
-
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.range_images import RangeImages
 from benches.model.networks import architectures as bench
 from benches.model.networks import architectures_runs
 from benches.model.networks.architectures import bench_architectures
 from benches.model.networks.architectures_forest import ForestScale, fit_forest
 from benches.model.networks.architectures_runs import groups_in
 from benches.model.networks.network_times import LEAST_ROUNDS
+from torch import nn
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.registry import build, parameters, predict
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 
 TINY = {"patch": 16, "widths": [8], "blocks": [0]}
 NARROW = {"width": 1 / 16}

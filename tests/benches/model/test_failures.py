@@ -11,27 +11,45 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model.failures import bench, study
+from benches.model.failures.bench import Failures, bench_failures
+from benches.model.failures.causes import (
+    ADJOINING,
+    CAUSES,
+    NAMES,
+    Judged,
+    edge_distance,
+    holds,
+    parts_within,
+    viewing_angles,
+    window_sums,
+)
+from benches.model.failures.figure import _COLOURS, draw_failures
+from benches.model.failures.poses import (
+    OTHER,
+    POSE_KINDS,
+    SEGMENTS,
+    KnownPoses,
+    body_of,
+    directions,
+    kind_of_pose,
+    made_bodies,
+)
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.artifacts.variants import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
-from bodyseg_data.artifacts.variants import RangeImage
-from benches.model.failures import bench
-from benches.model.failures import study
-from benches.model.failures.bench import Failures, bench_failures
-from benches.model.failures.causes import ADJOINING, CAUSES, NAMES, Judged, edge_distance, holds, parts_within, viewing_angles, window_sums
-from benches.model.failures.figure import _COLOURS, draw_failures
-from benches.model.failures.poses import OTHER, POSE_KINDS, SEGMENTS, KnownPoses, body_of, directions, kind_of_pose, made_bodies
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
+from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
+from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
+from bodyseg_model.networks.checkpoints import Trained
 
 Labels = NDArray[np.uint8]
 

@@ -9,14 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model.networks import architectures_forest as forests
+from benches.model.networks.architectures_forest import (
+    FAR_M,
+    DepthForest,
+    ForestScale,
+    Trees,
+    depth_differences,
+    draw_offsets,
+    fit_forest,
+    from_sklearn,
+    smoothed,
+    walk,
+)
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.loading.range_images import RangeImages
-from benches.model.networks import architectures_forest as forests
-from benches.model.networks.architectures_forest import FAR_M, DepthForest, ForestScale, Trees, depth_differences, draw_offsets, fit_forest, from_sklearn, smoothed, walk
-from bodyseg_model.networks.registry import predict
 from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.registry import predict
 
 SMALL = ForestScale(images=6, candidates=30, tried=10, depth=12, window=3)
 

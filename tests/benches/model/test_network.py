@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from fakes import Figures
-from PIL import Image
-from torch import nn
-
-from bodyseg_data.commands import cli
-from bodyseg_data.packing import pack as packing
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from benches.model.networks import network as bench
 from benches.model.networks import network_times
 from benches.model.networks.network import bench_network
 from benches.model.networks.network_figure import draw_network
 from benches.model.networks.network_frames import stretched, typical_frames
 from benches.model.networks.network_times import LEAST_ROUNDS, Cell, operations, summary, time_cell
+from fakes import Figures
+from PIL import Image
+from torch import nn
+
+from bodyseg_data.commands import cli
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.packing import pack as packing
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, parameters
 

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model.networks import sensors as bench
+from benches.model.networks.sensors import METHODS, Scene, all_scenes, bench_sensors, label
+from benches.model.networks.sensors_figure import draw_sensors
 from fakes import Figures
 from label_networks import Places
 from PIL import Image
@@ -16,13 +19,10 @@ from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.core.rig import load_rig
-from benches.model.networks import sensors as bench
-from benches.model.networks.sensors import METHODS, Scene, all_scenes, bench_sensors, label
-from benches.model.networks.sensors_figure import draw_sensors
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.segmentation.cameras import frame_camera
 
 KINECT = frame_camera((480, 640), "a Kinect").camera
 

@@ -9,26 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
-
-from bodyseg_data import RangeImages
-from bodyseg_data.commands import cli
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.artifacts.variants import VARIANTS, Artifacts
-from benches.model.variants import bench as variants, runs as variants_runs, scores as variants_scores
+from benches.model.variants import bench as variants
+from benches.model.variants import runs as variants_runs
+from benches.model.variants import scores as variants_scores
 from benches.model.variants.bench import bench_variants
 from benches.model.variants.claims import claims
 from benches.model.variants.figure import draw_variants
 from benches.model.variants.runs import Run, common_plan, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
-from bodyseg_model.networks.checkpoints import load_network
+from PIL import Image
+
+from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.variants import VARIANTS, Artifacts
+from bodyseg_data.commands import cli
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import train as train_command
 from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.training.distributed import Ranks
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.training.loop import Course, Figures
 
 SETTINGS = '{"patch": 16, "widths": [8], "blocks": [0]}'

@@ -13,15 +13,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import ROOT
 from scipy.spatial import cKDTree
 
+from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
+from bodyseg_data.bodies.anny.postures import POSTURES
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.clothes.outfits import OUTFITS
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.clothes.outfits import OUTFITS
 from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
-from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.anny.postures import POSTURES
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.views import ViewGrid
@@ -222,9 +223,7 @@ def test_bits_are_the_same_in_another_process_with_other_threads(built: Built) -
         "        print(hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest())\n"
         "print(torch.get_num_threads())\n"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1]
-    )
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
     expected = [digest(built(name)) for name in ("person-001", "B-jumping-027", "posture-24")]
     assert answer.stdout.split() == [*expected, "2"]
     assert not answer.stderr
@@ -243,9 +242,7 @@ def test_importing_and_listing_is_light() -> None:
         "OpenBodies().bodies()\n"
         "print([name for name in ('anny', 'torch', 'warp', 'trimesh') if name in sys.modules])\n"
     )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1]
-    )
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
     assert answer.stdout.strip() == "[]"
 
 

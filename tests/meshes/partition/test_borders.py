@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.surface import borders as benches
 from numpy.typing import NDArray
 from pygeodesic.geodesic import PyGeodesicAlgorithmExact
-from shapes import ball, figure
-from test_partition import box_mesh, spread
+from shapes import ball, box_mesh, evenly_drawn, figure
 
-from benches.data.surface import borders as benches
-from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 
 
@@ -53,7 +52,7 @@ def test_on_a_plane_parts_are_the_voronoi_cells_of_their_landmarks() -> None:
 
 def test_labels_agree_with_distances_to_every_landmark_computed_alone() -> None:
     mesh = ball(subdivisions=3)
-    landmarks = spread(mesh)
+    landmarks = evenly_drawn(mesh)
     parts = partition(mesh, landmarks)
     solver = PyGeodesicAlgorithmExact(mesh.vertices, mesh.faces)
     alone = np.stack([solver.geodesicDistances(np.array([landmark]))[0] for landmark in landmarks])

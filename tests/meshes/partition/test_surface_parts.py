@@ -8,46 +8,15 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from shapes import ball, figure
+from shapes import ball, box_mesh, evenly_drawn, figure
 
-from bodyseg_data.meshes.partition import geodesics
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics
+from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
+from bodyseg_data.meshes.partition import geodesics
+from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics
 from bodyseg_data.meshes.partition.surface_parts import part_areas, partition, partition_unmended
-from bodyseg_data.core.parts import PART_COUNT
-
-
-def spread(mesh: Mesh, seed: int = 0) -> Any:
-    """33 different vertices of the surface."""
-    return np.random.default_rng(seed).choice(np.unique(mesh.faces), PART_COUNT, replace=False).astype(np.int64)
-
-
-def box_mesh(steps: int = 12, side: float = 1.0, depth: float = 0.1) -> Mesh:
-    """A flat box, `side` square and `depth` thick, every face a square grid; its front is the plane z = depth."""
-    points: dict[tuple[float, float, float], int] = {}
-    faces: list[list[int]] = []
-
-    def index(point: Any) -> int:
-        key = tuple(round(float(value), 9) for value in point)
-        return points.setdefault((key[0], key[1], key[2]), len(points))
-
-    size = np.array([side, side, depth])
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        nu, nv = (1 if extent == 2 else steps for extent in (u, v))
-        for outer in (0, 1):
-            for i in range(nu):
-                for j in range(nv):
-                    corners = []
-                    for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                        point = np.zeros(3)
-                        point[axis], point[u], point[v] = outer, (i + du) / nu, (j + dv) / nv
-                        corners.append(index(point * size))
-                    a, b, c, d = corners if outer else corners[::-1]
-                    faces += [[a, b, c], [a, c, d]]
-    return Mesh("box", np.array(list(points)), np.array(faces))
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:
@@ -64,7 +33,7 @@ def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> 
 
 def test_distances_on_a_ball_are_great_circles() -> None:
     mesh = ball(radius_m=0.5, subdivisions=4)
-    landmarks = spread(mesh)
+    landmarks = evenly_drawn(mesh)
     result = partition(mesh, landmarks)
     ways = (mesh.vertices - mesh.centre) / 0.5
     circles = 0.5 * np.arccos(np.clip(ways @ ways[landmarks].T, -1, 1))
@@ -83,7 +52,7 @@ def test_labels_equal_33_runs_from_one_landmark_each() -> None:
     smooth = ball(subdivisions=3)
     rough = smooth.vertices + rng.normal(0, 0.01, smooth.vertices.shape)
     mesh = Mesh("potato", rough * (0.6, 1.6, 0.4), smooth.faces)
-    landmarks = spread(mesh, 3)
+    landmarks = evenly_drawn(mesh, 3)
     solver = PyGeodesicAlgorithmExact(mesh.vertices, mesh.faces)
     alone = np.stack([solver.geodesicDistances(np.array([vertex]))[0] for vertex in landmarks], axis=1)
     result = partition(mesh, landmarks)
@@ -94,7 +63,7 @@ def test_labels_equal_33_runs_from_one_landmark_each() -> None:
 
 def test_every_landmark_lies_in_its_own_part() -> None:
     mesh = figure()
-    landmarks = spread(mesh)
+    landmarks = evenly_drawn(mesh)
     result = partition(mesh, landmarks)
     np.testing.assert_array_equal(result.labels[landmarks], np.arange(PART_COUNT))
     np.testing.assert_array_equal(result.distance[landmarks], 0)
@@ -108,7 +77,7 @@ def test_a_piece_without_landmarks_takes_the_label_of_the_nearest_surface() -> N
     small = (eye.vertices - eye.centre) * 0.04 + (0.0, 0.9, 0.53)  # hovers 1 cm before the front of the ball
     vertices = np.concatenate([whole.vertices, small])
     mesh = Mesh("ball with eye", vertices, np.concatenate([whole.faces, eye.faces + len(whole.vertices)]))
-    landmarks = spread(whole)
+    landmarks = evenly_drawn(whole)
     front = int(np.linalg.norm(whole.vertices - (0.0, 0.9, 0.5), axis=1).argmin())
     landmarks[7] = front
     result = partition(mesh, landmarks)
@@ -129,7 +98,7 @@ def test_the_nearest_surface_counts_not_the_nearest_vertex() -> None:
     count = len(mesh.vertices)
     vertices = np.concatenate([mesh.vertices, top, speck])
     faces = np.concatenate([mesh.faces, [[count, count + 1, count + 2], [count + 3, count + 4, count + 5]]])
-    landmarks = np.concatenate([[count], spread(mesh)[1:]])
+    landmarks = np.concatenate([[count], evenly_drawn(mesh)[1:]])
     result = partition(Mesh("roofed", vertices, faces), landmarks)
     assert set(result.labels[count : count + 3]) == {0}
     assert set(result.labels[count + 3 :]) == {0}
@@ -139,7 +108,7 @@ def test_the_nearest_surface_counts_not_the_nearest_vertex() -> None:
 
 def test_vertices_without_faces_do_no_harm() -> None:
     whole = figure()
-    landmarks = spread(whole)
+    landmarks = evenly_drawn(whole)
     shift = 3
     loose = np.array([[0.0, 1.0, 0.2], [0.1, 0.5, 0.0], [0.0, 1.7, 0.0]])
     mesh = Mesh("loose", np.concatenate([loose, whole.vertices]), whole.faces + shift)
@@ -157,7 +126,7 @@ def test_pieces_that_meet_in_one_point_only_are_all_labelled() -> None:
     count = len(one.vertices)
     faces = np.concatenate([one.faces, np.where(one.faces == bottom, top - count, one.faces) + count])
     mesh = Mesh("hourglass", np.concatenate([one.vertices, other]), faces)
-    result = partition(mesh, spread(one))
+    result = partition(mesh, evenly_drawn(one))
     assert np.isfinite(result.distance[:count]).all()
     touching = np.unique(faces)[np.unique(faces) >= count]
     assert (result.distance[touching] > result.distance[top]).all()  # the only way leads through the point
@@ -187,7 +156,7 @@ def changed(landmarks: Any, position: int, vertex: int) -> Any:
 
 def test_bad_landmarks_are_refused_by_name() -> None:
     whole = figure()
-    good = spread(whole)
+    good = evenly_drawn(whole)
     mesh = Mesh("m", np.concatenate([whole.vertices, [[0.0, 1.0, 0.0]]]), whole.faces)
     last = len(whole.vertices)
     for landmarks, message in (
@@ -216,12 +185,12 @@ def test_landmarks_that_share_one_place_are_refused() -> None:
 def test_a_sound_body_has_no_note() -> None:
     mesh = ball(subdivisions=3)
     for method in get_args(Geodesics):
-        assert partition(mesh, spread(mesh), method).note is None
+        assert partition(mesh, evenly_drawn(mesh), method).note is None
 
 
 def test_what_would_crash_the_solver_is_mended_and_the_rest_keeps_its_labels() -> None:
     whole = ball(subdivisions=3)
-    landmarks = spread(whole)
+    landmarks = evenly_drawn(whole)
     sound = partition(whole, landmarks)
     a, b, _ = whole.faces[0]
     count = len(whole.vertices)
@@ -243,7 +212,7 @@ def test_what_would_crash_the_solver_is_mended_and_the_rest_keeps_its_labels() -
 def test_seams_that_are_not_welded_change_nothing() -> None:
     """Every triangle has vertices of its own; borders run through them as through the welded ones."""
     whole = ball(subdivisions=3)
-    landmarks = spread(whole)
+    landmarks = evenly_drawn(whole)
     corners = whole.faces.ravel()
     loose = Mesh("loose", whole.vertices[corners], np.arange(len(corners)).reshape(-1, 3))
     own = np.array([np.flatnonzero(corners == landmark)[-1] for landmark in landmarks])
@@ -264,7 +233,7 @@ def test_seams_that_are_not_welded_change_nothing() -> None:
 
 def test_a_method_that_cannot_answer_is_replaced_and_the_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = ball(subdivisions=3)
-    landmarks = spread(mesh)
+    landmarks = evenly_drawn(mesh)
     wanted = partition(mesh, landmarks, ALWAYS_ANSWERS)
 
     def too_thin(*arguments: Any) -> Any:
@@ -283,7 +252,7 @@ def test_folds_without_any_area_fall_back() -> None:
     vertices, chosen = whole.vertices.copy(), np.random.default_rng(0).choice(len(whole.faces), 2000, replace=False)
     for a, b, c in whole.faces[chosen]:
         vertices[c] = (vertices[a] + vertices[b]) / 2
-    result = partition(Mesh("folded", vertices, whole.faces), spread(whole))
+    result = partition(Mesh("folded", vertices, whole.faces), evenly_drawn(whole))
     assert result.note is not None and "the method 'exact' cannot answer: some triangles are too thin" in result.note
     assert np.isfinite(result.distance).all()
 
@@ -291,7 +260,7 @@ def test_folds_without_any_area_fall_back() -> None:
 def test_an_unknown_method_is_refused() -> None:
     mesh = ball(subdivisions=3)
     with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'euclid'"):
-        partition(mesh, spread(mesh), "euclid")  # type: ignore[arg-type]  # on purpose
+        partition(mesh, evenly_drawn(mesh), "euclid")  # type: ignore[arg-type]  # on purpose
 
 
 def test_a_landmark_on_a_face_that_is_left_out_is_named() -> None:
@@ -306,7 +275,7 @@ def test_a_landmark_on_a_face_that_is_left_out_is_named() -> None:
     with pytest.raises(
         BadLandmarks, match=f"must lie on the surface, found Supramenton at {count}, where nothing is left"
     ):
-        partition(fin, changed(spread(whole), 2, count))
+        partition(fin, changed(evenly_drawn(whole), 2, count))
 
 
 def test_a_surface_with_a_hole_and_with_slivers_is_labelled() -> None:
@@ -315,7 +284,7 @@ def test_a_surface_with_a_hole_and_with_slivers_is_labelled() -> None:
     a, b, c = whole.faces[200]
     vertices[c] = (vertices[a] + vertices[b]) / 2  # no area
     mesh = Mesh("m", vertices, np.delete(whole.faces, slice(0, 40), axis=0))
-    result = partition(mesh, spread(mesh))
+    result = partition(mesh, evenly_drawn(mesh))
     used = np.unique(mesh.faces)
     assert np.isfinite(result.distance[used]).all()
     assert result.distance.max(initial=0, where=np.isfinite(result.distance)) < math.pi / 2
@@ -326,13 +295,13 @@ def test_a_missing_package_says_how_to_install_it(package: str, monkeypatch: pyt
     mesh = ball(subdivisions=3)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[render\]'"):
-        partition(mesh, spread(mesh))
+        partition(mesh, evenly_drawn(mesh))
 
 
 def test_a_missing_package_for_separate_pieces_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rtree", None)
     whole = figure()
-    head = spread(ball(subdivisions=3)) + 642  # on the second of five pieces only
+    head = evenly_drawn(ball(subdivisions=3)) + 642  # on the second of five pieces only
     with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[render\]'"):
         partition(whole, head)
 

@@ -1,1 +1,1 @@
-"""Networks side by side; `bodyseg bench` calls `bench_NAME` of NAME.py and lets NAME_figure.py draw its answer."""
+"""Networks side by side; `tools/bench` calls `bench_NAME` of NAME.py and lets NAME_figure.py draw its answer."""

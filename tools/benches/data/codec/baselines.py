@@ -15,10 +15,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.runs import Box, used_box
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
-from bodyseg_data.core.errors import MissingLibrary
 
 Image = NDArray[Any]
 Encode = Callable[[Image, int], bytes]

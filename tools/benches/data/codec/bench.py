@@ -16,25 +16,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import kernels
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from benches.data.codec.baselines import Rival, rivals
-from bodyseg_data.bodies.sources import open_source
 from benches.charts.fronts import unbeaten
-from bodyseg_data.shards.sample_codec import encode_sample
+from benches.data.codec.baselines import Rival, rivals
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core import kernels
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import Sample, steps
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.coarsening import coarsened
+from bodyseg_data.packing.occluder_range import exact_range, shadow_test
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.rendering import open_renderer
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels
 from bodyseg_data.shards.codecs.png import encode_png
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.coarsening import coarsened
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.packing.occluder_range import exact_range, shadow_test
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import Sample, steps
-from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.shards.sample_codec import encode_sample
 
 DEFAULT: Final = "bsi, compiled"
 _IMAGES: Final = ("range", "labels", "projector")

@@ -22,19 +22,19 @@ from typing import Any, Final
 
 import torch
 
+from benches.data.loader.baselines import Memory, PngFiles, Premade, Rival, Webdataset, folder_bytes
 from benches.data.loader.limits import five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
-from benches.data.loader.baselines import Memory, PngFiles, Premade, Rival, Webdataset, folder_bytes
-from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.core.machine import processors
-from bodyseg_data.packing.pack import Packing, pack
-from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.machine import processors
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.loader import loader
+from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
+from bodyseg_data.packing.pack import Packing, pack
 
 _BATCH: Final = 20
 _ROUNDS: Final = 7

@@ -1,4 +1,4 @@
-"""Draws what `bodyseg bench loader` measured: `--figure FILE.png`."""
+"""Draws what `tools/bench loader` measured: `--figure FILE.png`."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benches.data.loader.baselines import png
-from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.artifacts.variants import VariantName
+from bodyseg_data.loading.range_images import RangeImages
 
 _PNG_SAMPLES: Final = 60
 

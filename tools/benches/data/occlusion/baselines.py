@@ -10,8 +10,18 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import EDGE_M, FARTHEST, GAP_STEPS, SURFACE_GAP_M, Floats, ShadowTest, four_texels, framed, reached
 from benches.data.occlusion.views import SCALES
+from bodyseg_data.artifacts.occlusion import (
+    EDGE_M,
+    FARTHEST,
+    GAP_STEPS,
+    SURFACE_GAP_M,
+    Floats,
+    ShadowTest,
+    four_texels,
+    framed,
+    reached,
+)
 from bodyseg_data.core.sample import RANGE_STEP_M
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]

@@ -9,11 +9,21 @@ import statistics
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from bodyseg_data.artifacts.occlusion import EDGE_M, SURFACE_GAP_M, ShadowTest
 from benches.data.occlusion.baselines import DEFAULT, methods
 from benches.data.occlusion.stored import Storage, facing_bytes
 from benches.data.occlusion.tallies import SCENES, Compiled, Masks, Seen, Tally, WhereWrong, time_all
-from benches.data.occlusion.views import GROUPS, ORDINARY, SCALES, ExactView, Group, bodies_of, exact_views, projector_scaled, with_baseline
+from benches.data.occlusion.views import (
+    GROUPS,
+    ORDINARY,
+    SCALES,
+    ExactView,
+    Group,
+    bodies_of,
+    exact_views,
+    projector_scaled,
+    with_baseline,
+)
+from bodyseg_data.artifacts.occlusion import EDGE_M, SURFACE_GAP_M, ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data.occlusion.baselines import Images
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
 from bodyseg_data.artifacts.scratch import scratch_for
-from benches.data.occlusion.baselines import Images
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.sample import RANGE_STEP_M
 

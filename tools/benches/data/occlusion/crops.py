@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
 from benches.data.occlusion.tallies import WORST_CROP, Seen
 from benches.data.occlusion.views import GROUPS, SCALES, ExactView, bodies_of, exact_view, with_baseline
+from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.drawing.style import new_chart, save_chart
-from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering.embree import EmbreeRenderer
 
 _COLOURS: Final = {
     "background": (255, 255, 255),

@@ -1,13 +1,13 @@
-"""Draws error against time and bytes of ways to make the shadow: `bodyseg bench occlusion --figure FILE.png`."""
+"""Draws error against time and bytes of ways to make the shadow: `tools/bench occlusion --figure FILE.png`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Final
 
-from benches.data.occlusion.crops import draw_crops
-from benches.data.occlusion.baselines import DEFAULT
 from benches.charts.fronts import unbeaten
+from benches.data.occlusion.baselines import DEFAULT
+from benches.data.occlusion.crops import draw_crops
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Row = dict[str, Any]

@@ -11,14 +11,14 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import FARTHEST, Floats, ShadowTest, framed
 from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
+from bodyseg_data.artifacts.occlusion import FARTHEST, Floats, ShadowTest, framed
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels, split_labels
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.packing.coarsening import coarsened
-from bodyseg_data.core.sample import RANGE_STEP_M
 
 MASK_IMAGE: Final = "image by the codec"
 _ROUNDS: Final = 4

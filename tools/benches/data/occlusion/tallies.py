@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
 from benches.data.occlusion.baselines import DEFAULT, Images, Method, compare, nearest
 from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks, least_seconds
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
+from bodyseg_data.artifacts.occlusion import ShadowTest
 
 WORST_CROP: Final = 100, 80
 """Rows and columns of the window with the most errors that is looked for in every scene."""
@@ -139,8 +139,8 @@ class Compiled:
     def __init__(self) -> None:
         self._forms: dict[Method, Mask] = {}
         if find_spec("numba") is not None:
-            from bodyseg_data.artifacts import occlusion_compiled
             from benches.data.occlusion import compiled_nearest as occlusion_compiled_nearest
+            from bodyseg_data.artifacts import occlusion_compiled
 
             for scale in _COMPILED_SCALES:
                 self._forms[replace(DEFAULT, projector_scale=scale)] = lambda test, images: occlusion_compiled.lit(

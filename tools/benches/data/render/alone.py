@@ -9,19 +9,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final, Protocol, get_args
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
-from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_data.rendering import RendererName, open_renderer
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.rendering import RENDERERS, open_renderer
+from bodyseg_data.rendering.renderer import Renderer
 
 PLAIN: Final = "pyrender as it comes"
 _ROUNDS: Final = 3
@@ -83,9 +83,9 @@ def measure_renderers(
     of three rounds, mean over bodies. range_error_mm, worst_mm: median and largest difference of the camera's ranges
     from `true_range` where both see the body. silhouette_error: share of the body's pixels that only one of them sees.
     """
-    openers: dict[str, Callable[[Rig, Mesh], _Taker]] = {
-        name: partial(_Ours, name) for name in get_args(RendererName)
-    } | {PLAIN: _Plain}
+    openers: dict[str, Callable[[Rig, Mesh], _Taker]] = {name: partial(_Ours, name) for name in RENDERERS} | {
+        PLAIN: _Plain
+    }
     tallies: dict[str, _Tally] = {}
     missing: dict[str, str] = {}
     seen = 0

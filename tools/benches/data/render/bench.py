@@ -22,15 +22,15 @@ import numpy as np
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing, pack, render_run
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
+from bodyseg_data.packing.pack import Packing, pack, render_run
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.rendering import open_renderer
 
 _WORKERS: Final = 2
 _ROUNDS: Final = 3

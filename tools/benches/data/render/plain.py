@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.packing.sampler import sample_key
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.sampler import sample_key
 
 import_module("bodyseg_data.rendering.opengl")  # lets pyrender draw without a display, or says what is absent
 pyrender: Any = import_module("pyrender")

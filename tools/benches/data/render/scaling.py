@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.packing.engines.engine import open_engine
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.core.views import View, ViewGrid
+from bodyseg_data.packing.engines.engine import open_engine
 from bodyseg_data.packing.pack import Packing, Rendered, pack, render_run
 from bodyseg_data.packing.sampler import sample_key
-from bodyseg_data.core.views import View, ViewGrid
+from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 _BODIES: Final = 8
 _WRITTEN_BODIES: Final = 80

@@ -18,23 +18,23 @@ from numpy.typing import NDArray
 
 from benches.data.codec.baselines import predicted
 from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.core.rig import PlacedCamera, Rig
+from bodyseg_data.core.sample import steps
+from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.occluder_range import shading_range, shadow_test
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
-from bodyseg_data.packing.occluder_range import shading_range, shadow_test
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import steps
+from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.shards.codecs.bodyseg_images import encode_images
+from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.sample_codec import encode_sample
 from bodyseg_data.shards.tar import ShardWriter
-from bodyseg_data.core.views import View
 
 _FORMER_LEVEL: Final = 9
 _QUICK_LEVEL: Final = 1

@@ -1,4 +1,4 @@
-"""Draws borders between parts by each method, side by side: `bodyseg bench borders --figure FILE.png`."""
+"""Draws borders between parts by each method, side by side: `tools/bench borders --figure FILE.png`."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from PIL import Image, ImageDraw
 
 from benches.data.surface.borders import METHODS, labelled_pixels, landmark_fields
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.style import INK, PAPER, font, save_picture
-from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.drawing.style import INK, PAPER, font, save_picture
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.rendering.embree import EmbreeRenderer
 
 _POSE: Final = "a_pose"
 _VIEW: Final = View(215, 180)

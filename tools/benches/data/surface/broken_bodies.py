@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.source import Body
-from bodyseg_data.meshes.topology import find_edges
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.topology import find_edges
 
 Indices = NDArray[np.int64]
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.core.parts import PARTS
-from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.sampler import surface_points
+from bodyseg_data.rendering.embree import EmbreeRenderer
 
 FRAMES: Final = 4
 """Frames of each motion, evenly."""

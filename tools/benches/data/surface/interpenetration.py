@@ -14,9 +14,9 @@ from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.core.parts import LANDMARKS
 
 _OUTSIDE_M: Final = 1e-4  # how far off the skin rays start
 _SLIGHT_M: Final = 0.002  # skin that touches skin

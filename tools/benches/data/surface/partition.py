@@ -19,10 +19,10 @@ from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, nearest_sources
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import spread
+from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
+from bodyseg_data.packing.pack import spread
 
 METHODS: Final[tuple[Geodesics, ...]] = get_args(Geodesics)
 DEFAULT: Final[Geodesics] = "exact"

@@ -1,4 +1,4 @@
-"""Draws time against error of ways to measure distance: `bodyseg bench partition --figure FILE.png`."""
+"""Draws time against error of ways to measure distance: `tools/bench partition --figure FILE.png`."""
 
 from __future__ import annotations
 

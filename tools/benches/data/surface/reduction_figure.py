@@ -1,4 +1,4 @@
-"""Draws triangles and views a second against range error: `bodyseg bench reduction --figure FILE.png`."""
+"""Draws triangles and views a second against range error: `tools/bench reduction --figure FILE.png`."""
 
 from __future__ import annotations
 

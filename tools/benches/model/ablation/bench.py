@@ -15,16 +15,26 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.range_images import RangeImages
-from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, network_costs, rendering_costs
 from benches.model.ablation.conditions import EXAMS, Exam, clothes_exams, coarse_exams, hard_exam
+from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, network_costs, rendering_costs
 from benches.model.ablation.rows import BASE, RULE, THINGS, Thing, Tree, enough, spread_of, table, verdict, worth
-from benches.model.ablation.runs import NETWORK, Run, check_run, find_runs, identities, missing, origin, plan_of, sets_of
+from benches.model.ablation.runs import (
+    NETWORK,
+    Run,
+    check_run,
+    find_runs,
+    identities,
+    missing,
+    origin,
+    plan_of,
+    sets_of,
+)
 from benches.model.variants.scores import Examiner
-from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.training.distributed import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"

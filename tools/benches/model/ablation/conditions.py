@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.variants.scores import Setting
 from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.variants import Artifacts, RangeImage
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import Artifacts, RangeImage
-from benches.model.variants.scores import Setting
 
 STEPS_MM: Final = (1, 2, 4, 8)
 """Steps of range, coarser than the stored 0.1 mm."""

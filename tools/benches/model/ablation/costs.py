@@ -15,21 +15,21 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
-from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.packing.pack import spread
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.loading.range_images import RangeImages, metres
-from bodyseg_data.core.views import ViewGrid
 from benches.model.ablation.conditions import stepped
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, THINGS, Thing, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
+from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.rig import Rig
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.pack import spread
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.shards.codecs.bodyseg_images import encode_images
+from bodyseg_data.shards.codecs.labels import join_labels
 from bodyseg_model.networks.registry import build
 
 ROUNDS: Final = 7

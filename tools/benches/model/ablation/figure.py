@@ -1,12 +1,12 @@
-"""Draws what `bodyseg bench ablation` measured: `--figure FILE.png`."""
+"""Draws what `tools/bench ablation` measured: `--figure FILE.png`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.drawing.style import new_chart, save_chart
 from benches.model.ablation.rows import BASE, LEAST_POINTS, NEAR_POINTS, Tree
+from bodyseg_data.drawing.style import new_chart, save_chart
 
 _GROUPS: Final = {
     "artifacts": "Artifacts",

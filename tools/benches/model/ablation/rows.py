@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
+from benches.model.ablation.conditions import STEPS_MM
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.variants import Artifacts, VariantName
-from benches.model.ablation.conditions import STEPS_MM
 
 Tree = dict[str, Any]
 Source = Literal["", "dressed", "bare"]

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import place_name
-from bodyseg_data.loading.range_images import RangeImages
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, THINGS, Source, Thing, Tree
+from bodyseg_data.commands.options import place_name
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build, settings_of
 from bodyseg_model.training.geometric_augmentation import Placements

@@ -11,15 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.anny.skeleton import Pose
-from bodyseg_data.loading.range_images import RangeImages
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, Picture, Study
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_data.bodies.anny.skeleton import Pose
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 
 Tree = dict[str, Any]
 

@@ -13,13 +13,13 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.variants import RangeImage
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
-from bodyseg_data.artifacts.variants import RangeImage
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 
 About = Literal["a place", "a mistake", "an image"]
 

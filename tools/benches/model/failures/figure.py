@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font, save_picture
-from bodyseg_data.drawing.contact_sheet import colour_range
 from benches.model.failures.bench import Failures
 from benches.model.failures.causes import NAMES
 from benches.model.failures.study import VIEWS_A_BODY, Picture
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND, colour_labels
+from bodyseg_data.drawing.contact_sheet import colour_range
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font, save_picture
 
 Tree = dict[str, Any]
 

@@ -10,11 +10,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.failures.causes import CAUSES, NAMES, NEW_POSE_DEG, Judged, holds
+from benches.model.failures.poses import POSE_KINDS, UNKNOWN, KnownPoses, Nearest, body_of, kind_of_pose, made_bodies
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
 from bodyseg_data.core.sample import SampleInfo
 from bodyseg_data.loading.range_images import RangeImages
-from benches.model.failures.causes import CAUSES, NAMES, NEW_POSE_DEG, Judged, holds
-from benches.model.failures.poses import POSE_KINDS, UNKNOWN, KnownPoses, Nearest, body_of, kind_of_pose, made_bodies
 from bodyseg_model.evaluation.evaluation import Seen
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
 

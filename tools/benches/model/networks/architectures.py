@@ -18,16 +18,16 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.machine import processors
-from bodyseg_data.loading.range_images import RangeImages
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Examiner
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.machine import processors
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report
 from bodyseg_model.networks.registry import parameters, settings_of

@@ -18,10 +18,19 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
+from benches.model.networks.network_times import (
+    BUDGET_S,
+    MOST_ROUNDS,
+    Cell,
+    Precision,
+    Task,
+    operations,
+    summary,
+    time_cell,
+)
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.machine import processors
-from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
-from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, Task, operations, summary, time_cell
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
 from bodyseg_model.networks.registry import NETWORKS, build, parameters
 

@@ -1,4 +1,4 @@
-"""Draws what `bodyseg bench network` measured: `--figure FILE.png`."""
+"""Draws what `tools/bench network` measured: `--figure FILE.png`."""
 
 from __future__ import annotations
 

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.shards.sample_codec import decode_sample
-from bodyseg_data.packing.pack import Packing, render_run
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.loading.range_images import metres
 from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.range_images import metres
+from bodyseg_data.packing.pack import Packing, render_run
+from bodyseg_data.shards.sample_codec import decode_sample
 
 SENSOR_SIZE = (1920, 988)
 """Rows and columns of the paper's sensor, before it was down-sampled by three (section 3.1)."""

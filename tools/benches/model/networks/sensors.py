@@ -16,21 +16,21 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_data.rendering import open_renderer
 from bodyseg_data.packing.sampler import surface_points
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
-from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering.renderer import Renderer
+from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.registry import predict
+from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
 from bodyseg_model.segmentation.resampling import view_body
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 
 Method = Literal["as it is", "scaled", "turned and scaled"]
 METHODS: Final[tuple[Method, ...]] = get_args(Method)

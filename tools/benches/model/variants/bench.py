@@ -14,14 +14,14 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from benches.model.variants.claims import Ask, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Examiner, Setting, Sweep
-from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
 from bodyseg_model.training.distributed import Ranks, find_device
 from bodyseg_model.training.loop import Figures

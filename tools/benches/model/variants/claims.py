@@ -10,8 +10,8 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_model.evaluation.report import over_seeds
 
 Tree = dict[str, Any]

@@ -10,18 +10,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.loading.batch_order import whole_number
-from bodyseg_data.core.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.commands.options import place_name
-from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.commands.options import place_name
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.provenance import provenance
+from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build, settings_of
 from bodyseg_model.training.distributed import Ranks
+from bodyseg_model.training.loop import Course, Report, Training
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.training.loop import Course, Report, Training
 
 NETWORK: Final = "compact"
 _COURSE: Final = Course()

@@ -21,14 +21,16 @@ from typing import Any, Final
 
 from torch import nn
 
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_model.networks import batch_transforms as crops, registry as networks, range_input
 from bodyseg_model.evaluation import evaluation, scores
-from bodyseg_model.networks.checkpoints import read_bytes, read_json, write_json
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
 from bodyseg_model.evaluation.report import report
+from bodyseg_model.networks import batch_transforms as crops
+from bodyseg_model.networks import range_input
+from bodyseg_model.networks import registry as networks
+from bodyseg_model.networks.checkpoints import read_bytes, read_json, write_json
 
 FORMAT: Final = "bodyseg sweep 1"
 FILE: Final = "sweep.json"
