@@ -1,4 +1,4 @@
-"""`python -m bodyseg_data` is `bodyseg`."""
+"""`python -m bodyseg_data` is `bodyseg` without the commands on networks."""
 
 import sys
 

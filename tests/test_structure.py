@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -12,110 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-# The way data flows: a module may import only from lines above its own (docs/architecture.md).
-ORDER = [
-    "errors",
-    "parts",
-    "splits",
-    "files",
-    "machine",
-    "system_libraries",
-    "tables",
-    "kernels",
-    "randomness",
-    "views",
-    "rig",
-    "connectivity",
-    "mesh",
-    "nearest_surface",
-    "ply",
-    "mesh_files",
-    "mesh_repair",
-    "mending",
-    "landmarks",
-    "landmark_points",
-    "lnd",
-    "landmark_files",
-    "placing",
-    "bodies",
-    "proposal_surface",
-    "proposal_body",
-    "proposal_fit",
-    "proposal",
-    "borders",
-    "geodesics",
-    "partition",
-    "sample",
-    "artifacts",
-    "rendering",
-    "mesh_reduction",
-    "codecs",
-    "codec",
-    "stores",
-    "manifest",
-    "addresses",
-    "shards",
-    "shard_cache",
-    "cached_store",
-    "packing_state",
-    "packing",
-    "engines",
-    "variants",
-    "batch_order",
-    "streaming",
-    "loading",
-    "pictures",
-    "portrait",
-    "sheet",
-    "gallery",
-    "options",
-    "charts",
-    "benches",
-    "commands",
-    "cli",
-]
-
-MODEL_ORDER = [
-    "range_input",
-    "scores",
-    "fcn_alexnet",
-    "pretrained",
-    "compact",
-    "rivals",
-    "crops",
-    "networks",
-    "checkpoints",
-    "placements",
-    "recipes",
-    "objective",
-    "optimisers",
-    "ranks",
-    "run_folder",
-    "training",
-    "mistakes",
-    "border_distance",
-    "calibration",
-    "evaluation",
-    "evaluation_report",
-    "evaluation_figures",
-    "evaluation_samples",
-    "frame_times",
-    "frame_png",
-    "frame_tars",
-    "frames",
-    "cameras",
-    "surfaces",
-    "room_planes",
-    "foreground",
-    "resampling",
-    "segmenter",
-    "flicker",
-    "overlay",
-    "sequence_summary",
-    "stability",
-    "benches",
-    "commands",
-]
+PACKAGES = ("bodyseg_data", "bodyseg_model", "benches")
+"""In the order in which they may import: each from those before it and from itself."""
 
 HEAVY = [
     "OpenGL",
@@ -136,56 +35,105 @@ HEAVY = [
 ]
 
 
-def room(module: str) -> str:
-    return module.split(".")[1]
+def listed_rooms() -> list[str]:
+    """The rooms in the order of docs/architecture.md, where it is written: a room imports only from those above it."""
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    (block,) = re.findall(r"```rooms\n(.*?)```", text, re.DOTALL)
+    rooms, package = [], ""
+    for line in block.splitlines():
+        name = line.split()[0].rstrip("/").removesuffix(".py")
+        if line.startswith(" "):
+            rooms.append(f"{package}.{name}")
+        else:
+            package = name.removeprefix("tools/")
+    return rooms
 
 
-def modules(package: str = "bodyseg_data") -> list[tuple[str, Path]]:
-    files = sorted((ROOT / package).rglob("*.py"))
-    return [(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"), path) for path in files]
-
-
-def imports(path: Path) -> set[str]:
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module in ("bodyseg_data", "bodyseg_model"):
-            found.update(f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            assert not node.level, "imports are absolute"
-            found.add(node.module)
-        elif isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+def modules() -> dict[str, Path]:
+    """Name -> file of every module of the project, tests aside."""
+    homes = [ROOT, ROOT, ROOT / "tools"]
+    found = {}
+    for home, package in zip(homes, PACKAGES, strict=True):
+        for path in sorted((home / package).rglob("*.py")):
+            found[".".join(path.relative_to(home).with_suffix("").parts).removesuffix(".__init__")] = path
     return found
 
 
-@pytest.mark.parametrize(("module", "path"), modules())
-def test_imports_point_backwards_only(module: str, path: Path) -> None:
-    if module in ("bodyseg_data", "bodyseg_data.__main__"):
-        return  # the front door knows the whole house
-    here = ORDER.index(room(module))
-    for name in imports(path):
-        assert not name.startswith("bodyseg_model"), f"{module} imports {name}: the data package knows no network"
-        if name.startswith("bodyseg_data."):
-            assert ORDER.index(room(name)) <= here, f"{module} imports {name}"
+def imports(text: str, known: set[str]) -> set[str]:
+    """The project's modules that a module's text imports, or names in a string that is a module's dotted name."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.module and not node.level, "imports are absolute"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                found.add(whole if whole in known else node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+    return found & known
 
 
-@pytest.mark.parametrize(("module", "path"), modules("bodyseg_model")[1:])
-def test_imports_of_networks_point_backwards_only(module: str, path: Path) -> None:
-    here = MODEL_ORDER.index(room(module))
-    for name in imports(path):
-        if name.startswith("bodyseg_model."):
-            assert MODEL_ORDER.index(room(name)) <= here, f"{module} imports {name}"
-        assert not name.startswith("bodyseg_data.commands.cli"), f"{module} imports {name}"
+def faults(sources: dict[str, str], rooms: list[str]) -> list[str]:
+    """Imports against the order of the rooms, one line each; a package's front door may import all of its own."""
+    known = set(sources)
+    lines = []
+    for module, text in sources.items():
+        package, _, rest = module.partition(".")
+        front_door = rest in ("", "__main__")
+        here = None if front_door else ".".join(module.split(".")[:2])
+        if here is not None and here not in rooms:
+            lines.append(f"{module} is in no room")
+            continue
+        for name in sorted(imports(text, known)):
+            there = ".".join(name.split(".")[:2])
+            if there.partition(".")[0] == there:  # a package itself: its public names
+                if PACKAGES.index(there) > PACKAGES.index(package):
+                    lines.append(f"{module} imports {name}")
+            elif front_door:
+                if PACKAGES.index(there.partition(".")[0]) > PACKAGES.index(package):
+                    lines.append(f"{module} imports {name}")
+            elif here is not None and rooms.index(there) > rooms.index(here):
+                lines.append(f"{module} imports {name}")
+    return lines
 
 
-def test_an_import_against_the_flow_would_be_seen(tmp_path: Path) -> None:
-    file = tmp_path / "x.py"
-    file.write_text("from bodyseg_data import sheet, cli\nimport bodyseg_data.loading.range_images\n")
-    assert imports(file) == {
-        "bodyseg_data.drawing.contact_sheet",
-        "bodyseg_data.commands.cli",
-        "bodyseg_data.loading.range_images",
+def test_rooms_import_only_from_rooms_above_them() -> None:
+    assert not faults({name: path.read_text() for name, path in modules().items()}, listed_rooms())
+
+
+def test_an_import_against_the_order_is_seen() -> None:
+    sources = {
+        "bodyseg_data": "",
+        "bodyseg_data.core.rig": "from bodyseg_data.loading import loader",
+        "bodyseg_data.loading.loader": "import bodyseg_data.core.rig",
+        "bodyseg_data.loose": "",
+        "bodyseg_data.commands.cli": "TABLE = {'train': 'bodyseg_model.commands.train'}",
+        "bodyseg_model.commands.train": "import bodyseg_data",
     }
+    rooms = ["bodyseg_data.core", "bodyseg_data.loading", "bodyseg_data.commands", "bodyseg_model.commands"]
+    assert faults(sources, rooms) == [
+        "bodyseg_data.core.rig imports bodyseg_data.loading.loader",
+        "bodyseg_data.loose is in no room",
+        "bodyseg_data.commands.cli imports bodyseg_model.commands.train",
+    ]
+
+
+def test_rooms_are_small_enough_to_look_over() -> None:
+    """At most a dozen entries beside the registry, and files that fit a few screens."""
+    folders = {path.parent for path in modules().values()}
+    crowded = {
+        str(folder.relative_to(ROOT)): count
+        for folder in folders
+        if (count := sum(1 for entry in folder.iterdir() if entry.name[0] not in "._" and entry.suffix != ".typed"))
+        > 13
+    }
+    assert not crowded
+    long = {name: lines for name, path in modules().items() if (lines := len(path.read_text().splitlines())) > 310}
+    assert not long
+    loose = {entry.name for package in ("bodyseg_data", "bodyseg_model") for entry in (ROOT / package).glob("*.*")}
+    assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 
 
 def loaded_by(statement: str) -> list[str]:
@@ -204,10 +152,11 @@ def test_importing_the_package_is_light() -> None:
     [
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation",
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
-        "import bodyseg_data.bodies.source; bodyseg_data.bodies.sources.open_source('open').bodies()",
+        "import bodyseg_data.bodies.sources; bodyseg_data.bodies.sources.open_source('open').bodies()",
         "import bodyseg_data.packing.pack",
         "import bodyseg_model.commands.segment, bodyseg_model.commands.train, bodyseg_model.commands.evaluate",
-        "import bodyseg_data.packing.engines.cluster, bodyseg_data.packing.engines.processes, bodyseg_data.commands.shard",
+        "import bodyseg_data.packing.engines.cluster, bodyseg_data.packing.engines.processes",
+        "import bodyseg_data.commands.shard",
     ],
 )
 def test_streaming_and_planning_need_no_renderer(statement: str) -> None:
@@ -229,12 +178,3 @@ def test_every_dependency_is_pinned_and_explained() -> None:
         name = needed.partition(">")[0].partition("=")[0].partition("[")[0]
         assert name.lower() in pinned
         assert f"`{name}`" in explained
-
-
-def test_files_stay_small() -> None:
-    long = {
-        str(path): count
-        for _, path in [*modules(), *modules("bodyseg_model")]
-        if (count := len(path.read_text().splitlines())) > 310
-    }
-    assert not long

@@ -1,4 +1,7 @@
-"""`bodyseg <command>`, and `tools/<command>` in a checkout: one implementation."""
+"""A command line of many commands: one is imported and run, and ends in one line whatever goes wrong.
+
+`bodyseg_model.commands.cli` adds the commands on networks to those listed here.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,6 @@ COMMANDS: Final[Commands] = {
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
     "gallery": ("bodyseg_data.commands.gallery", "draw many views of sets in one picture"),
     "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
-    "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
-    "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
-    "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
-    "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
-    "stability": ("bodyseg_model.commands.stability", "test networks where methods fail"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""

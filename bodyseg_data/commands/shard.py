@@ -15,9 +15,9 @@ from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.sources import SourceName
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import ViewGrid

@@ -12,8 +12,8 @@ from typing import Any, Final
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.commands.options import command_line, option, place_name
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.splits import Split
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages

@@ -12,8 +12,8 @@ import torch
 
 from bodyseg_data.commands.options import command_line, option, place_name
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import provenance, write_figures
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.stability.examining import examine

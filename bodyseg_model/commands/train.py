@@ -20,8 +20,8 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.variants import Artifacts, VariantName, artifacts_of
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import provenance
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks.pretrained import import_alexnet
 from bodyseg_model.networks.registry import build

@@ -23,7 +23,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import Fit, Matcher, apart, laid, 
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, remoteness, spread_over  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.bodies.source import Body
+from bodyseg_data.bodies.source import Body  # noqa: E402
 from bodyseg_data.bodies.sources import open_source  # noqa: E402
 from bodyseg_data.commands.cli import main  # noqa: E402
 from bodyseg_data.core.errors import BadMesh  # noqa: E402

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from benches import __main__ as tools
 from benches import bench
 from folders import ROOT
 from PIL import Image
@@ -20,6 +21,7 @@ from PIL import Image
 from bodyseg_data.commands import cli, shard
 from bodyseg_data.commands.options import option, parse
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.commands.cli import COMMANDS, main
 
 
 @dataclass(frozen=True)
@@ -85,15 +87,23 @@ def test_help_shows_defaults_and_an_example(capsys: pytest.CaptureFixture[str]) 
     assert "example:\n  bodyseg test x" in text
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main([name, "--help"])
+        main([name, "--help"])
     assert caught.value.code == 0
     assert f"example:\n  bodyseg {name} " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
+@pytest.mark.parametrize("name", tools.COMMANDS)
+def test_every_tool_of_a_checkout_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        tools.main([name, "--help"])
+    assert caught.value.code == 0
+    assert f"example:\n  tools/{name} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *tools.COMMANDS])
 def test_every_command_is_a_tool_in_a_checkout(name: str) -> None:
     tool = ROOT / "tools" / name
     assert tool.is_file()
@@ -102,9 +112,9 @@ def test_every_command_is_a_tool_in_a_checkout(name: str) -> None:
 
 
 def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([]) == cli.main(["--help"]) == 0
+    assert main([]) == main(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(f"  {name}" in text for name in cli.COMMANDS)
+    assert all(f"  {name}" in text for name in COMMANDS)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +165,7 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
 def test_bad_input_is_one_line_and_exit_status_2(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(words) == 2
+    assert (tools.main if words[0] == "bench" else main)(words) == 2
     printed = capsys.readouterr()
     assert message in printed.err
     assert printed.err.count("\n") == 1
@@ -163,7 +173,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
 
 
 def test_a_plan_is_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["shard", "--source", "open", "--meshes", "10", "--views", "2", "--plan"]) == 0
+    assert main(["shard", "--source", "open", "--meshes", "10", "--views", "2", "--plan"]) == 0
     plan = json.loads(capsys.readouterr().out)
     assert (plan["meshes"], plan["views"]) == (10, 20)
 
@@ -176,12 +186,12 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
 
     monkeypatch.setattr(cli, "_run", fail)
     monkeypatch.delenv("BODYSEG_TRACEBACK", raising=False)
-    assert cli.main(["verify"]) == cli.INTERNAL_ERROR
+    assert main(["verify"]) == cli.INTERNAL_ERROR
     line = "bodyseg verify: internal error: ZeroDivisionError: by zero indeed (BODYSEG_TRACEBACK=1 shows where)\n"
     assert capsys.readouterr().err == line
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
-        cli.main(["verify"])
+        main(["verify"])
 
 
 def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,7 +199,7 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "_run", interrupt)
-    assert cli.main(["verify"]) == 130
+    assert main(["verify"]) == 130
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
 
 
@@ -217,7 +227,7 @@ def test_closed_streams_change_no_status(figures_set: Path) -> None:
 
 @pytest.mark.parametrize("variant", ["none", "all"])
 def test_inspect_counts_what_a_set_holds(figures_set: Path, variant: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["inspect", str(figures_set), "--variant", variant, "--json"]) == 0
+    assert main(["inspect", str(figures_set), "--variant", variant, "--json"]) == 0
     counts = json.loads(capsys.readouterr().out)
     assert counts["samples"] == 24
     assert counts["splits"] == {"train": 16, "test": 8}
@@ -236,7 +246,7 @@ def test_inspect_counts_what_a_set_holds(figures_set: Path, variant: str, capsys
 
 def test_inspect_draws_a_contact_sheet(figures_set: Path, tmp_path: Path) -> None:
     out = tmp_path / "sheet.png"
-    assert cli.main(["inspect", str(figures_set), "--variant", "occ", "--rows", "2", "--out", str(out)]) == 0
+    assert main(["inspect", str(figures_set), "--variant", "occ", "--rows", "2", "--out", str(out)]) == 0
     with Image.open(out) as sheet:
         assert sheet.width > 1400
         assert sheet.height > 2 * 320
@@ -247,7 +257,7 @@ def test_inspect_draws_a_contact_sheet(figures_set: Path, tmp_path: Path) -> Non
 def test_a_picture_that_cannot_be_written_is_one_line(
     figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
+    assert main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
     assert "cannot write" in capsys.readouterr().err
 
 
@@ -266,7 +276,7 @@ def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.Monke
     report, out = tmp_path / "report.json", tmp_path / "shards"
     words = ["--meshes", "2", "--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
     for made in (4, 0):  # the second time, everything is there
-        assert cli.main(["shard", "--source", "open", *words]) == 0
+        assert main(["shard", "--source", "open", *words]) == 0
         figures = json.loads(report.read_text())
         assert (figures["samples"], figures["samples_made"]) == (4, made)
         assert figures["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))

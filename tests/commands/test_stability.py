@@ -14,8 +14,8 @@ from fakes import Figures
 from label_networks import Places
 
 from bodyseg_data import RangeImages
-from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network

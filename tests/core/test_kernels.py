@@ -31,7 +31,11 @@ def _outer(count):
 
 outer = compiled(_outer, "a test")
 """
-INNER = "from bodyseg_data.core.kernels import compiled\ndef _inner(x):\n    return x + 3\ninner = compiled(_inner, 'a test')\n"
+INNER = """from bodyseg_data.core.kernels import compiled
+def _inner(x):
+    return x + 3
+inner = compiled(_inner, 'a test')
+"""
 LIMITS = "LIMIT = 2\n"
 
 

@@ -14,9 +14,9 @@ from PIL import Image
 from torch import nn
 
 from bodyseg_data import RangeImages
-from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
 from bodyseg_model.evaluation.border_distance import distance_bins

@@ -6,7 +6,7 @@ import sys
 
 from torch import nn
 
-from bodyseg_data.commands.cli import main
+from bodyseg_model.commands.cli import main
 
 if __name__ == "__main__":
     nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]

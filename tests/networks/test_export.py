@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from bodyseg_data.commands.cli import main
+from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.registry import build
 

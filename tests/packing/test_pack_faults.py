@@ -14,13 +14,14 @@ from pathlib import Path
 import pytest
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
 from fakes import Figures
+from folders import ROOT
 
-from bodyseg_data.commands.cli import main
+from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import write_figures
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.pack import Packing
+from bodyseg_model.commands.cli import main
 
 SMALL = Packing("open", views=ViewGrid(count=1), shard_samples=2)
 
@@ -203,7 +204,6 @@ def test_a_folder_without_permission_is_one_line(interrupted: Interrupted, memor
     [
         ("inspect {set} --out {target}", "sheet.png"),
         ("gallery {set} --out {target}", "gallery.png"),
-        ("bench clothes --json {target}", "figures.json"),
     ],
 )
 def test_a_result_that_does_not_fit_on_the_disk_is_one_line_and_leaves_nothing(
@@ -212,9 +212,7 @@ def test_a_result_that_does_not_fit_on_the_disk_is_one_line_and_leaves_nothing(
     figures_set: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("benches.data.surface.clothes.bench_clothes", lambda progress: {"steps": "x" * 100})
     target = tmp_path / name
     with no_file_above(50):
         assert main(words.format(set=figures_set, target=target).split()) == 2
@@ -224,9 +222,9 @@ def test_a_result_that_does_not_fit_on_the_disk_is_one_line_and_leaves_nothing(
 
 
 def test_charts_are_written_by_the_one_function_that_writes_them_whole() -> None:
-    package = Path(packing.__file__).parent
-    savers = {path.name for path in package.rglob("*.py") if ".savefig(" in path.read_text()}
-    assert savers == {"pictures.py"}
+    folders = [ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools")]
+    files = (path for folder in folders for path in folder.rglob("*.py"))
+    assert [path.name for path in files if ".savefig(" in path.read_text()] == ["style.py"]
 
 
 def test_a_report_that_does_not_fit_leaves_the_set_whole(

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from pngs import png
 
-from bodyseg_data.commands import cli
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.commands import segment
+from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
 

@@ -18,11 +18,11 @@ import torch
 from folders import HELPERS
 
 from bodyseg_data import RangeImages
-from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, Diverged
 from bodyseg_data.core.rig import Camera, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
@@ -173,7 +173,7 @@ def test_a_killed_training_carries_on(figures_set: Path, tmp_path: Path) -> None
 
     assert main(command(tmp_path / "whole")) == 0
     process = subprocess.Popen(
-        [sys.executable, "-m", "bodyseg_data", *command(tmp_path / "cut")], stderr=subprocess.PIPE
+        [sys.executable, "-m", "bodyseg_model", *command(tmp_path / "cut")], stderr=subprocess.PIPE
     )
     deadline = time.monotonic() + 60
     while not (tmp_path / "cut" / "checkpoint.json").exists() and time.monotonic() < deadline:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import check_target, provenance, write_figures
 from bodyseg_data.drawing.style import check_picture, new_chart
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"

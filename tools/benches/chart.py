@@ -13,9 +13,9 @@ from benches.charts.fields import read_fields
 from benches.charts.page import render_page
 from benches.charts.report import described
 from bodyseg_data.commands.options import option
+from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.provenance import write_figures
 
 EXAMPLE = "tools/chart --in docs/results --out charts"
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.__main__ import main
 from benches.data.loader import bench
 from benches.data.loader import limits as loader_limits
 from benches.data.loader import litdata as loader_litdata
@@ -21,7 +22,6 @@ from benches.data.loader.passes import Passes, _check, _Open, _run, checksum_of
 from benches.data.loader.processes import private_mb, processor_seconds
 from PIL import Image
 
-from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.loading.range_images import Batch, RangeImages
 
@@ -175,9 +175,9 @@ def test_a_batch_that_is_used_again_too_soon_is_seen(figures_set: Path) -> None:
 
 
 def test_only_a_bench_that_loads_takes_workers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "render", "--workers", "2"]) == 2
+    assert main(["bench", "render", "--workers", "2"]) == 2
     assert "--workers is for bench loader, found it with bench render" in capsys.readouterr().err
-    assert cli.main(["bench", "loader", "--views", "18", "--workers", "0", "4"]) == 2
+    assert main(["bench", "loader", "--views", "18", "--workers", "0", "4"]) == 2
     assert "at least 320 samples are needed with 4 workers, found 18" in capsys.readouterr().err
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.__main__ import main
 from benches.model.networks import network as bench
 from benches.model.networks import network_times
 from benches.model.networks.network import bench_network
@@ -18,7 +19,6 @@ from fakes import Figures
 from PIL import Image
 from torch import nn
 
-from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.packing import pack as packing
 from bodyseg_model.networks.checkpoints import save_network
@@ -249,7 +249,7 @@ def test_the_command_measures_and_draws(tmp_path: Path, monkeypatch: pytest.Monk
     cells = [cell for cell in bench._cells() if cell.precision == "float32"]
     monkeypatch.setattr(bench, "_cells", lambda: cells)
     out, drawn = tmp_path / "network.json", tmp_path / "network.png"
-    assert cli.main(["bench", "network", "--views", "2", "--json", str(out), "--figure", str(drawn)]) == 0
+    assert main(["bench", "network", "--views", "2", "--json", str(out), "--figure", str(drawn)]) == 0
     figures = json.loads(out.read_text())
     assert figures["command"].startswith("tools/bench network --views 2 --json ")
     assert {"parameters", "cpu_ms", "gpu_ms", "accuracy_all"} <= set(figures["networks"]["fcn_alexnet"])

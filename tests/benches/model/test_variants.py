@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.__main__ import main
 from benches.model.variants import bench as variants
 from benches.model.variants import runs as variants_runs
 from benches.model.variants import scores as variants_scores
@@ -23,7 +24,6 @@ from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.variants import VARIANTS, Artifacts
-from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import train as train_command
 from bodyseg_model.evaluation.report import over_seeds
@@ -372,7 +372,7 @@ def test_the_command_writes_what_was_measured(
     folder, figures = measured
     out = tmp_path / "variants.json"
     words = ["--data", str(figures_set), "--runs", str(folder), "--seeds", "1", "--images", str(IMAGES)]
-    assert cli.main(["bench", "variants", *words, "--json", str(out)]) == 0
+    assert main(["bench", "variants", *words, "--json", str(out)]) == 0
     written = json.loads(out.read_text())
     assert written["command"].startswith("tools/bench variants --data shards --runs runs --seeds 1 --images 2 --json")
     assert written["table"] == figures["table"]
@@ -390,5 +390,5 @@ def test_the_command_writes_what_was_measured(
     ],
 )
 def test_options_go_with_their_bench(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", *words]) == 2
+    assert main(["bench", *words]) == 2
     assert message in capsys.readouterr().err

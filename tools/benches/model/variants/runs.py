@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.commands.options import place_name
+from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.provenance import provenance
 from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json

@@ -1,0 +1,7 @@
+"""`python -m bodyseg_model` is `bodyseg`."""
+
+import sys
+
+from bodyseg_model.commands.cli import main
+
+sys.exit(main())
