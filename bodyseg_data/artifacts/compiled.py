@@ -118,7 +118,7 @@ def apply_artifacts(sample: Sample, test: ShadowTest | None, streams: tuple[Stre
     """
     known = sample.known
     if test is not None:
-        images = sample.range, sample.shading_range(), sample.faces_projector
+        images = sample.range, sample.occluder_range(), sample.faces_projector
         shadow = shadow_of(test, *images, None if known is None else known.texels)
     else:
         shadow = Shadow(

@@ -167,7 +167,7 @@ class Augmentation:
         ranges = sample.range.ravel()[where]
         kept = np.ones(len(where), np.bool_)
         if test is not None:
-            kept &= test.lit(sample.range, sample.shading_range(), sample.faces_projector).ravel()[where]
+            kept &= test.lit(sample.range, sample.occluder_range(), sample.faces_projector).ravel()[where]
         noise, missing_data = self._streams(sample, epoch)
         if made.sigma_mm is not None:
             ranges = add_noise(ranges, made.sigma_mm, pixel_draws(noise, len(where), np.uint32))

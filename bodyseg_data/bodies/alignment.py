@@ -28,8 +28,8 @@ _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
 
 
 @dataclass(frozen=True)
-class Placement:
-    """How to bring a file's coordinates into the body frame. Made by `find_placement`.
+class Alignment:
+    """How to bring a file's coordinates into the body frame. Made by `find_alignment`.
 
     scale: metres in the file's unit. rotation: float64 [3, 3], one of the 24; its rows are the directions to the
     subject's left, up and to the front, in the file's axes. lean_deg: how far the trunk or the legs of the body it was
@@ -51,16 +51,16 @@ class Placement:
         return f"{self.scale!r} {self.rotation.astype(int).tolist()}"
 
 
-def check_placing(units: str, up: str) -> None:
+def check_alignment(units: str, up: str) -> None:
     """Raise BadConfig unless these can be given for the units and the axis that points up."""
     for option, value, choices in (("units", units, get_args(Units)), ("up", up, get_args(UpAxis))):
         if value not in choices:
             raise BadConfig(f"{option} must be one of {', '.join(choices)}, found {value!r}")
 
 
-def find_placement(
+def find_alignment(
     surface: NDArray[np.float64], landmarks: NDArray[np.float64], units: Units, up: UpAxis, where: str
-) -> Placement:
+) -> Alignment:
     """The placement of one body.
 
     surface: the vertices [N, 3] that its faces use, as the file has them. landmarks: its points [33, 3] in the same
@@ -82,7 +82,7 @@ def find_placement(
         )
     leftward = _nearest_axis(left, not_along=upward)
     rotation = np.stack([leftward, upward, np.cross(leftward, upward)])
-    return Placement(scale, rotation, max(_angle(trunk, upward), _angle(legs, upward)))
+    return Alignment(scale, rotation, max(_angle(trunk, upward), _angle(legs, upward)))
 
 
 def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> float:

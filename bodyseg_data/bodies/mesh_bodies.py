@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import (
     UPRIGHT_DEG,
-    Placement,
+    Alignment,
     Units,
     UpAxis,
-    check_placing,
+    check_alignment,
     check_standing,
-    find_placement,
+    find_alignment,
     metres_a_unit,
 )
 from bodyseg_data.bodies.source import Body, BodyRef
@@ -68,11 +68,11 @@ class MeshBodies:
     def __init__(
         self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], units: Units = "auto", up: UpAxis = "auto"
     ) -> None:
-        check_placing(units, up)
+        check_alignment(units, up)
         self._files, self._missing, self._units, self._up = dict(files), tuple(missing), units, up
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
-        self._placements: dict[str, Placement] = {}
+        self._placements: dict[str, Alignment] = {}
 
     def bodies(self) -> Sequence[BodyRef]:
         """All bodies found, in their fixed order."""
@@ -173,12 +173,12 @@ class MeshBodies:
         self._notes[source] = (*rescued, f"{_farthest(snapped)} on {file.path.name}")
         return landmarks
 
-    def _placement_of_group(self, group: str) -> Placement:
+    def _placement_of_group(self, group: str) -> Alignment:
         """The placement found from the first upright body of a group, or else from the most upright one looked at."""
         if group not in self._placements:
             members = [body for body, file in self._files.items() if file.group == group]
             count = min(len(members), _LOOKED_AT)
-            found: list[Placement] = []
+            found: list[Alignment] = []
             problem: BadMesh | None = None
             for index in range(count):
                 body = members[index * len(members) // count]
@@ -195,13 +195,13 @@ class MeshBodies:
             self._placements[group] = min(found, key=lambda placement: placement.lean_deg)
         return self._placements[group]
 
-    def _placement_by(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Placement:
+    def _placement_by(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
         if isinstance(landmarks, PointLandmarks):
             points = landmarks.points
         else:
             _check_counts(landmarks, surface, path)
             points = surface[0][list(landmarks.vertices)]
-        return find_placement(_used(surface), points, self._units, self._up, str(path))
+        return find_alignment(_used(surface), points, self._units, self._up, str(path))
 
 
 def _load(landmarks: Path | str) -> LandmarkSet | PointLandmarks:

@@ -65,7 +65,7 @@ class Sample:
     info: SampleInfo
     known: Known | None = None
 
-    def shading_range(self) -> NDArray[np.uint16]:
+    def occluder_range(self) -> NDArray[np.uint16]:
         """The projector's range. Raises BadSample if it was not read."""
         if self.projector_range is None:
             raise BadSample(f"{self.key}: the projector's range is needed, the sample was read without it")

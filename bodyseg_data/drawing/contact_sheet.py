@@ -79,11 +79,11 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Ima
 def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
     """Notes and pictures of one line. All range panels share the scale of the clean camera range."""
     sample = row.sample
-    shading = sample.shading_range()
-    span, projector_span = _span(sample.range), _span(shading)
+    occluder = sample.occluder_range()
+    span, projector_span = _span(sample.range), _span(occluder)
     panels = [
         (_metres(sample.range), colour_range(sample.range, *span)),
-        (_metres(shading), colour_range(shading, *projector_span)),
+        (_metres(occluder), colour_range(occluder, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
     panels += [(_note(image), colour_range(image.range, *span)) for image in row.variants.values()]

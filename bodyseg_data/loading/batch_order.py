@@ -54,19 +54,19 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def find_ranks(rank: int | None = None, ranks: int | None = None) -> tuple[int, int]:
-    """(rank, ranks): as given, else torch.distributed's, else RANK and WORLD_SIZE as torchrun sets them, else (0, 1).
+def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:
+    """(rank, world_size): as given, else torch.distributed's, else torchrun's RANK and WORLD_SIZE, else (0, 1).
 
     Raises BadConfig.
     """
-    if (rank is None) != (ranks is None):
-        raise BadConfig(f"rank and ranks are given together or not at all, found {rank!r} of {ranks!r}")
-    if rank is None or ranks is None:
-        rank, ranks = _surroundings()
-    whole_number("ranks", ranks, 1)
-    if whole_number("rank", rank, 0) >= ranks:
-        raise BadConfig(f"rank must be less than ranks, found {rank} of {ranks}")
-    return rank, ranks
+    if (rank is None) != (world_size is None):
+        raise BadConfig(f"rank and world_size are given together or not at all, found {rank!r} of {world_size!r}")
+    if rank is None or world_size is None:
+        rank, world_size = _surroundings()
+    whole_number("world_size", world_size, 1)
+    if whole_number("rank", rank, 0) >= world_size:
+        raise BadConfig(f"rank must be less than world_size, found {rank} of {world_size}")
+    return rank, world_size
 
 
 def _surroundings() -> tuple[int, int]:
@@ -81,28 +81,28 @@ def _surroundings() -> tuple[int, int]:
         raise BadConfig(f"RANK and WORLD_SIZE must be whole numbers, found {found[0]!r} and {found[1]!r}") from None
 
 
-def cuts(samples: int, start: int, batch_size: int, ranks: int, drop_last: bool) -> list[int]:
+def cuts(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
     """Where the global batches of an epoch's rest begin, and at the end where the last one ends.
 
     The last one is shorter if need be, and takes samples from the one before if it has fewer than one a rank; with
     `drop_last` it is left out. Raises BadConfig where the ranks could not all get equally many batches.
     """
-    whole = ranks * batch_size
+    whole = world_size * batch_size
     found = list(range(start, samples + 1, whole))
     rest = samples - found[-1]
     if drop_last or not rest:
         return found
-    if rest < ranks:
+    if rest < world_size:
         if len(found) == 1:
             raise BadConfig(
-                f"{rest} samples cannot give each of {ranks} ranks a batch: use fewer ranks, or drop_last=True"
+                f"{rest} samples cannot give each of {world_size} ranks a batch: use fewer ranks, or drop_last=True"
             )
         if batch_size == 1:
             raise BadConfig(
-                f"{samples - start} samples cannot be shared out to {ranks} ranks in equally many batches of 1: "
+                f"{samples - start} samples cannot be shared out to {world_size} ranks in equally many batches of 1: "
                 "use a larger batch_size, or drop_last=True"
             )
-        found[-1] = samples - ranks
+        found[-1] = samples - world_size
     return [*found, samples]
 
 
@@ -114,7 +114,7 @@ class Pass:
     order: NDArray[np.int64]
     cuts: list[int]
     rank: int
-    ranks: int
+    world_size: int
 
     def __len__(self) -> int:
         return len(self.cuts) - 1
@@ -122,7 +122,7 @@ class Pass:
     def batch(self, number: int) -> list[int]:
         """The indices of this rank's part of a global batch: nearly equal parts, side by side."""
         first, end = self.cuts[number], self.cuts[number + 1]
-        share = [first + (end - first) * rank // self.ranks for rank in (self.rank, self.rank + 1)]
+        share = [first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1)]
         indices: list[int] = self.order[slice(*share)].tolist()
         return indices
 
@@ -145,16 +145,16 @@ class BatchOrder(Sampler[list[Request]]):
         shuffle: bool | None = None,
         drop_last: bool = False,
         rank: int | None = None,
-        ranks: int | None = None,
+        world_size: int | None = None,
     ) -> None:
         self.images, self.drop_last = images, flag("drop_last", drop_last)
         self.batch_size = whole_number("batch_size", batch_size, 1)
         self.shuffle = images.split == "train" if shuffle is None else flag("shuffle", shuffle)
-        self.rank, self.ranks = find_ranks(rank, ranks)
-        if len(images) < self.ranks:
-            raise BadConfig(f"{len(images)} samples are fewer than {self.ranks} ranks: use fewer ranks")
+        self.rank, self.world_size = find_rank(rank, world_size)
+        if len(images) < self.world_size:
+            raise BadConfig(f"{len(images)} samples are fewer than {self.world_size} ranks: use fewer ranks")
         if not len(self):
-            each = f" on each of {self.ranks} ranks" if self.ranks > 1 else ""
+            each = f" on each of {self.world_size} ranks" if self.world_size > 1 else ""
             raise BadConfig(
                 f"drop_last=True leaves nothing of {len(images)} samples: they do not fill one batch of "
                 f"{self.batch_size}{each}; use a smaller batch_size"
@@ -165,7 +165,7 @@ class BatchOrder(Sampler[list[Request]]):
         self._pass: Pass | None = None
 
     def _cuts(self, start: int) -> list[int]:
-        return cuts(len(self.images), start, self.batch_size, self.ranks, self.drop_last)
+        return cuts(len(self.images), start, self.batch_size, self.world_size, self.drop_last)
 
     def __len__(self) -> int:
         """Batches of a whole pass, the same for every rank."""
@@ -174,7 +174,7 @@ class BatchOrder(Sampler[list[Request]]):
     @property
     def largest(self) -> int:
         """The most samples that a batch of one rank can have."""
-        return min(self.batch_size, -(-len(self.images) // self.ranks))
+        return min(self.batch_size, -(-len(self.images) // self.world_size))
 
     @property
     def epoch(self) -> int:
@@ -198,7 +198,7 @@ class BatchOrder(Sampler[list[Request]]):
         self._follow_images()
         epoch, start = self._next
         order = self.images.order(epoch, self.shuffle)
-        self._pass = Pass(epoch, order, self._cuts(start), self.rank, self.ranks)
+        self._pass = Pass(epoch, order, self._cuts(start), self.rank, self.world_size)
         self._reached = self._next
         self._next = (epoch + 1, 0)
         return self._pass

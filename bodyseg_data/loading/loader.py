@@ -18,7 +18,7 @@ from bodyseg_data.loading.batch_order import BatchOrder, Pass, flag, whole_numbe
 from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
-from bodyseg_data.loading.workers import Here, StartMethod, Workers
+from bodyseg_data.loading.workers import InlineWorkers, StartMethod, Workers
 
 Fault = tuple[int, BodysegError]
 """(place in the batch, why it could not be filled): raised where the user is, not in a worker."""
@@ -27,7 +27,7 @@ _START_METHODS: Final = (None, "fork", "spawn", "forkserver")
 
 
 @dataclass(frozen=True)
-class Making:
+class LoaderOptions:
     """How batches are made, which changes none of their bits; see `loader`."""
 
     workers: int
@@ -46,14 +46,14 @@ class Making:
 
 
 @dataclass(frozen=True)
-class _Crew:
-    """Who makes batches, and where they put them. flying: the slots of what was asked for. owner: whose they are."""
+class _WorkerState:
+    """Who makes batches, and where they put them. in_flight: the slots of what was asked for. owner: whose they are."""
 
-    makers: Here | Workers
+    makers: InlineWorkers | Workers
     slots: Slots
     end: Callable[[], Any]
     owner: int
-    flying: deque[int] = field(default_factory=deque)
+    in_flight: deque[int] = field(default_factory=deque)
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ class Loader:
     order: which samples make up which batch; see `BatchOrder`.
     """
 
-    def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, making: Making) -> None:
+    def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
         self.images, self.order = images, order
-        self._ledger, self._making = ledger, making
-        self._workers = min(making.workers, len(order))
-        self._ahead = max(1, min(self._workers * making.prefetch, len(order)))
+        self._ledger, self._options = ledger, options
+        self._workers = min(options.workers, len(order))
+        self._ahead = max(1, min(self._workers * options.prefetch, len(order)))
         self._passes = 0
-        self._crew: _Crew | None = None
+        self._state: _WorkerState | None = None
 
     def __len__(self) -> int:
         """Batches of a whole pass, the same for every rank."""
@@ -134,13 +134,13 @@ class Loader:
         self._passes += 1
         this = self._passes
         try:
-            crew = self._ready()
+            state = self._ready()
             for number in range(min(self._ahead, len(plan))):
-                _ask(crew, plan, number)
+                _ask(state, plan, number)
             for number in range(len(plan)):
-                batch = self._deliver(crew, plan, number)
+                batch = self._deliver(state, plan, number)
                 if number + self._ahead < len(plan):
-                    _ask(crew, plan, number + self._ahead)
+                    _ask(state, plan, number + self._ahead)
                 self.order.reach(number + 1)
                 yield batch
                 del batch  # or its slot would stay lent while the next batch is waited for
@@ -150,47 +150,47 @@ class Loader:
         except GeneratorExit:
             raise  # what the workers are at is thrown away when the next pass begins
         except BaseException:
-            if self._passes == this and self._crew is not None:
-                ending, self._crew = self._crew, None  # first, for ending it may be interrupted, too
+            if self._passes == this and self._state is not None:
+                ending, self._state = self._state, None  # first, for ending it may be interrupted, too
                 ending.end()
             raise
 
-    def _ready(self) -> _Crew:
+    def _ready(self) -> _WorkerState:
         """Makers with nothing to do."""
-        if self._crew is None or self._crew.owner != os.getpid():
-            self._crew = self._new_crew()
-        flying = self._crew.flying
-        while flying:  # asked for by a pass that was left early
-            self._crew.makers.drop()
-            self._crew.slots.give_back(flying.popleft())
-        return self._crew
+        if self._state is None or self._state.owner != os.getpid():
+            self._state = self._new_state()
+        in_flight = self._state.in_flight
+        while in_flight:  # asked for by a pass that was left early
+            self._state.makers.drop()
+            self._state.slots.give_back(in_flight.popleft())
+        return self._state
 
-    def _new_crew(self) -> _Crew:
-        camera, making = self.images.manifest.rig.camera, self._making
-        slots = Slots(self._ahead, self.order.largest, camera.rows, camera.columns, making.metres)
-        maker = _BatchMaker(self.images, slots, making.metres, self._ledger.strict)
+    def _new_state(self) -> _WorkerState:
+        camera, options = self.images.manifest.rig.camera, self._options
+        slots = Slots(self._ahead, self.order.largest, camera.rows, camera.columns, options.metres)
+        maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         self.images.augmentation.prepare()
-        makers = Workers(maker, self._workers, making.start_method) if self._workers else Here(maker)
-        return _Crew(makers, slots, weakref.finalize(self, makers.close), os.getpid())
+        makers = Workers(maker, self._workers, options.start_method) if self._workers else InlineWorkers(maker)
+        return _WorkerState(makers, slots, weakref.finalize(self, makers.close), os.getpid())
 
-    def _deliver(self, crew: _Crew, plan: Pass, number: int) -> Batch:
-        faults: list[Fault] = crew.makers.answer()
-        slot = crew.flying.popleft()
+    def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
+        faults: list[Fault] = state.makers.answer()
+        slot = state.in_flight.popleft()
         places = [self.images.place(index) for index in plan.batch(number)]
         for at, error in faults:
             shard, key, offset = places[at]
             self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
         missing = {at for at, _ in faults}
         keys = [key for at, (_, key, _) in enumerate(places) if at not in missing]
-        pin = self._making.pin_memory and torch.cuda.is_available()
-        ranges, labels = crew.slots.hand_over(slot, len(keys), pin)
+        pin = self._options.pin_memory and torch.cuda.is_available()
+        ranges, labels = state.slots.hand_over(slot, len(keys), pin)
         return {"range": ranges, "labels": labels, "key": keys}
 
 
-def _ask(crew: _Crew, plan: Pass, number: int) -> None:
-    slot = crew.slots.take()
-    crew.flying.append(slot)
-    crew.makers.ask((slot, plan.epoch, plan.batch(number)))
+def _ask(state: _WorkerState, plan: Pass, number: int) -> None:
+    slot = state.slots.take()
+    state.in_flight.append(slot)
+    state.makers.ask((slot, plan.epoch, plan.batch(number)))
 
 
 def loader(
@@ -201,7 +201,7 @@ def loader(
     drop_last: bool = False,
     *,
     rank: int | None = None,
-    ranks: int | None = None,
+    world_size: int | None = None,
     on_error: OnError = "stop",
     skip_budget: float | None = None,
     skip_log: str | Path | None = None,
@@ -214,7 +214,7 @@ def loader(
 
     shuffle: None shuffles the train split and nothing else. drop_last: leave out the last batch if it is not full.
 
-    rank, ranks: which of how many processes this is, each of which gets batches of `batch_size`, and equally many;
+    rank, world_size: which of how many processes this is, each of which gets batches of `batch_size`, and equally many;
     None asks torch.distributed, then torchrun's RANK and WORLD_SIZE.
 
     on_error: "stop" raises for a bad sample. "skip" leaves it out, which makes its batch shorter and maybe empty, never
@@ -229,7 +229,7 @@ def loader(
     """
     if not isinstance(images, RangeImages):
         raise BadConfig(f"images must be RangeImages, found {type(images).__name__}")
-    order = images.batches(batch_size, shuffle, drop_last, rank, ranks)
+    order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))
-    return Loader(images, order, ledger, Making(workers, prefetch, metres, pin_memory, start_method))
+    return Loader(images, order, ledger, LoaderOptions(workers, prefetch, metres, pin_memory, start_method))

@@ -32,7 +32,7 @@ from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import keep_shards
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import Into
-from bodyseg_data.shards.stores.remote import Patience
+from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
 
@@ -58,7 +58,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     Of remote sets (docs/remote.md): cache: the folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
-    patience: how much trouble is borne.
+    retry_policy: how much trouble is borne.
 
     Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished,
     Unreachable for a remote one that cannot be had, MissingLibrary for a package that its address needs.
@@ -75,7 +75,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         cache: str | Path | None = None,
         cache_bytes: int | None = None,
         storage_options: Mapping[str, Any] | None = None,
-        patience: Patience | None = None,
+        retry_policy: RetryPolicy | None = None,
         only: Sequence[str] = (),
     ) -> None:
         seed = check_seed(seed)
@@ -83,7 +83,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             raise BadConfig(f"artifacts must be an Artifacts, found {type(artifacts).__name__}")
         if split is not None and split not in SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
-        store, pattern = open_store(_checked_path(path), storage_options, patience)
+        store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = read_manifest(store)
         self.split, self.seed = split, seed
@@ -184,10 +184,10 @@ class RangeImages(Dataset[dict[str, Any]]):
         shuffle: bool | None = None,
         drop_last: bool = False,
         rank: int | None = None,
-        ranks: int | None = None,
+        world_size: int | None = None,
     ) -> BatchOrder:
         """A `batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as of `loader`."""
-        return BatchOrder(self, batch_size, shuffle, drop_last, rank, ranks)
+        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
     def identity(self) -> dict[str, Any]:
         """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""

@@ -24,20 +24,20 @@ SPARE: Final = 3
 
 
 class Slots:
-    """`flying` + SPARE slots of one batch each.
+    """`in_flight` + SPARE slots of one batch each.
 
     A slot is free, or taken (a worker writes it), or lent (somebody holds its tensors, or a view of them). With at
-    most `flying` slots taken at once, one that is asked for is always free: at most SPARE are lent, and before another
-    would be, its batch is copied instead.
+    most `in_flight` slots taken at once, one that is asked for is always free: at most SPARE are lent, and before
+    another would be, its batch is copied instead.
     """
 
-    def __init__(self, flying: int, batch_size: int, rows: int, columns: int, metres: bool) -> None:
+    def __init__(self, in_flight: int, batch_size: int, rows: int, columns: int, metres: bool) -> None:
         self._images = (batch_size, rows, columns)
         self._kind = np.dtype(np.float32 if metres else np.uint16)
         pixels = batch_size * rows * columns
         self._labels_at = _in_pages(pixels * self._kind.itemsize)
         self._stride = self._labels_at + _in_pages(pixels)
-        self._count = flying + SPARE
+        self._count = in_flight + SPARE
         self._free = list(range(self._count))
         self._lent: dict[int, tuple[weakref.ref[Any], ...]] = {}
         try:

@@ -30,7 +30,7 @@ _GLANCE_S: Final = 1.0
 """How often one looks whether the other is still there, should the pipe not tell."""
 
 
-class Here:
+class InlineWorkers:
     """No workers: requests are answered in this process, when the answer is wanted."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:

@@ -33,7 +33,7 @@ def shadow_test(rig: Rig) -> ShadowTest:
     return ShadowTest(rig)
 
 
-def shading_range(
+def occluder_range(
     test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
 ) -> NDArray[np.uint16]:
     """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in

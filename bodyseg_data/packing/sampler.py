@@ -15,7 +15,7 @@ from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.occluder_range import shading_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
 from bodyseg_data.rendering.renderer import Renderer, Surface
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
@@ -58,7 +58,7 @@ class Sampler:
         labels.ravel()[pixels] = self._labels(faces, points)
         facing = np.zeros(seen.face.shape, np.bool_)
         facing.ravel()[pixels] = self._facing(faces, points, projector.position)
-        shading = shading_range(
+        occluder = occluder_range(
             self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), key)
         )
         info = SampleInfo(
@@ -71,7 +71,7 @@ class Sampler:
             view.azimuth_deg,
             body.split,
         )
-        sample = Sample(key, range_image, shading, labels, facing, info)
+        sample = Sample(key, range_image, occluder, labels, facing, info)
         sample.check()
         return sample
 

@@ -47,7 +47,7 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     "bsi", whose labels say background elsewhere than its range.
     """
     name = check_codec(codec)
-    labels, projector = join_labels(sample.labels, sample.faces_projector), sample.shading_range()
+    labels, projector = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
     members = {"json": json.dumps(asdict(sample.info), sort_keys=True).encode()}
     if name == "bsi":
         if not np.array_equal(sample.range == 0, labels == BACKGROUND):
@@ -77,7 +77,7 @@ def decode_sample(key: str, members: Mapping[str, bytes], projector: bool = True
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
     places = None if into is None else Known(images.edges, images.texels)
-    return Sample(key, images.range, images.shading, images.labels, images.facing, info, places)
+    return Sample(key, images.range, images.occluder, images.labels, images.facing, info, places)
 
 
 def _decode_bsi(key: str, data: bytes, projector: bool, into: Into | None) -> Decoded:

@@ -16,7 +16,7 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.stability.examining import examine
+from bodyseg_model.stability.examining import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
 from bodyseg_model.stability.numerical import numerical
@@ -108,7 +108,7 @@ def _images(
     settings = list(dict.fromkeys(setting for name, sweep in sweeps.items() for setting in sweep.settings(name)))
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
-        found = examine(runs, settings, scenes, options.out / _ANSWERS, progress.update)
+        found = evaluate_conditions(runs, settings, scenes, options.out / _ANSWERS, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,

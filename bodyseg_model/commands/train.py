@@ -25,9 +25,9 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks.pretrained import import_alexnet
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.distributed import joined_ranks, use_threads
-from bodyseg_model.training.geometric_augmentation import Placements
-from bodyseg_model.training.loop import Course, Figures, Report, Training
+from bodyseg_model.training.distributed import joined_process_group, use_threads
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
+from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
 from bodyseg_model.training.recipes import PRESETS, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
@@ -51,7 +51,7 @@ class Options:
     batch: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
     rate: float | None = option("learning rate of the last layer (default: the recipe's)", None)
-    no_placements: bool = option("leave bodies where they are: turn, zoom and cut none", False)
+    no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
     pretrained: Path | None = option("start fcn_alexnet from this AlexNet (.onnx or .caffemodel)", None)
@@ -61,7 +61,7 @@ class Options:
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
     workers: int = option("processes that load images", 2)
-    keep_every: int = option("steps between checkpoints", 500)
+    checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
 
@@ -71,29 +71,29 @@ def run(options: Options) -> int:
     recipe = recipe_for(
         options.recipe or (options.network if options.network in PRESETS else "compact"),
         steps=options.steps,
-        batch=options.batch,
+        batch_size=options.batch,
         accumulate=options.accumulate,
-        rate=options.rate,
-        placements=Placements() if options.no_placements else None,
+        learning_rate=options.rate,
+        geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
-    course = Course(options.log_every, options.keep_every, options.workers, options.compile)
+    run_options = RunOptions(options.log_every, options.checkpoint_every, options.workers, options.compile)
     images = RangeImages(
         options.data, options.variant, "train", options.seed, artifacts=_artifacts(options), only=options.only
     )
     network = _network(options)
-    with joined_ranks(options.device) as ranks, contextlib.ExitStack() as stack:
+    with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
-        training = Training(network, options.network, images, recipe, folder, ranks, options.seed, course)
+        training = Training(network, options.network, images, recipe, folder, processes, options.seed, run_options)
         facts = {**provenance(command_line("bodyseg train", options)), "pretrained": None}
         if options.pretrained is not None:
             facts["pretrained"] = options.pretrained.name
-        report = stack.enter_context(_reporting(options, recipe.steps)) if ranks.first else _silent
+        report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
         training.run(options.resume, report, facts)
     return 0
 
 
-def _silent(figures: Figures) -> None:
+def _silent(metrics: Metrics) -> None:
     pass
 
 
@@ -140,19 +140,19 @@ def _reporting(options: Options, steps: int) -> Iterator[Report]:
     start = time.monotonic()
     first: list[int] = []
 
-    def report(figures: Figures) -> None:
-        first.append(figures.step - options.log_every)
-        done = figures.step - max(0, first[0])
-        left = (time.monotonic() - start) / max(1, done) * (steps - figures.step)
+    def report(metrics: Metrics) -> None:
+        first.append(metrics.step - options.log_every)
+        done = metrics.step - max(0, first[0])
+        left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
         progress.update(
-            figures.step,
+            metrics.step,
             steps,
-            f"loss {figures.loss:.3f}, right {figures.right:.1%}, per class {figures.accuracy:.1%}, "
-            f"{figures.images_per_second:.0f} images/s, waited {figures.waited:.0%}, {left:.0f} s left",
+            f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
+            f"{metrics.images_per_second:.0f} images/s, waited {metrics.data_wait:.0%}, {left:.0f} s left",
         )
         if board is not None:
-            for name in ("loss", "accuracy", "right", "rate", "images_per_second", "waited"):
-                board.add_scalar(name, getattr(figures, name), figures.step)
+            for name in ("loss", "accuracy", "pixel_accuracy", "learning_rate", "images_per_second", "data_wait"):
+                board.add_scalar(name, getattr(metrics, name), metrics.step)
 
     try:
         with Progress("training", "steps") as progress:

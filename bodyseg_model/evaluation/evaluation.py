@@ -220,7 +220,7 @@ def evaluate(
 def _batches(images: RangeImages, wanted: int, batch_size: int, workers: int) -> Iterator[Batch]:
     """Batches that hold the first `wanted` images of the permutation, and maybe more."""
     # One process evaluates, whatever torchrun says; and the order is that of the images' epoch, for every split.
-    batches = loader(images, batch_size, workers, shuffle=True, rank=0, ranks=1)
+    batches = loader(images, batch_size, workers, shuffle=True, rank=0, world_size=1)
     for number, batch in enumerate(batches, 1):
         yield batch
         if number * batch_size >= wanted:

@@ -21,7 +21,7 @@ from bodyseg_model.networks.range_input import check_range_images
 _INPUTS: Final = 2
 
 
-class Rival(nn.Module):
+class Baseline(nn.Module):
     """Range image -> scores of the 33 parts, at the image's own size, by a network of another package.
 
     apart: pixels of its input between two of the network's own answers. shrink: pixels of the image along one side of a
@@ -63,17 +63,17 @@ class Rival(nn.Module):
         return full[:, :, :rows, :columns]
 
 
-def segformer(size: int = 0, shrink: int = 1) -> Rival:
+def segformer(size: int = 0, shrink: int = 1) -> Baseline:
     """SegFormer (Xie et al., 2021), B0 or B1 by `size`. Raises BadConfig for another, MissingLibrary."""
     if size not in (0, 1):
         raise BadConfig(f"size of segformer must be 0 or 1, found {size!r}")
     transformers = _transformers("segformer")
     widths = [(32 << size) * factor for factor in (1, 2, 5, 8)]
     config = transformers.SegformerConfig(num_channels=_INPUTS, hidden_sizes=widths, num_labels=PART_COUNT)
-    return Rival(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size})
+    return Baseline(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size})
 
 
-def deeplab(apart: int = 16, shrink: int = 1) -> Rival:
+def deeplab(apart: int = 16, shrink: int = 1) -> Baseline:
     """DeepLabV3+ on MobileNetV2 (Sandler et al., 2018), with an answer every 8 or 16 pixels of its input.
 
     Raises BadConfig for another number, MissingLibrary.
@@ -84,7 +84,7 @@ def deeplab(apart: int = 16, shrink: int = 1) -> Rival:
     config = transformers.MobileNetV2Config(
         num_channels=_INPUTS, output_stride=apart, num_labels=PART_COUNT, tf_padding=False
     )
-    return Rival(transformers.MobileNetV2ForSemanticSegmentation(config), apart, shrink, {"apart": apart})
+    return Baseline(transformers.MobileNetV2ForSemanticSegmentation(config), apart, shrink, {"apart": apart})
 
 
 def _transformers(name: str) -> Any:

@@ -13,7 +13,7 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.baselines import Rival, deeplab, segformer
+from bodyseg_model.networks.baselines import Baseline, deeplab, segformer
 from bodyseg_model.networks.batch_transforms import body_window
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
@@ -71,7 +71,7 @@ def settings_of(network: nn.Module) -> dict[str, Any]:
         }
     if isinstance(network, FcnAlexnet):
         return {"normalise": network.normalise, "width": network.width}
-    if isinstance(network, Rival):
+    if isinstance(network, Baseline):
         return dict(network.settings)
     return {}
 
@@ -91,7 +91,7 @@ def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int
 
     Answer (i, j) is that of the point ((i + 1/2) step, (j + 1/2) step) of the image, in pixels from its corner.
     """
-    if isinstance(network, Compact | Rival):
+    if isinstance(network, Compact | Baseline):
         return network.coarse(range_m), network.stride
     return network(range_m), 1
 

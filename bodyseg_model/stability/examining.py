@@ -53,7 +53,7 @@ def accuracy(network: nn.Module, pictures: Sequence[Picture]) -> float:
     return matrix.average_per_class_accuracy()
 
 
-def examine(
+def evaluate_conditions(
     runs: Sequence[Run],
     settings: Sequence[Setting],
     scenes: Scenes,

@@ -157,7 +157,7 @@ class _PosedBody:
         """What a rig measures: only where its projector's light gets to."""
         sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
-        lit = shadow_test(rig).lit(sample.range, sample.shading_range(), sample.faces_projector)
+        lit = shadow_test(rig).lit(sample.range, sample.occluder_range(), sample.faces_projector)
         return picture(sample.range * lit, sample.labels)
 
 

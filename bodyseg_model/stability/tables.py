@@ -47,20 +47,20 @@ def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) ->
 
 
 def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
-    """One kind of harm at its strongest, by group."""
+    """One corruption at its strongest, by group."""
     sweep = figures["sweeps"][name]
     return {
-        "harm": f"{sweep['title']}, {sweep['axis']}",
+        "corruption": f"{sweep['title']}, {sweep['axis']}",
         "strongest": f"{sweep['strengths'][-1]:g}",
         **{label: _percent(_at(group["curves"][name], -1)) for label, group in figures["groups"].items()},
     }
 
 
 def _falls(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
-    """How strong one kind of harm has to be for accuracy to fall below the bound, by group."""
+    """How strong a corruption has to be for accuracy to fall below the bound, by group."""
     sweep = figures["sweeps"][name]
     clean, strongest = sweep["strengths"][0], sweep["strengths"][-1]
-    row = {"harm": f"{sweep['title']}, {sweep['axis']}", "from, to": f"{clean:g}, {strongest:g}"}
+    row = {"corruption": f"{sweep['title']}, {sweep['axis']}", "from, to": f"{clean:g}, {strongest:g}"}
     for label, group in figures["groups"].items():
         falls = group["falls_below_bound_at"][name]
         row[label] = "never" if falls["mean"] is None else "when clean" if falls["mean"] == clean else _strength(falls)

@@ -11,15 +11,15 @@ import torch
 import torch.distributed
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import find_ranks
+from bodyseg_data.loading.batch_order import find_rank
 
 
 @dataclass(frozen=True)
-class Ranks:
-    """Process number `rank` of `ranks`, which computes on `device`."""
+class ProcessGroup:
+    """Process number `rank` of `world_size`, which computes on `device`."""
 
     rank: int
-    ranks: int
+    world_size: int
     device: torch.device
 
     @property
@@ -29,25 +29,25 @@ class Ranks:
 
     def add_up(self, values: torch.Tensor) -> torch.Tensor:
         """The sum of `values` over all processes, in every one of them."""
-        if self.ranks > 1:
+        if self.world_size > 1:
             torch.distributed.all_reduce(values)
         return values
 
 
 @contextlib.contextmanager
-def joined_ranks(device: str | None = None) -> Iterator[Ranks]:
+def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
     """Join torchrun's other processes, if there are any, for as long as the context lasts.
 
     device: see `find_device`. Raises BadConfig.
     """
-    rank, ranks = find_ranks()
+    rank, world_size = find_rank()
     chosen = find_device(device)
-    if ranks > 1:
+    if world_size > 1:
         torch.distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     try:
-        yield Ranks(rank, ranks, chosen)
+        yield ProcessGroup(rank, world_size, chosen)
     finally:
-        if ranks > 1:
+        if world_size > 1:
             torch.distributed.destroy_process_group()
 
 

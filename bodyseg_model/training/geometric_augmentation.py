@@ -16,7 +16,7 @@ from bodyseg_data.core.randomness import chance
 
 
 @dataclass(frozen=True)
-class Placements:
+class GeometricAugmentation:
     """How far images are moved; 0 for not at all.
 
     roll_deg: each is turned by up to so many degrees either way. zoom: its scale, drawn for height and together with
@@ -41,7 +41,7 @@ class Placements:
 
         Values are taken from the nearest pixel, so that no range is made up between two surfaces.
         """
-        if self == Placements():
+        if self == GeometricAugmentation():
             return range_m, labels
         rows, columns = range_m.shape[2:]
         maps, kept = [], torch.ones(len(keys), 1, rows, columns, dtype=torch.bool)

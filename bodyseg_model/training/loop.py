@@ -28,9 +28,9 @@ from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import margin, settings_of
-from bodyseg_model.training.distributed import Ranks
-from bodyseg_model.training.loss import Objective, part_weights
-from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_rate
+from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.loss import NetworkWithLoss, part_weights
+from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.run_folder import Checkpoint, RunFolder
 
@@ -38,36 +38,36 @@ _SAMPLES_FOR_WEIGHTS: Final = 128
 
 
 @dataclass(frozen=True)
-class Figures:
-    """What a stretch of steps was like. loss, accuracy (average per class) and pixels right: means over the stretch, of
+class Metrics:
+    """What a stretch of steps was like. loss, accuracy (average per class) and pixels right: means over the window, of
     the images trained on. waited: share of the time that the network waited for data.
     """
 
     step: int
     loss: float
     accuracy: float
-    right: float
-    rate: float
+    pixel_accuracy: float
+    learning_rate: float
     images_per_second: float
-    waited: float
+    data_wait: float
 
 
-Report = Callable[[Figures], None]
+Report = Callable[[Metrics], None]
 
 
 @dataclass(frozen=True)
-class Course:
+class RunOptions:
     """What does not change the result: steps between lines of the log, and checkpoints; loader's workers; compiling."""
 
     log_every: int = 20
-    keep_every: int = 500
-    workers: int = 2
-    compiled: bool = False
+    checkpoint_every: int = 500
+    num_workers: int = 2
+    compile: bool = False
 
     def __post_init__(self) -> None:
         whole_number("log_every", self.log_every, 1)
-        whole_number("keep_every", self.keep_every, 1)
-        whole_number("workers", self.workers, 0)
+        whole_number("checkpoint_every", self.checkpoint_every, 1)
+        whole_number("num_workers", self.num_workers, 0)
 
 
 class Training:
@@ -84,15 +84,17 @@ class Training:
         images: RangeImages,
         recipe: Recipe,
         folder: RunFolder,
-        ranks: Ranks,
+        processes: ProcessGroup,
         seed: int = 0,
-        course: Course | None = None,
+        run_options: RunOptions | None = None,
     ) -> None:
-        if recipe.batch % ranks.ranks:
-            raise BadConfig(f"a batch of {recipe.batch} images cannot be shared out evenly to {ranks.ranks} processes")
+        if recipe.batch_size % processes.world_size:
+            raise BadConfig(
+                f"a batch of {recipe.batch_size} images cannot be shared out evenly to {processes.world_size} processes"
+            )
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
-        self.ranks, self.seed, self.course = ranks, seed, course or Course()
-        self.network = network.to(ranks.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
+        self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = make_optimiser(self.network, recipe)
         self.step = 0
 
@@ -110,39 +112,41 @@ class Training:
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
-        report: called with figures every `log_every` steps, in the first process only. Raises BadConfig for a folder
+        report: called with metrics every `log_every` steps, in the first process only. Raises BadConfig for a folder
         that does not fit, Diverged for a loss that is not finite, and what the loader raises.
         """
         place = self._begin(resume)
-        batch = self.recipe.batch // self.ranks.ranks
-        pin = self.ranks.device.type == "cuda"
-        feed = loader(self.images, batch, self.course.workers, drop_last=True, pin_memory=pin)
+        batch = self.recipe.batch_size // self.processes.world_size
+        pin = self.processes.device.type == "cuda"
+        feed = loader(self.images, batch, self.run_options.num_workers, drop_last=True, pin_memory=pin)
         if place is not None:
             feed.load_state_dict(place)
         objective = self._objective()
         self.network.train()
-        stretch = _Stretch(self.ranks)
+        window = _MetricsWindow(self.processes)
         batches = _endless(feed)
         while self.step < self.recipe.steps:
-            set_rate(self.optimiser, self.recipe.rate_at(self.step))
-            torch.manual_seed(int(generator(self.seed, self.step, "", f"dropout {self.ranks.rank}").integers(2**62)))
-            self._one_step(objective, batches, stretch)
+            set_learning_rate(self.optimiser, self.recipe.learning_rate_at(self.step))
+            torch.manual_seed(
+                int(generator(self.seed, self.step, "", f"dropout {self.processes.rank}").integers(2**62))
+            )
+            self._one_step(objective, batches, window)
             self.step += 1
             last = self.step == self.recipe.steps
-            if self.step % self.course.log_every == 0 or last:
-                figures = stretch.figures(self.step, self.optimiser.param_groups[-1]["lr"])
-                if self.ranks.first:
-                    self.folder.log(asdict(figures))
-                    report(figures)
-                stretch = _Stretch(self.ranks)
-            if self.ranks.first and (self.step % self.course.keep_every == 0 or last):
+            if self.step % self.run_options.log_every == 0 or last:
+                metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
+                if self.processes.first:
+                    self.folder.log(asdict(metrics))
+                    report(metrics)
+                window = _MetricsWindow(self.processes)
+            if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
                 self.folder.keep(self._checkpoint(feed))
-        if self.ranks.first:
+        if self.processes.first:
             save_network(self.folder.network, self.network, self.name, {**self.plan(), **facts})
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         """Open the folder; the place in the data to go on from."""
-        checkpoint = self.folder.begin(self.plan(), resume) if self.ranks.first else self.folder.last()
+        checkpoint = self.folder.begin(self.plan(), resume) if self.processes.first else self.folder.last()
         if checkpoint is None:
             return None
         weights = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("network.")}
@@ -153,7 +157,7 @@ class Training:
             raise BadConfig(f"{self.folder.path}: the checkpoint is of another network: {error}") from error
         fill_optimiser(self.optimiser, memory)
         self.step = checkpoint.step
-        if self.ranks.first:
+        if self.processes.first:
             self.folder.forget_after(self.step)
         return checkpoint.place
 
@@ -166,20 +170,20 @@ class Training:
         weights = torch.ones(PART_COUNT)
         if self.recipe.balance:
             weights = part_weights(_part_pixels(self.images), self.recipe.balance)
-        objective: nn.Module = Objective(self.network, weights, self.recipe.every, self.course.compiled).to(
-            self.ranks.device
-        )
-        if self.ranks.ranks > 1:
-            if self.ranks.device.type == "cuda":
+        objective: nn.Module = NetworkWithLoss(
+            self.network, weights, self.recipe.loss_stride, self.run_options.compile
+        ).to(self.processes.device)
+        if self.processes.world_size > 1:
+            if self.processes.device.type == "cuda":
                 objective = nn.SyncBatchNorm.convert_sync_batchnorm(objective)  # type: ignore[no-untyped-call]
             objective = nn.parallel.DistributedDataParallel(objective)
         return objective
 
-    def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], stretch: _Stretch) -> None:
-        device, recipe = self.ranks.device, self.recipe
+    def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], window: _MetricsWindow) -> None:
+        device, recipe = self.processes.device, self.recipe
         self.optimiser.zero_grad(set_to_none=True)
         for turn in range(recipe.accumulate):
-            with stretch.waiting():
+            with window.waiting():
                 epoch, batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
@@ -187,7 +191,7 @@ class Training:
                 range_m, labels = cut_to_bodies(range_m, labels, margin(self.network))
             if recipe.mirror:
                 range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
-            range_m, labels = recipe.placements(range_m, labels, self.seed, epoch, batch["key"])
+            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])
             name = f"pixels {turn}"
             place = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
             with self._gathered_at(objective, turn), torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16):
@@ -197,26 +201,26 @@ class Training:
                         f"the loss is {loss.item()} in step {self.step + 1}, with the samples {', '.join(batch['key'])}"
                     )
                 (loss / recipe.accumulate).backward()
-            stretch.add(loss, counts, len(batch["key"]))
+            window.add(loss, counts, len(batch["key"]))
         if recipe.clip:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.clip)
         self.optimiser.step()
 
     def _gathered_at(self, objective: nn.Module, turn: int) -> contextlib.AbstractContextManager[None]:
         """Gradients are exchanged between processes once a step, in its last turn."""
-        if self.ranks.ranks > 1 and turn < self.recipe.accumulate - 1:
+        if self.processes.world_size > 1 and turn < self.recipe.accumulate - 1:
             quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
             return quiet
         return contextlib.nullcontext()
 
 
-class _Stretch:
+class _MetricsWindow:
     """Adds up what happens between two lines of the log."""
 
-    def __init__(self, ranks: Ranks) -> None:
-        self._ranks = ranks
-        self._loss = torch.zeros((), device=ranks.device)
-        self._counts = torch.zeros(PART_COUNT, PART_COUNT, dtype=torch.int64, device=ranks.device)
+    def __init__(self, processes: ProcessGroup) -> None:
+        self._processes = processes
+        self._loss = torch.zeros((), device=processes.device)
+        self._counts = torch.zeros(PART_COUNT, PART_COUNT, dtype=torch.int64, device=processes.device)
         self._turns = self._images = 0
         self._waited = 0.0
         self._start = time.perf_counter()
@@ -233,19 +237,19 @@ class _Stretch:
         self._turns += 1
         self._images += images
 
-    def figures(self, step: int, rate: float) -> Figures:
-        loss = self._ranks.add_up(self._loss).item() / (self._turns * self._ranks.ranks)
+    def metrics(self, step: int, rate: float) -> Metrics:
+        loss = self._processes.add_up(self._loss).item() / (self._turns * self._processes.world_size)
         matrix = ConfusionMatrix()
-        matrix.counts += self._ranks.add_up(self._counts).cpu().numpy()
+        matrix.counts += self._processes.add_up(self._counts).cpu().numpy()
         seconds = time.perf_counter() - self._start
         right = matrix.counts.trace() / max(1, matrix.counts.sum())
-        return Figures(
+        return Metrics(
             step,
             round(loss, 5),
             round(matrix.average_per_class_accuracy(), 5),
             round(float(right), 5),
             rate,
-            round(self._images * self._ranks.ranks / seconds, 2),
+            round(self._images * self._processes.world_size / seconds, 2),
             round(self._waited / seconds, 4),
         )
 

@@ -21,7 +21,7 @@ class Outcome(NamedTuple):
     counts: torch.Tensor
 
 
-class Objective(nn.Module):
+class NetworkWithLoss(nn.Module):
     """A network and its loss as one module, which is what gets shared out over processes.
 
     Softmax cross-entropy over 33 parts, background ignored (section 3.5). Where scores are coarser than the image, a
@@ -35,9 +35,9 @@ class Objective(nn.Module):
 
     weights: torch.Tensor
 
-    def __init__(self, network: nn.Module, weights: torch.Tensor, every: int = 1, compiled: bool = False) -> None:
+    def __init__(self, network: nn.Module, weights: torch.Tensor, loss_stride: int = 1, compiled: bool = False) -> None:
         super().__init__()
-        self.network, self.every = network, every
+        self.network, self.loss_stride = network, loss_stride
         self._ask = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
@@ -48,11 +48,11 @@ class Objective(nn.Module):
         is the same however a batch is cut up, between processes or into turns.
         """
         pixels = (  # as tensors, not slices: compiled code would be made anew for each place at which a slice begins
-            torch.arange(side, device=range_m.device)[int(part * self.every) :: self.every]
+            torch.arange(side, device=range_m.device)[int(part * self.loss_stride) :: self.loss_stride]
             for part, side in zip(place.tolist(), labels.shape[1:], strict=True)
         )
         scores, step = self._ask(self.network, range_m, *pixels)
-        scores, apart = scores.float(), max(step, self.every)
+        scores, apart = scores.float(), max(step, self.loss_stride)
         row, column = (int(part * apart) for part in place.tolist())
         truth = labels[:, row::apart, column::apart].long()
         if step > 1:

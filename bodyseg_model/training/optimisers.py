@@ -19,18 +19,18 @@ def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     """
     layers = list(_layers(network))
     groups: list[dict[str, Any]] = []
-    for weights, share in zip(layers, recipe.layer_rates(len(layers)), strict=True):
+    for weights, share in zip(layers, recipe.layer_shares(len(layers)), strict=True):
         plain = [weight for weight in weights if weight.ndim > 1 or recipe.optimiser == "sgd"]
         kept = [weight for weight in weights if weight.ndim <= 1 and recipe.optimiser != "sgd"]
-        for chosen, decay in ((plain, recipe.decay), (kept, 0.0)):
+        for chosen, decay in ((plain, recipe.weight_decay), (kept, 0.0)):
             if chosen:
                 groups.append({"params": chosen, "weight_decay": decay, "share": share})
     if recipe.optimiser == "sgd":
-        return torch.optim.SGD(groups, recipe.rate, recipe.momentum)
-    return torch.optim.AdamW(groups, recipe.rate)
+        return torch.optim.SGD(groups, recipe.learning_rate, recipe.momentum)
+    return torch.optim.AdamW(groups, recipe.learning_rate)
 
 
-def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
+def set_learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
     """Set the last layer's rate, and the others' by their shares."""
     for group in optimiser.param_groups:
         group["lr"] = rate * group["share"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,17 @@ class Recipe:
     whether half of the images are shown as in a mirror, left and right parts exchanged. balance: parts weigh their
     share of all pixels to the power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16.
     every: of each square of so many pixels a side, the loss looks at one; more where a network's scores are coarser.
-    placements: how bodies are moved in the image plane.
+    geometric_augmentation: how bodies are moved in the image plane.
     """
 
     steps: int
-    batch: int
+    batch_size: int
     accumulate: int
     optimiser: Literal["sgd", "adamw"]
-    rate: float
-    graded: float
+    learning_rate: float
+    layer_decay: float
     momentum: float
-    decay: float
+    weight_decay: float
     warmup: float
     cosine: bool
     clip: float
@@ -42,11 +42,11 @@ class Recipe:
     mirror: bool
     balance: float
     bf16: bool
-    every: int
-    placements: Placements = field(default_factory=Placements)
+    loss_stride: int
+    geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "accumulate", "every"):
+        for name in ("steps", "batch_size", "accumulate", "loss_stride"):
             if not 1 <= getattr(self, name) <= 10**9:
                 raise BadConfig(f"{name} must be at least 1, found {getattr(self, name)!r}")
         if self.optimiser not in ("sgd", "adamw"):
@@ -58,27 +58,29 @@ class Recipe:
     @staticmethod
     def from_json(content: Mapping[str, Any]) -> Recipe:
         """A recipe as `dataclasses.asdict` gave it to a run's folder. Raises TypeError or KeyError for another."""
-        return Recipe(**{**content, "placements": Placements(**content["placements"])})
+        return Recipe(
+            **{**content, "geometric_augmentation": GeometricAugmentation(**content["geometric_augmentation"])}
+        )
 
-    def rate_at(self, step: int) -> float:
+    def learning_rate_at(self, step: int) -> float:
         """The last layer's rate in step `step`, counted from 0."""
         rising = math.ceil(self.warmup * self.steps)
         if step < rising:
-            return self.rate * (step + 1) / (rising + 1)
+            return self.learning_rate * (step + 1) / (rising + 1)
         if not self.cosine:
-            return self.rate
-        return self.rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
+            return self.learning_rate
+        return self.learning_rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
 
-    def layer_rates(self, layers: int) -> list[float]:
+    def layer_shares(self, layers: int) -> list[float]:
         """The share of the rate that each of `layers` layers has, deepest first."""
-        return [self.graded ** (1 - at / max(1, layers - 1)) for at in range(layers)]
+        return [self.layer_decay ** (1 - at / max(1, layers - 1)) for at in range(layers)]
 
 
 _BOUNDS: Final = (
-    ("rate", 1e-9, 10),
-    ("graded", 1e-6, 1),
+    ("learning_rate", 1e-9, 10),
+    ("layer_decay", 1e-6, 1),
     ("momentum", 0, 0.9999),
-    ("decay", 0, 1),
+    ("weight_decay", 0, 1),
     ("warmup", 0, 1),
     ("clip", 0, 1e6),
     ("balance", 0, 1),
@@ -88,13 +90,13 @@ PRESETS: Final[dict[str, Recipe]] = {
     # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.
     "fcn_alexnet": Recipe(
         steps=70_000,
-        batch=1,
+        batch_size=1,
         accumulate=20,
         optimiser="sgd",
-        rate=1e-2,
-        graded=0.01,
+        learning_rate=1e-2,
+        layer_decay=0.01,
         momentum=0.99,
-        decay=5e-4,
+        weight_decay=5e-4,
         warmup=0.0,
         cosine=False,
         clip=0.0,
@@ -102,17 +104,17 @@ PRESETS: Final[dict[str, Recipe]] = {
         mirror=False,
         balance=0.0,
         bf16=False,
-        every=1,
+        loss_stride=1,
     ),
     "compact": Recipe(
         steps=10_000,
-        batch=16,
+        batch_size=16,
         accumulate=1,
         optimiser="adamw",
-        rate=2e-3,
-        graded=1.0,
+        learning_rate=2e-3,
+        layer_decay=1.0,
         momentum=0.9,
-        decay=0.02,
+        weight_decay=0.02,
         warmup=0.05,
         cosine=True,
         clip=5.0,
@@ -120,8 +122,8 @@ PRESETS: Final[dict[str, Recipe]] = {
         mirror=True,
         balance=0.5,
         bf16=True,
-        every=4,
-        placements=Placements(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
+        loss_stride=4,
+        geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
     ),
 }
 """Recipe's name -> recipe. A network has the one of its own name, or else that of `compact`."""

@@ -3,7 +3,7 @@
 run.json                  what is trained on what: written first; a folder carries on with nothing else
 checkpoint.json           the last checkpoint: step, place in the data, name and SHA-256 of its tensors
 checkpoint-STEP.safetensors
-log.jsonl                 a line of figures now and then
+log.jsonl                 a line of metrics every few steps
 tensorboard/              the same for TensorBoard
 network.safetensors, network.json   the trained network and its card
 """
@@ -97,11 +97,11 @@ class RunFolder:
                 with contextlib.suppress(OSError):
                     old.unlink()
 
-    def log(self, figures: Mapping[str, Any]) -> None:
-        """Append a line of figures. Raises BadConfig."""
+    def log(self, metrics: Mapping[str, Any]) -> None:
+        """Append a line of metrics. Raises BadConfig."""
         try:
             with (self.path / "log.jsonl").open("a") as file:
-                file.write(json.dumps(figures) + "\n")
+                file.write(json.dumps(metrics) + "\n")
         except OSError as error:
             raise BadConfig(f"cannot write {self.path / 'log.jsonl'}: {error.strerror or error}") from error
 

@@ -11,10 +11,10 @@ from people_on_disk import PERSON, VERTICES, turn
 
 from bodyseg_data.bodies.alignment import (
     METRES,
-    Placement,
-    check_placing,
+    Alignment,
+    check_alignment,
     check_standing,
-    find_placement,
+    find_alignment,
     metres_a_unit,
 )
 from bodyseg_data.core.errors import BadConfig, BadMesh
@@ -37,11 +37,11 @@ def test_there_are_24_turns() -> None:
 @pytest.mark.parametrize("unit", ["m", "cm", "mm"])
 def test_every_turn_and_unit_is_found(left: str, up: str, unit: str) -> None:
     file = BODY @ turn(left, up) / METRES[unit]
-    found = find_placement(file, file[LIST], "auto", "auto", "a.ply")
+    found = find_alignment(file, file[LIST], "auto", "auto", "a.ply")
     assert found.scale == METRES[unit]
     np.testing.assert_array_equal(found.rotation, turn(left, up))
     np.testing.assert_allclose(found.apply(file), BODY, atol=1e-12)
-    given = find_placement(file, file[LIST], unit, up, "a.ply")  # type: ignore[arg-type]
+    given = find_alignment(file, file[LIST], unit, up, "a.ply")  # type: ignore[arg-type]
     assert str(given) == str(found) and given.lean_deg == found.lean_deg < 10
 
 
@@ -59,7 +59,7 @@ def leaning(degrees: float, about: int = 0) -> Floats:
 @pytest.mark.parametrize("degrees", [-30, -15, 15, 30])
 def test_posture_is_kept(about: int, degrees: float) -> None:
     body = leaning(degrees, about)
-    found = find_placement(body, body[LIST], "auto", "auto", "a.ply")
+    found = find_alignment(body, body[LIST], "auto", "auto", "a.ply")
     np.testing.assert_array_equal(found.rotation, np.eye(3))
     np.testing.assert_array_equal(found.apply(body), body)
     if about != 1:
@@ -67,30 +67,30 @@ def test_posture_is_kept(about: int, degrees: float) -> None:
 
 
 def test_landmarks_may_be_in_another_unit() -> None:
-    found = find_placement(BODY * 1000, BODY[LIST], "auto", "auto", "a.ply")
+    found = find_alignment(BODY * 1000, BODY[LIST], "auto", "auto", "a.ply")
     assert found.scale == 0.001 and np.array_equal(found.rotation, np.eye(3))
 
 
 def test_a_lying_body_needs_its_up_axis() -> None:
     body = leaning(90)
-    found = find_placement(body, body[LIST], "auto", "y", "a.ply")
+    found = find_alignment(body, body[LIST], "auto", "y", "a.ply")
     np.testing.assert_array_equal(found.rotation, np.eye(3))
     assert found.lean_deg > 80
     on_its_side = leaning(90, 2)  # the shoulders lie along the axis that points up: any turn about it will do
     for up in AXES:
-        rotation = find_placement(on_its_side, on_its_side[LIST], "auto", up, "a.ply").rotation  # type: ignore[arg-type]
+        rotation = find_alignment(on_its_side, on_its_side[LIST], "auto", up, "a.ply").rotation  # type: ignore[arg-type]
         assert round(np.linalg.det(rotation)) == 1
 
 
 def test_a_body_between_the_axes_is_refused() -> None:
     body = leaning(45)
     with pytest.raises(BadMesh, match=r"a\.ply: cannot find which axis points up: the trunk points along .* --up"):
-        find_placement(body, body[LIST], "auto", "auto", "a.ply")
-    find_placement(body, body[LIST], "auto", "y", "a.ply")
+        find_alignment(body, body[LIST], "auto", "auto", "a.ply")
+    find_alignment(body, body[LIST], "auto", "y", "a.ply")
 
 
 def test_coordinates_that_are_not_finite_stay_where_they_are() -> None:
-    placed = Placement(0.5, turn("z", "y"), 0.0).apply(np.array([[np.nan, 2.0, np.inf]]))
+    placed = Alignment(0.5, turn("z", "y"), 0.0).apply(np.array([[np.nan, 2.0, np.inf]]))
     np.testing.assert_array_equal(placed, [[np.inf, 1.0, np.nan]])
 
 
@@ -133,7 +133,7 @@ def test_standing_means_head_above_feet() -> None:
 @pytest.mark.parametrize(("units", "up"), [("feet", "y"), ("m", "up"), ("", "y")])
 def test_unknown_units_and_axes_are_refused(units: str, up: str) -> None:
     with pytest.raises(BadConfig, match="must be one of auto, "):
-        check_placing(units, up)
+        check_alignment(units, up)
 
 
 def test_the_landmarks_of_the_test_person_lie_where_they_should() -> None:

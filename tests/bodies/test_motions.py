@@ -339,8 +339,8 @@ def test_feet_are_on_the_floor(frames: Any, built: Callable[[str, str, int], Flo
 def test_in_flight_the_lowest_point_is_as_high_as_it_says(
     frames: Any, built: Callable[[str, str, int], Floats]
 ) -> None:
-    flying = [index for index, frame in enumerate(frames["B", "jumping"]) if frame.height_m > 0.1]
-    for index in flying[::6]:
+    in_flight = [index for index, frame in enumerate(frames["B", "jumping"]) if frame.height_m > 0.1]
+    for index in in_flight[::6]:
         vertices = built("B", "jumping", index)
         assert vertices[:, 1].min() == pytest.approx(frames["B", "jumping"][index].height_m, abs=1e-6)
 

@@ -138,9 +138,9 @@ def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> 
     batches = loader(images, 10**30, workers=10**30, prefetch=10**30, start_method="fork")
     passed = list(batches)
     assert [len(batch["key"]) for batch in passed] == [len(images)]
-    crew = batches._crew
-    assert crew is not None and isinstance(crew.makers, processes.Workers) and len(crew.makers._processes) == 1
-    assert crew.slots.arrays(0)[0].shape[0] == len(images) and crew.slots._count == 4
+    state = batches._state
+    assert state is not None and isinstance(state.makers, processes.Workers) and len(state.makers._processes) == 1
+    assert state.slots.arrays(0)[0].shape[0] == len(images) and state.slots._count == 4
 
 
 @pytest.mark.parametrize(("samples", "size", "ranks"), [(7, 3, 2), (7, 10, 2), (5, 5, 5), (9, 2, 4)])

@@ -21,7 +21,7 @@ from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.stability import examining, scenes
-from bodyseg_model.stability.examining import accuracy, examine
+from bodyseg_model.stability.examining import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs
 from bodyseg_model.stability.scenes import Picture, Scenes
 from bodyseg_model.stability.severities import CLEAN, Setting
@@ -130,9 +130,9 @@ def test_another_network_is_asked_again(runs: Path, figures_set: Path, tmp_path:
     folder = shutil.copytree(runs / "all-0", tmp_path / "all-0")
     scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 1)
     settings = [CLEAN["stored"], Setting("noise", 10)]
-    before = examine(load_runs([folder]), settings, scenes_here, tmp_path)
+    before = evaluate_conditions(load_runs([folder]), settings, scenes_here, tmp_path)
     save(folder, "none", 5)
-    after = examine(load_runs([folder]), settings, scenes_here, tmp_path)
+    after = evaluate_conditions(load_runs([folder]), settings, scenes_here, tmp_path)
     assert before["all-0"] != after["all-0"]
     assert len(json.loads((tmp_path / "all-0.json").read_text())["answers"]) == 2
 
@@ -142,7 +142,7 @@ def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -
     loaded = load_runs([runs / "all-0", runs / "none-0"])
     scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 3)
     settings = [CLEAN["stored"], Setting("noise", 10)]
-    examine(loaded, settings, scenes_here, tmp_path, lambda *figures: seen.append(figures))
+    evaluate_conditions(loaded, settings, scenes_here, tmp_path, lambda *figures: seen.append(figures))
     assert seen == [(3, 12, "clean"), (6, 12, "clean"), (9, 12, "noise 10"), (12, 12, "noise 10")]
 
 
@@ -150,7 +150,9 @@ def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -
 def test_answers_of_another_format_are_refused(text: str, runs: Path, figures_set: Path, tmp_path: Path) -> None:
     (tmp_path / "all-0.json").write_text(text)
     with pytest.raises(BadConfig, match=r"all-0\.json holds no answers of the format"):
-        examine(load_runs([runs / "all-0"]), [], Scenes(RangeImages(figures_set, "none", "test"), 1), tmp_path)
+        evaluate_conditions(
+            load_runs([runs / "all-0"]), [], Scenes(RangeImages(figures_set, "none", "test"), 1), tmp_path
+        )
 
 
 def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) -> None:

@@ -16,17 +16,17 @@ from bodyseg_data import RangeImages, loader
 
 def main(out: Path, folder: str, count: int) -> None:
     torch.distributed.init_process_group("gloo")
-    rank, ranks = torch.distributed.get_rank(), torch.distributed.get_world_size()
+    rank, world_size = torch.distributed.get_rank(), torch.distributed.get_world_size()
     batches = loader(RangeImages(folder, "all"), 3, workers=1, shuffle=True)
     keys = []
     for batch in batches:
         keys.append(batch["key"])
         if len(keys) == count:
             break
-    everyone = [None] * ranks
+    everyone = [None] * world_size
     torch.distributed.all_gather_object(everyone, keys)
     assert everyone[rank] == keys
-    (out / f"{rank}-of-{ranks}.json").write_text(json.dumps({"keys": keys, "state": batches.state_dict()}))
+    (out / f"{rank}-of-{world_size}.json").write_text(json.dumps({"keys": keys, "state": batches.state_dict()}))
     torch.distributed.destroy_process_group()
 
 

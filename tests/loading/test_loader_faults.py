@@ -27,8 +27,8 @@ WITHIN_S = 60
 
 
 def worker_ids(batches: Loader) -> list[int]:
-    assert batches._crew is not None
-    return [process.pid for process in batches._crew.makers._processes]  # type: ignore[union-attr]  # not Here
+    assert batches._state is not None
+    return [process.pid for process in batches._state.makers._processes]  # type: ignore[union-attr]  # not Here
 
 
 def alive(process: int) -> bool:
@@ -111,14 +111,14 @@ def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monke
     batches = loader(RangeImages(figures_set), 3, 2)
     delivered = iter(batches)
     next(delivered)
-    assert batches._crew is not None
+    assert batches._state is not None
     processes = worker_ids(batches)
 
     def interrupted() -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(batches._crew.makers, "answer", interrupted)
+        patch.setattr(batches._state.makers, "answer", interrupted)
         list(delivered)
     await_end(processes)
     assert len(keys(batches)) == 24
@@ -130,8 +130,8 @@ def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
     batches = loader(RangeImages(figures_set), 3, 2)
     delivered = iter(batches)
     next(delivered)
-    assert batches._crew is not None
-    makers: Any = batches._crew.makers
+    assert batches._state is not None
+    makers: Any = batches._state.makers
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt

@@ -55,7 +55,7 @@ def test_other_settings_are_refused(name: str, settings: dict[str, Any], message
 
 def test_another_shrink_is_refused() -> None:
     with pytest.raises(BadConfig, match="shrink must be 1, 2 or 4, found 3"):
-        rivals.Rival(torch.nn.Identity(), 4, 3, {})
+        rivals.Baseline(torch.nn.Identity(), 4, 3, {})
 
 
 def test_without_the_package_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,8 +93,8 @@ def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: i
 
 def test_next_to_nothing_is_stored_of_a_ball_which_shades_only_what_faces_away() -> None:
     sample, rig = sample_of("embree", View(255, 30))
-    assert sample.shading_range().shape == (rig.projector.rows, rig.projector.columns)
-    assert (sample.shading_range() > 0).sum() < 0.02 * (sample.range > 0).sum(), "where light grazes it"
+    assert sample.occluder_range().shape == (rig.projector.rows, rig.projector.columns)
+    assert (sample.occluder_range() > 0).sum() < 0.02 * (sample.range > 0).sum(), "where light grazes it"
     assert sample.faces_projector.any() and (~sample.faces_projector & (sample.range > 0)).any()
 
 
@@ -105,14 +105,14 @@ def check_against_whole_frames(rig: Rig, mesh: Mesh, parts: Partition, view: Vie
     assert np.array_equal(sample.range, camera_range)
     assert np.array_equal(sample.labels, labels)
     assert np.array_equal(sample.faces_projector, facing)
-    shading = sample.shading_range()
-    stored = shading > 0
+    occluder = sample.occluder_range()
+    stored = occluder > 0
     assert (projector_range[stored] > 0).all()
-    away = np.abs(shading.astype(int) - projector_range)[stored]
+    away = np.abs(occluder.astype(int) - projector_range)[stored]
     assert not stored.any() or away.max() < 2 * COARSEST_STEP, "rounded, but still about what the projector sees"
     test = ShadowTest(rig)
     expected = test.lit(camera_range, projector_range, facing)
-    assert np.array_equal(test.lit(sample.range, shading, sample.faces_projector), expected)
+    assert np.array_equal(test.lit(sample.range, occluder, sample.faces_projector), expected)
     by_nothing = test.lit(camera_range, np.zeros_like(projector_range), facing)
     return int(stored.sum()), int((projector_range > 0).sum()), int((by_nothing & ~expected).sum())
 

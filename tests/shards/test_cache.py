@@ -23,7 +23,7 @@ from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
 from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
-from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder, open_file
 from bodyseg_data.shards.tar import ShardReader
 
@@ -92,7 +92,7 @@ def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pa
         ("file://data/shards", {}, "a file:// address has a path from the root on, like file:///data/shards, found"),
         ("http://[::1/shards", {}, "not an address: Invalid IPv6 URL"),
         ("shards", {"storage_options": {"key": "x"}}, "storage_options and patience are for remote sets, found them"),
-        ("shards", {"patience": Patience()}, "storage_options and patience are for remote sets, found them"),
+        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and patience are for remote sets, found them"),
     ],
 )
 def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, Any], message: str) -> None:
@@ -108,7 +108,7 @@ def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Pat
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
     for wrong_patience in ({"tries": 0}, {"tries": 1.5}, {"total_s": 0}, {"stall_s": float("nan")}, {"total_s": "5"}):
         with pytest.raises(BadConfig, match="Patience: (tries|total_s|stall_s) must be a "):
-            Patience(**wrong_patience)
+            RetryPolicy(**wrong_patience)
 
 
 @pytest.mark.parametrize("missing", ["fsspec", "aiohttp"])
@@ -257,7 +257,7 @@ def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
     cache = ShardCache(tmp_path, 1 << 20)
     assert fill(cache, record(3))
     cache.path(record(3)).write_bytes(b"spoiled")
-    store = CachedStore(RemoteFolder(memory, {}, Patience()), [record(3)], cache)
+    store = CachedStore(RemoteFolder(memory, {}, RetryPolicy()), [record(3)], cache)
     digest = hashlib.file_digest
 
     def slowly(file: Any, name: str) -> Any:

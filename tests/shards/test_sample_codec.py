@@ -61,8 +61,8 @@ def figure_images() -> tuple[Any, Any, Any]:
     ranges[:5] = ranges[80:] = 0
     labels = np.where(ranges > 0, np.where(rows + columns % 3 > 50, 7, 31), 255).astype(np.uint8)
     labels[(ranges > 0) & (columns > 44)] |= FACING_BIT
-    shading = np.where((rows > 20) & (rows < 40) & (columns > rows), 19456, 0).astype(np.uint16)
-    return ranges, labels, shading
+    occluder = np.where((rows > 20) & (rows < 40) & (columns > rows), 19456, 0).astype(np.uint16)
+    return ranges, labels, occluder
 
 
 @pytest.mark.parametrize("choice", KERNELS)
@@ -96,8 +96,8 @@ def test_the_projectors_range_is_read_only_if_it_is_wanted(codec: CodecName, cho
 
 
 def test_labels_that_contradict_the_range_cannot_be_stored() -> None:
-    ranges, labels, shading = figure_images()
-    sample = Sample("k", ranges, shading, np.full_like(labels, 3), ranges < 0, INFO)
+    ranges, labels, occluder = figure_images()
+    sample = Sample("k", ranges, occluder, np.full_like(labels, 3), ranges < 0, INFO)
     with pytest.raises(BadSample, match="k: labels must be 255 exactly where range is 0"):
         encode_sample(sample)
 
@@ -105,14 +105,14 @@ def test_labels_that_contradict_the_range_cannot_be_stored() -> None:
 @pytest.mark.parametrize("choice", KERNELS)
 def test_the_stored_bytes_are_pinned(choice: str) -> None:
     """A change of these bytes is a change of format and needs another magic."""
-    ranges, labels, shading = figure_images()
+    ranges, labels, occluder = figure_images()
     stored = (GOLDEN / "figure.bsi").read_bytes()
     with computed_by(choice):
         decoded = decode_images(stored, projector=True)
-    for image, expected in zip(decoded[:4], (ranges, *split_labels(labels), shading), strict=True):
+    for image, expected in zip(decoded[:4], (ranges, *split_labels(labels), occluder), strict=True):
         assert image is not None and image.dtype == expected.dtype and np.array_equal(image, expected)
     assert stored[:4] == b"BSI2" and struct.unpack_from("<I", stored, 4) == (zlib.crc32(stored[8:]),)
-    encoded = encode_images(ranges, labels, shading)
+    encoded = encode_images(ranges, labels, occluder)
     assert encoded[8:40] == stored[8:40] and encoded[44:64] == stored[44:64]  # zstd's own bytes may change
 
 
@@ -159,12 +159,12 @@ def _by_the_book(data: bytes) -> tuple[Any, Any, Any]:
     rows, columns, top, left, height, width, runs, long = struct.unpack_from("<6H2I", data, 44)
     numbers = iter(zstandard.ZstdDecompressor().decompress(data[64 + frame :]))
     values, lengths, longs = row(runs, 2), row(runs), row(long, 4)
-    shading = np.zeros((rows, columns), np.uint16)
+    occluder = np.zeros((rows, columns), np.uint16)
     flat: list[int] = []
     for value, length in zip(values, lengths, strict=True):
         flat += [value] * (longs.pop(0) if length == 255 else length)
-    shading[top : top + height, left : left + width] = np.reshape(flat, (height, width))
-    return ranges, labels, shading
+    occluder[top : top + height, left : left + width] = np.reshape(flat, (height, width))
+    return ranges, labels, occluder
 
 
 def test_small_differences_of_either_sign_become_small_numbers() -> None:
@@ -202,22 +202,22 @@ _NUMBERS = bytes([5, 255, 3, 1, 8, 0, 2, 2])
 
 
 def _images(
-    numbers: bytes = _NUMBERS, frame: bytes | None = None, shading: bytes | None = None, **changes: int
+    numbers: bytes = _NUMBERS, frame: bytes | None = None, occluder: bytes | None = None, **changes: int
 ) -> bytes:
     """A file whose header says what it likes, with the right checksum; p_ is for the projector's fields."""
     camera = _CAMERA | {name: value for name, value in changes.items() if name in _CAMERA}
     projector = _PROJECTOR | {name[2:]: value for name, value in changes.items() if name.startswith("p_")}
     first = _frame(numbers) if frame is None else frame
     header = struct.pack("<6H6I", *camera.values(), len(first)) + struct.pack("<6H2I", *projector.values())
-    checked = header + first + (_frame(b"") if shading is None else shading)
+    checked = header + first + (_frame(b"") if occluder is None else occluder)
     return b"BSI2" + struct.pack("<I", zlib.crc32(checked)) + checked
 
 
 def test_the_hand_made_file_is_sound() -> None:
-    ranges, labels, facing, shading, *_ = decode_images(_images(), projector=True)
+    ranges, labels, facing, occluder, *_ = decode_images(_images(), projector=True)
     assert ranges.tolist()[0] == [4, 5, 6, 0]
     assert labels.tolist()[0] == [5, 5, 5, 255] and not facing.any()
-    assert shading is not None and shading.shape == (3, 2) and not shading.any()
+    assert occluder is not None and occluder.shape == (3, 2) and not occluder.any()
 
 
 @pytest.mark.parametrize("choice", KERNELS)
@@ -251,8 +251,8 @@ def test_the_hand_made_file_is_sound() -> None:
         (_images(p_rows=9000), "side is 1 to 8192 pixels, found 9000 x 2"),
         (_images(p_height=4), "box of 4 x 0 at 0, 0 does not fit 3 x 2"),
         (_images(p_runs=1), "0 x 0 pixels cannot have 1 runs"),
-        (_images(p_height=1, p_width=2, p_runs=1, shading=_frame(bytes([1, 2, 3]))), "runs of 3 pixels do not fill"),
-        (_images(shading=b""), "zstd cannot decode"),
+        (_images(p_height=1, p_width=2, p_runs=1, occluder=_frame(bytes([1, 2, 3]))), "runs of 3 pixels do not fill"),
+        (_images(occluder=b""), "zstd cannot decode"),
     ],
 )
 def test_bytes_that_are_no_images_are_refused(data: bytes, message: str, choice: str) -> None:
@@ -261,8 +261,8 @@ def test_bytes_that_are_no_images_are_refused(data: bytes, message: str, choice:
 
 
 def test_the_projectors_frame_is_left_alone_if_it_is_not_wanted() -> None:
-    ranges, _, _, shading, *_ = decode_images(_images(shading=b"junk"), projector=False)
-    assert ranges.any() and shading is None
+    ranges, _, _, occluder, *_ = decode_images(_images(occluder=b"junk"), projector=False)
+    assert ranges.any() and occluder is None
 
 
 def spoiled(data: bytes, generator: np.random.Generator, edits: int) -> bytes:
@@ -277,8 +277,8 @@ def spoiled(data: bytes, generator: np.random.Generator, edits: int) -> bytes:
 def test_whatever_the_bytes_both_decoders_agree_or_refuse() -> None:
     """Also on numbers that no encoder makes: compiled code must stay within its arrays, whatever it is given."""
     generator = np.random.default_rng(0)
-    ranges, labels, shading = figure_images()
-    data = encode_images(ranges, labels, shading)
+    ranges, labels, occluder = figure_images()
+    data = encode_images(ranges, labels, occluder)
     frame = struct.unpack_from("<I", data, 40)[0]
     numbers = bytearray(zstandard.ZstdDecompressor().decompress(data[64 : 64 + frame]))
     read = 0

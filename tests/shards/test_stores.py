@@ -23,11 +23,11 @@ from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadShard, Unreachable
 from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.shards.manifest import Manifest, read_manifest
-from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder
 from bodyseg_data.shards.tar import ShardReader
 
-QUICK = Patience(tries=12, first_wait_s=0.001, stall_s=0.3)
+QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +72,10 @@ def expected(figures_set: Path) -> list[tuple[str, bytes, bytes]]:
     return bits(RangeImages(figures_set, "noise"))
 
 
-def cached(url: str, manifest: Manifest, cache: Path, limit: int = 10**9, patience: Patience = QUICK) -> CachedStore:
-    store = keep_shards(RemoteFolder(url, {}, patience), manifest.shards, cache, limit)
+def cached(
+    url: str, manifest: Manifest, cache: Path, limit: int = 10**9, retry_policy: RetryPolicy = QUICK
+) -> CachedStore:
+    store = keep_shards(RemoteFolder(url, {}, retry_policy), manifest.shards, cache, limit)
     assert isinstance(store, CachedStore)
     return store
 
@@ -288,27 +290,27 @@ def test_one_sample_altered_on_the_server_spoils_no_other(
 )
 def test_what_cannot_be_had_is_one_clear_line(location: str, message: str, web: Nginx, tmp_path: Path) -> None:
     with pytest.raises((Unreachable, BadShard), match=f"^{web.url(location)}.?{message}$"):
-        RangeImages(web.url(location), patience=Patience(tries=3, first_wait_s=0.001), cache=tmp_path)
+        RangeImages(web.url(location), retry_policy=RetryPolicy(tries=3, first_wait_s=0.001), cache=tmp_path)
     assert (len(web.log()) > 1) == (location == "silent"), "only trouble that may pass is tried again"
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: Nginx, tmp_path: Path) -> None:
     web.faults.act = lambda reply, before: replace(reply, status=404)
-    images = RangeImages(web.url("faulty"), cache=tmp_path, patience=QUICK)
+    images = RangeImages(web.url("faulty"), cache=tmp_path, retry_policy=QUICK)
     with pytest.raises(Unreachable, match=r"^http://127.0.0.1:\d+/faulty/train-0000\d.tar: 404 Not Found$"):
         list(loader(images, 8, workers))
 
 
 def test_a_row_of_failures_is_bounded_in_number_and_time(web: Nginx, manifest: Manifest) -> None:
     web.faults.act = lambda reply, before: replace(reply, status=500)
-    for patience, least, most in (
-        (Patience(tries=4, first_wait_s=0.001), 4, 4),
-        (Patience(tries=99, first_wait_s=0.02, total_s=0.2), 3, 7),
+    for retry_policy, least, most in (
+        (RetryPolicy(tries=4, first_wait_s=0.001), 4, 4),
+        (RetryPolicy(tries=99, first_wait_s=0.02, total_s=0.2), 3, 7),
     ):
         web.faults.asked.clear()
         with pytest.raises(Unreachable, match=r"train-00000.tar: 500 Internal Server Error \(\d attempts\)$"):
-            RemoteFolder(web.url("faulty"), {}, patience).read("train-00000.tar", 0, 512)
+            RemoteFolder(web.url("faulty"), {}, retry_policy).read("train-00000.tar", 0, 512)
         assert least <= web.faults.asked["train-00000.tar"] <= most
 
 
@@ -317,7 +319,7 @@ def test_nobody_listening_is_one_clear_line(tmp_path: Path) -> None:
     with pytest.raises(
         Unreachable, match=r"manifest.json: ClientConnectorError: .*Connect call failed.*\(2 attempts\)$"
     ):
-        RangeImages(url, cache=tmp_path, patience=Patience(tries=2, first_wait_s=0.001))
+        RangeImages(url, cache=tmp_path, retry_policy=RetryPolicy(tries=2, first_wait_s=0.001))
 
 
 def test_secrets_are_used_and_never_shown(web: Nginx, tmp_path: Path) -> None:
@@ -327,14 +329,14 @@ def test_secrets_are_used_and_never_shown(web: Nginx, tmp_path: Path) -> None:
         (f"http://{host}private", {"headers": {"Authorization": "Basic c29tZW9uZTpwYXNzLXdvcmQ="}}),
         (f"http://{host}signed/train-*.tar?token=hush-hush", {}),
     ):
-        images = RangeImages(url, cache=tmp_path, storage_options=options, patience=QUICK)
+        images = RangeImages(url, cache=tmp_path, storage_options=options, retry_policy=QUICK)
         images.clean(0)
         text = f"{images.path} {images.urls()}"
         wrong = url.replace("pass-word", "false-word").replace("hush", "tush")
         if options:
             options = {"headers": {"Authorization": "Basic ZmFsc2U6d29yZA=="}}
         with pytest.raises(Unreachable, match="40[13]") as caught:
-            RangeImages(wrong, cache=tmp_path, storage_options=options, patience=QUICK)
+            RangeImages(wrong, cache=tmp_path, storage_options=options, retry_policy=QUICK)
         text += str(caught.value)
         assert not any(secret in text for secret in ("word", "hush", "tush", "Basic", "someone", "token"))
 
@@ -353,7 +355,7 @@ def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
 def test_workers_read_remote_sets_however_they_are_started(
     method: str, web: Nginx, manifest: Manifest, tmp_path: Path, expected: Any
 ) -> None:
-    images = RangeImages(web.url("good"), "noise", cache=tmp_path, patience=QUICK)
+    images = RangeImages(web.url("good"), "noise", cache=tmp_path, retry_policy=QUICK)
     images.image(0)  # the parent has a connection of its own
     batches = DataLoader(images, 6, num_workers=2 if method == "fork" else 1, multiprocessing_context=method)
     ranges = torch.cat([batch["range"] for batch in batches])
@@ -366,7 +368,7 @@ def test_workers_read_remote_sets_however_they_are_started(
 
 
 def test_forked_workers_read_by_range_while_their_parent_does(web: Nginx, expected: Any) -> None:
-    images = RangeImages(web.url("good"), "noise", cache_bytes=0, patience=QUICK)
+    images = RangeImages(web.url("good"), "noise", cache_bytes=0, retry_policy=QUICK)
     keys = []
     for batch in loader(images, 4, 2):
         keys += batch["key"]
@@ -478,7 +480,7 @@ def test_a_set_in_a_bucket_is_read_like_any_other(s3: Nginx, tmp_path: Path, man
             cache=None if limit == 0 else tmp_path,
             cache_bytes=limit,
             storage_options=s3_options(s3),
-            patience=replace(QUICK, stall_s=10),
+            retry_policy=replace(QUICK, stall_s=10),
         )
         assert bits(images) == expected
     gone = [line for line in s3.log(".tar") if line.status == 206]
@@ -488,9 +490,9 @@ def test_a_set_in_a_bucket_is_read_like_any_other(s3: Nginx, tmp_path: Path, man
 
 
 def test_workers_read_buckets(s3: Nginx, tmp_path: Path, expected: Any) -> None:
-    options, patience = s3_options(s3), replace(QUICK, stall_s=10)
+    options, retry_policy = s3_options(s3), replace(QUICK, stall_s=10)
     images = RangeImages(
-        "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, patience=patience
+        "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, retry_policy=retry_policy
     )
     images.image(0)
     assert [key for batch in loader(images, 4, 2) for key in batch["key"]] == [image[0] for image in expected]
@@ -509,7 +511,7 @@ def test_what_a_bucket_refuses_is_one_clear_line(
     url: str, options: dict[str, Any], message: str, s3: Nginx, tmp_path: Path
 ) -> None:
     with pytest.raises((Unreachable, BadShard), match=message) as caught:
-        RangeImages(url, cache=tmp_path, storage_options={**s3_options(s3), **options}, patience=QUICK)
+        RangeImages(url, cache=tmp_path, storage_options={**s3_options(s3), **options}, retry_policy=QUICK)
     assert "very-secret" not in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -50,14 +50,14 @@ def test_images_have_a_row_a_group_and_sweeps_a_row_a_sweep() -> None:
             }
         ],
         "sweeps": [
-            {"harm": "Noise, sigma, mm", "strongest": "100", "all": "50.0 ± 2.0"},
-            {"harm": "Looks down, degrees", "strongest": "30", "all": "70.0 ± 1.0"},
-            {"harm": "Hard poses, 1: hard", "strongest": "1", "all": "40.0"},
+            {"corruption": "Noise, sigma, mm", "strongest": "100", "all": "50.0 ± 2.0"},
+            {"corruption": "Looks down, degrees", "strongest": "30", "all": "70.0 ± 1.0"},
+            {"corruption": "Hard poses, 1: hard", "strongest": "1", "all": "40.0"},
         ],
         "falls": [
-            {"harm": "Noise, sigma, mm", "from, to": "0, 100", "all": "72.5 ± 1.4"},
-            {"harm": "Looks down, degrees", "from, to": "0, 30", "all": "never"},
-            {"harm": "Hard poses, 1: hard", "from, to": "0, 1", "all": "when clean"},
+            {"corruption": "Noise, sigma, mm", "from, to": "0, 100", "all": "72.5 ± 1.4"},
+            {"corruption": "Looks down, degrees", "from, to": "0, 30", "all": "never"},
+            {"corruption": "Hard poses, 1: hard", "from, to": "0, 1", "all": "when clean"},
         ],
     }
 

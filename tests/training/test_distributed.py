@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import permutation
-from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_ranks
+from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_rank
 
 
 class Numbers:
@@ -40,8 +40,8 @@ class Numbers:
         return {"seed": self.seed}
 
 
-def orders(images: Numbers, batch_size: int, ranks: int, **options: Any) -> list[BatchOrder]:
-    return [BatchOrder(images, batch_size, rank=rank, ranks=ranks, **options) for rank in range(ranks)]
+def orders(images: Numbers, batch_size: int, world_size: int, **options: Any) -> list[BatchOrder]:
+    return [BatchOrder(images, batch_size, rank=rank, world_size=world_size, **options) for rank in range(world_size)]
 
 
 def one_pass(order: BatchOrder) -> list[list[int]]:
@@ -85,28 +85,28 @@ def test_samples_of_one_shard_are_spread_over_the_whole_pass() -> None:
 @settings(deadline=None)
 @given(st.integers(1, 200), st.integers(1, 9), st.integers(1, 7), st.booleans(), st.integers(0, 3))
 def test_ranks_share_an_epoch_out_without_loss(
-    count: int, batch_size: int, ranks: int, drop_last: bool, epoch: int
+    count: int, batch_size: int, world_size: int, drop_last: bool, epoch: int
 ) -> None:
     images = Numbers(count)
     try:
-        shares = orders(images, batch_size, ranks, drop_last=drop_last)
+        shares = orders(images, batch_size, world_size, drop_last=drop_last)
     except BadConfig:
-        short = batch_size == 1 and count % ranks and not drop_last
-        assert count < ranks or short or (drop_last and count < batch_size * ranks)
+        short = batch_size == 1 and count % world_size and not drop_last
+        assert count < world_size or short or (drop_last and count < batch_size * world_size)
         return
     for order in shares:
         order.set_epoch(epoch)
     batches = [one_pass(order) for order in shares]
-    assert [len(rank) for rank in batches] == [len(shares[0])] * ranks
+    assert [len(rank) for rank in batches] == [len(shares[0])] * world_size
     assert all(1 <= len(batch) <= batch_size for rank in batches for batch in rank)
     together = put_together(batches)
-    single = BatchOrder(images, batch_size * ranks, drop_last=drop_last, rank=0, ranks=1)
+    single = BatchOrder(images, batch_size * world_size, drop_last=drop_last, rank=0, world_size=1)
     single.set_epoch(epoch)
     alone = one_pass(single)
     flat = [index for batch in together for index in batch]
-    kept = count // (batch_size * ranks) * batch_size * ranks if drop_last else count
+    kept = count // (batch_size * world_size) * batch_size * world_size if drop_last else count
     assert flat == images.order(epoch, True).tolist()[:kept]
-    if drop_last or not 0 < count % (batch_size * ranks) < ranks:
+    if drop_last or not 0 < count % (batch_size * world_size) < world_size:
         assert together == alone
     else:  # the last batch has borrowed from the one before
         assert together[:-2] == alone[:-2]
@@ -149,11 +149,11 @@ def test_cuts_cost_no_more_in_the_middle() -> None:
 
 def test_an_epoch_asked_for_again_keeps_the_place_of_a_loaded_state() -> None:
     images = Numbers(20)
-    order = BatchOrder(images, 4, rank=0, ranks=1)
+    order = BatchOrder(images, 4, rank=0, world_size=1)
     whole = one_pass(order)
     state = order.state_dict(batches=3)
     for epoch, expected in ((0, whole[3:]), (1, None)):
-        other = BatchOrder(images, 4, rank=0, ranks=1)
+        other = BatchOrder(images, 4, rank=0, world_size=1)
         other.load_state_dict(state)
         other.set_epoch(epoch)
         found = one_pass(other)
@@ -161,7 +161,7 @@ def test_an_epoch_asked_for_again_keeps_the_place_of_a_loaded_state() -> None:
 
 
 def test_states_of_something_else_are_refused() -> None:
-    order = BatchOrder(Numbers(20), 4, rank=0, ranks=1)
+    order = BatchOrder(Numbers(20), 4, rank=0, world_size=1)
     state = order.state_dict()
     cases: list[tuple[Any, str]] = [
         (None, "'format' must be 'bodyseg loader 1', found 'NoneType'"),
@@ -185,37 +185,37 @@ def test_states_of_something_else_are_refused() -> None:
 def test_ranks_come_from_arguments_or_surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RANK", raising=False)
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    assert find_ranks() == (0, 1)
+    assert find_rank() == (0, 1)
     monkeypatch.setenv("RANK", "1")
-    assert find_ranks() == (0, 1), "a rank of nothing is none"
+    assert find_rank() == (0, 1), "a rank of nothing is none"
     monkeypatch.setenv("WORLD_SIZE", "3")
-    assert find_ranks() == (1, 3)
-    assert find_ranks(0, 2) == (0, 2)
+    assert find_rank() == (1, 3)
+    assert find_rank(0, 2) == (0, 2)
     monkeypatch.setenv("RANK", "one")
     with pytest.raises(BadConfig, match="RANK and WORLD_SIZE must be whole numbers, found 'one' and '3'"):
-        find_ranks()
-    for rank, ranks, message in (
+        find_rank()
+    for rank, world_size, message in (
         (1, None, "given together or not at all"),
         (2, 2, "rank must be less than ranks, found 2 of 2"),
         (-1, 2, "rank must be a whole number"),
         (0, 0, "ranks must be a whole number of at least 1"),
     ):
         with pytest.raises(BadConfig, match=message):
-            find_ranks(rank, ranks)
+            find_rank(rank, world_size)
 
 
 def test_impossible_shares_are_refused() -> None:
     with pytest.raises(BadConfig, match="3 samples are fewer than 4 ranks"):
-        BatchOrder(Numbers(3), 2, rank=0, ranks=4)
+        BatchOrder(Numbers(3), 2, rank=0, world_size=4)
     with pytest.raises(BadConfig, match="7 samples cannot be shared out to 3 ranks in equally many batches of 1"):
-        BatchOrder(Numbers(7), 1, rank=0, ranks=3)
-    assert len(BatchOrder(Numbers(7), 1, drop_last=True, rank=0, ranks=3)) == 2
+        BatchOrder(Numbers(7), 1, rank=0, world_size=3)
+    assert len(BatchOrder(Numbers(7), 1, drop_last=True, rank=0, world_size=3)) == 2
 
 
 def test_fewer_shards_than_ranks_and_workers(figures_set: Path) -> None:
     images = RangeImages(figures_set / "train-00000.tar", "all")
     alone = [batch["key"] for batch in loader(images, 5, shuffle=True)]
-    shared = [[batch["key"] for batch in loader(images, 1, 0, True, rank=rank, ranks=5)] for rank in range(5)]
+    shared = [[batch["key"] for batch in loader(images, 1, 0, True, rank=rank, world_size=5)] for rank in range(5)]
     assert put_together(shared) == alone
 
 
@@ -234,13 +234,13 @@ def test_two_processes_of_torchrun_and_going_on_with_one_and_three(figures_set: 
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    ranks = [json.loads((tmp_path / f"{rank}-of-2.json").read_text()) for rank in range(2)]
-    assert ranks[0]["state"] == ranks[1]["state"]
-    assert put_together([rank["keys"] for rank in ranks]) == expected[:2]
+    world_size = [json.loads((tmp_path / f"{rank}-of-2.json").read_text()) for rank in range(2)]
+    assert world_size[0]["state"] == world_size[1]["state"]
+    assert put_together([rank["keys"] for rank in world_size]) == expected[:2]
     for count in (1, 3):
         shares = []
         for rank in range(count):
-            order = loader(images, 12 // count // 2, shuffle=True, rank=rank, ranks=count)
-            order.load_state_dict(ranks[0]["state"])
+            order = loader(images, 12 // count // 2, shuffle=True, rank=rank, world_size=count)
+            order.load_state_dict(world_size[0]["state"])
             shares.append([batch["key"] for batch in order])
         assert put_together(shares) == expected[2:]

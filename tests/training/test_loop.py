@@ -27,23 +27,23 @@ from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.training import loop as training
-from bodyseg_model.training.distributed import Ranks
-from bodyseg_model.training.geometric_augmentation import Placements
-from bodyseg_model.training.loop import Course, Figures, Training
+from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
+from bodyseg_model.training.loop import Metrics, RunOptions, Training
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
-ONE = Ranks(0, 1, torch.device("cpu"))
+ONE = ProcessGroup(0, 1, torch.device("cpu"))
 TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}
 SGD = Recipe(
     steps=5,
-    batch=2,
+    batch_size=2,
     accumulate=2,
     optimiser="sgd",
-    rate=1e-2,
-    graded=0.01,
+    learning_rate=1e-2,
+    layer_decay=0.01,
     momentum=0.9,
-    decay=5e-4,
+    weight_decay=5e-4,
     warmup=0.2,
     cosine=True,
     clip=1.0,
@@ -51,20 +51,32 @@ SGD = Recipe(
     mirror=True,
     balance=0.5,
     bf16=False,
-    every=1,
-    placements=Placements(roll_deg=20, zoom=0.2, stretch=0.1, cut=0.5),
+    loss_stride=1,
+    geometric_augmentation=GeometricAugmentation(roll_deg=20, zoom=0.2, stretch=0.1, cut=0.5),
 )
 
 
 def train(
-    data: Path, out: Path, recipe: Recipe = SGD, resume: bool = False, course: Course | None = None, **options: Any
-) -> list[Figures]:
+    data: Path,
+    out: Path,
+    recipe: Recipe = SGD,
+    resume: bool = False,
+    run_options: RunOptions | None = None,
+    **options: Any,
+) -> list[Metrics]:
     torch.manual_seed(3)
     network = options.pop("network", None) or build("compact", options.pop("settings", TINY))
     images = RangeImages(data, options.pop("variant", "all"), "train", seed=options.get("seed", 0))
-    said: list[Figures] = []
+    said: list[Metrics] = []
     made = Training(
-        network, "compact", images, recipe, RunFolder(out), ONE, course=course or Course(2, 2, 0), **options
+        network,
+        "compact",
+        images,
+        recipe,
+        RunFolder(out),
+        ONE,
+        run_options=run_options or RunOptions(2, 2, 0),
+        **options,
     )
     made.run(resume, said.append, {"commit": "none"})
     return said
@@ -85,13 +97,25 @@ def test_four_bodies_are_learned(tmp_path: Path) -> None:
     bodies = Packing("open", meshes=4, views=ViewGrid((215,), azimuths=4, span_deg=120), rig=rig)
     with ThreadPoolExecutor(1) as executor:
         pack(bodies, tmp_path / "shards", executor, 1)
-    changes = {"steps": 300, "batch": 8, "rate": 6e-3, "mirror": False, "placements": Placements()}
+    changes = {
+        "steps": 300,
+        "batch_size": 8,
+        "learning_rate": 6e-3,
+        "mirror": False,
+        "geometric_augmentation": GeometricAugmentation(),
+    }
     torch.manual_seed(3)
     network = build("compact", {"patch": 4, "widths": [32, 48, 64], "blocks": [1, 1, 1]})
     images = RangeImages(tmp_path / "shards", "occ")
-    course = Course(100, 1000, 0)
+    run_options = RunOptions(100, 1000, 0)
     Training(
-        network, "compact", images, recipe_for("compact", **changes), RunFolder(tmp_path / "run"), ONE, course=course
+        network,
+        "compact",
+        images,
+        recipe_for("compact", **changes),
+        RunFolder(tmp_path / "run"),
+        ONE,
+        run_options=run_options,
     ).run(False, lambda figures: None, {})
     trained = load_network(tmp_path / "run")
     matrix = ConfusionMatrix()
@@ -112,13 +136,15 @@ def test_a_training_carries_on_with_the_same_bits(figures_set: Path, tmp_path: P
     class CutError(Exception):
         pass
 
-    def stop(figures: Figures) -> None:
+    def stop(figures: Metrics) -> None:
         if figures.step == 4:
             raise CutError  # after the checkpoint of step 2, before that of step 4
 
     torch.manual_seed(3)
     images = RangeImages(figures_set, "all", "train")
-    made = Training(build("compact", TINY), "compact", images, recipe, RunFolder(cut), ONE, course=Course(2, 2, 0))
+    made = Training(
+        build("compact", TINY), "compact", images, recipe, RunFolder(cut), ONE, run_options=RunOptions(2, 2, 0)
+    )
     with pytest.raises(CutError):
         made.run(False, stop, {})
     assert json.loads((cut / "checkpoint.json").read_text())["step"] == 2
@@ -130,7 +156,7 @@ def test_a_training_carries_on_with_the_same_bits(figures_set: Path, tmp_path: P
 
 def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
     """The paper's network draws while it learns; what was drawn elsewhere must not matter."""
-    recipe = dataclasses.replace(SGD, steps=2, batch=1, accumulate=1)
+    recipe = dataclasses.replace(SGD, steps=2, batch_size=1, accumulate=1)
 
     def go(name: str, resume: bool, until: int) -> None:
         torch.manual_seed(1)
@@ -138,9 +164,9 @@ def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
         torch.manual_seed(until)
         images = RangeImages(figures_set, "all", "train")
         folder = RunFolder(tmp_path / name)
-        made = Training(network, "fcn_alexnet", images, recipe, folder, ONE, course=Course(1, 1, 0))
+        made = Training(network, "fcn_alexnet", images, recipe, folder, ONE, run_options=RunOptions(1, 1, 0))
 
-        def stop(figures: Figures) -> None:
+        def stop(figures: Metrics) -> None:
             if figures.step > until:
                 raise KeyboardInterrupt
 
@@ -207,8 +233,8 @@ def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monk
 
 
 def test_what_does_not_shape_the_result_may_change(figures_set: Path, tmp_path: Path) -> None:
-    train(figures_set, tmp_path / "a", course=Course(1, 1, 0))
-    train(figures_set, tmp_path / "b", course=Course(5, 100, 2))
+    train(figures_set, tmp_path / "a", run_options=RunOptions(1, 1, 0))
+    train(figures_set, tmp_path / "b", run_options=RunOptions(5, 100, 2))
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
@@ -256,12 +282,14 @@ def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -
 def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
     images = RangeImages(figures_set, "all", "train")
     with pytest.raises(BadConfig, match="a batch of 2 images cannot be shared out evenly to 3 processes"):
-        Training(build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), Ranks(0, 3, torch.device("cpu")))
+        Training(
+            build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), ProcessGroup(0, 3, torch.device("cpu"))
+        )
 
 
 def test_a_batch_larger_than_the_set_is_refused(figures_set: Path, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="they do not fill one batch of 64"):
-        train(figures_set, tmp_path / "run", dataclasses.replace(SGD, batch=64))
+        train(figures_set, tmp_path / "run", dataclasses.replace(SGD, batch_size=64))
 
 
 def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
@@ -301,5 +329,5 @@ def test_tensorboard_gets_the_figures(figures_set: Path, tmp_path: Path) -> None
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-    for name in ("loss", "accuracy", "images_per_second", "waited"):
+    for name in ("loss", "accuracy", "images_per_second", "data_wait"):
         assert [event.value for event in events.Scalars(name)] == pytest.approx([line[name] for line in logged])

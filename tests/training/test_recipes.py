@@ -13,15 +13,15 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_rate
+from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.recipes import PRESETS, Recipe, recipe_for
 
 
 def test_the_papers_recipe_is_its_networks_own() -> None:
     recipe = PRESETS["fcn_alexnet"]
-    assert (recipe.steps, recipe.batch * recipe.accumulate, recipe.optimiser) == (70_000, 20, "sgd")
-    assert (recipe.rate, recipe.momentum, recipe.decay, recipe.graded) == (1e-2, 0.99, 5e-4, 0.01)
-    assert recipe.rate_at(0) == recipe.rate_at(69_999) == 1e-2
+    assert (recipe.steps, recipe.batch_size * recipe.accumulate, recipe.optimiser) == (70_000, 20, "sgd")
+    assert (recipe.learning_rate, recipe.momentum, recipe.decay, recipe.layer_decay) == (1e-2, 0.99, 5e-4, 0.01)
+    assert recipe.learning_rate_at(0) == recipe.learning_rate_at(69_999) == 1e-2
     assert not recipe.crop
     assert not recipe.mirror
 
@@ -29,7 +29,7 @@ def test_the_papers_recipe_is_its_networks_own() -> None:
 def test_the_papers_rates_rise_from_layer_to_layer() -> None:
     network = build("fcn_alexnet", {"width": 1 / 16})
     optimiser = make_optimiser(network, PRESETS["fcn_alexnet"])
-    set_rate(optimiser, 1e-2)
+    set_learning_rate(optimiser, 1e-2)
     rates = [group["lr"] for group in optimiser.param_groups]
     assert rates[0] == pytest.approx(1e-4)
     assert rates[-1] == pytest.approx(1e-2)
@@ -52,8 +52,8 @@ def test_with_adamw_only_the_weights_of_convolutions_decay() -> None:
 
 
 def test_rates_rise_then_fall() -> None:
-    recipe = recipe_for("compact", steps=100, rate=1.0, warmup=0.1)
-    rates = [recipe.rate_at(step) for step in range(100)]
+    recipe = recipe_for("compact", steps=100, learning_rate=1.0, warmup=0.1)
+    rates = [recipe.learning_rate_at(step) for step in range(100)]
     assert rates[:10] == pytest.approx([(step + 1) / 11 for step in range(10)])
     assert rates[10] == 1.0
     assert rates[55] == pytest.approx((1 + math.cos(math.pi / 2)) / 2)
@@ -94,9 +94,9 @@ def test_another_optimisers_memory_is_refused(name: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"batch": 0}, "batch must be at least 1, found 0"),
+        ({"batch_size": 0}, "batch_size must be at least 1, found 0"),
         ({"momentum": 1.0}, "momentum must be from 0 to 0.9999, found 1.0"),
-        ({"rate": float("inf")}, "rate must be from 1e-09 to 10, found inf"),
+        ({"learning_rate": float("inf")}, "learning_rate must be from 1e-09 to 10, found inf"),
         ({"balance": -1}, "balance must be from 0 to 1, found -1"),
         ({"optimiser": "lion"}, "the optimiser must be sgd or adamw, found 'lion'"),
     ],

@@ -10,28 +10,28 @@ from urllib.parse import unquote
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_data.shards.stores.remote import Patience, RemoteFolder
+from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder, Store
 
 _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 
 def open_store(
-    path: str, options: Mapping[str, Any] | None = None, patience: Patience | None = None
+    path: str, options: Mapping[str, Any] | None = None, retry_policy: RetryPolicy | None = None
 ) -> tuple[Store, str]:
     """The store of a set, and the pattern that the names of its chosen shards match.
 
     path: a folder, its manifest.json, one of its shards, or a glob that picks some ("shards/train-*.tar"), on this
     machine or behind an address that fsspec knows (https://, s3://, ...). In http addresses `?` begins a query.
-    options, patience: of remote sets only; see `RemoteFolder`.
+    options, retry_policy: of remote sets only; see `RemoteFolder`.
 
     Raises BadConfig, MissingLibrary.
     """
     address = _ADDRESS.fullmatch(path)
     if address is not None and address[1].lower() != "file":
         folder, pattern = _split_address(address[1].lower(), address[2])
-        return RemoteFolder(folder, options or {}, patience or Patience()), pattern
-    if options or patience is not None:
+        return RemoteFolder(folder, options or {}, retry_policy or RetryPolicy()), pattern
+    if options or retry_policy is not None:
         raise BadConfig(f"storage_options and patience are for remote sets, found them given for {path!r}")
     if address is None:
         place = Path(path)

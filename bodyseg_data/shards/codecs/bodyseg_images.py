@@ -45,16 +45,16 @@ Range = NDArray[np.uint16]
 
 
 class Decoded(NamedTuple):
-    """What was encoded, images [H, W]; shading: the projector's range [Hp, Wp], None if it was not asked for.
+    """What was encoded, images [H, W]; occluder: the projector's range [Hp, Wp], None if it was not asked for.
 
-    edges: where the body begins, ends, begins ...; texels: where `shading` is not 0; places in the flat images, in
+    edges: where the body begins, ends, begins ...; texels: where `occluder` is not 0; places in the flat images, in
     reading order, None where they are not known.
     """
 
     range: Range
     labels: Bytes
     facing: NDArray[np.bool_]
-    shading: Range | None
+    occluder: Range | None
     edges: Places | None
     texels: Places | None
 
@@ -112,8 +112,8 @@ def decode_images(data: bytes, projector: bool, into: tuple[Range, Bytes] | None
     images = _empty_images(size, into)
     runs_of_labels = Runs(values, checked_lengths(lengths, longs, box))
     edges = restore(runs_of_labels, Slopes(firsts, steps, large), box, *images)
-    shading, texels = _decode_projector(data, _HEADER + frame, into is not None) if projector else (None, None)
-    return Decoded(*images, shading, edges, texels)
+    occluder, texels = _decode_projector(data, _HEADER + frame, into is not None) if projector else (None, None)
+    return Decoded(*images, occluder, edges, texels)
 
 
 def _empty_images(size: tuple[int, int], into: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, NDArray[np.bool_]]:

@@ -24,7 +24,7 @@ Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
-class Patience:
+class RetryPolicy:
     """How much trouble on the way to a remote set is borne.
 
     tries: attempts in a row that may bring next to nothing. total_s: seconds such a row may last. stall_s: seconds
@@ -57,18 +57,18 @@ class RemoteFolder:
     Raises BadConfig for an address or options that fsspec does not take, MissingLibrary for a package that is missing.
     """
 
-    def __init__(self, url: str, options: Mapping[str, Any], patience: Patience) -> None:
+    def __init__(self, url: str, options: Mapping[str, Any], retry_policy: RetryPolicy) -> None:
         protocol, _, rest = url.partition("://")
         rest, mark, query = rest.partition("?") if protocol in ("http", "https") else (rest, "", "")
         self._base, self._query = f"{protocol}://{rest.rstrip('/')}", mark + query
-        self._patience = patience
+        self._retry_policy = retry_policy
         try:
             self._secrets = sorted(_secrets(url, options), key=len, reverse=True)
         except ValueError as error:
             raise BadConfig(f"not an address: {error}") from None
         self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
         try:
-            self._transport = open_transport(protocol, options, patience.stall_s, patience.total_s)
+            self._transport = open_transport(protocol, options, retry_policy.stall_s, retry_policy.total_s)
         except MissingLibrary:
             raise
         except Exception as error:  # every filesystem has its own
@@ -103,7 +103,7 @@ class RemoteFolder:
         return True
 
     def _fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object], skips: bool) -> None:
-        row = _Row(self._patience)
+        row = _Row(self._retry_policy)
         while start < stop:
             begun = start
             try:
@@ -120,7 +120,7 @@ class RemoteFolder:
         return self._transport.pieces(f"{self._base}/{name}{self._query}", start, stop, skips)
 
     def _persist(self, name: str, attempt: Callable[[str], Answer]) -> Answer:
-        row = _Row(self._patience)
+        row = _Row(self._retry_policy)
         while True:
             try:
                 return attempt(f"{self._base}/{name}{self._query}")
@@ -151,8 +151,8 @@ class RemoteFolder:
 class _Row:
     """Failures one after the other, until something comes of an attempt."""
 
-    def __init__(self, patience: Patience) -> None:
-        self._patience = patience
+    def __init__(self, retry_policy: RetryPolicy) -> None:
+        self._retry_policy = retry_policy
         self.failures = 0
         self._since = 0.0
 
@@ -161,12 +161,12 @@ class _Row:
         if brought >= _PROGRESS_BYTES or not self.failures:
             self.failures, self._since = 0, time.monotonic()
         self.failures += 1
-        if self.failures >= self._patience.tries:
+        if self.failures >= self._retry_policy.tries:
             return None
         # The system's own randomness: draws that data depend on are left alone, and forks do not wait alike.
-        pause = self._patience.first_wait_s * 2 ** (self.failures - 1) * random.SystemRandom().uniform(0.5, 1.0)
+        pause = self._retry_policy.first_wait_s * 2 ** (self.failures - 1) * random.SystemRandom().uniform(0.5, 1.0)
         wait = max(pause, failure.wait_s)
-        return wait if time.monotonic() - self._since + wait <= self._patience.total_s else None
+        return wait if time.monotonic() - self._since + wait <= self._retry_policy.total_s else None
 
 
 def _secrets(url: str, options: Mapping[str, Any]) -> set[str]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.codec import bench
-from benches.data.codec.baselines import Rival, rivals
+from benches.data.codec.baselines import Baseline, rivals
 from benches.data.codec.bench import DEFAULT, bench_codec
 from benches.data.codec.figure import draw_codec
 from PIL import Image
@@ -30,7 +30,7 @@ def test_no_views_are_refused() -> None:
 
 
 @pytest.mark.parametrize("rival", rivals(), ids=lambda rival: rival.name)
-def test_every_rival_gives_back_any_image(rival: Rival) -> None:
+def test_every_rival_gives_back_any_image(rival: Baseline) -> None:
     """Else its bytes would say nothing."""
     generator = np.random.default_rng(0)
     slope = (21_000 + np.add.outer(np.arange(40) * 7, np.arange(33) * 3)).astype(np.uint16)
@@ -66,7 +66,7 @@ def test_a_front_holds_what_nothing_beats_in_both() -> None:
 
 
 def test_a_codec_that_loses_anything_stops_the_bench(monkeypatch: pytest.MonkeyPatch) -> None:
-    lossy = Rival("lossy", lambda image, background: b"", lambda data: np.zeros((640, 329), np.uint16))
+    lossy = Baseline("lossy", lambda image, background: b"", lambda data: np.zeros((640, 329), np.uint16))
     monkeypatch.setattr(bench, "rivals", lambda: [lossy])
     with pytest.raises(AssertionError, match="lossy is not lossless"):
         bench_codec(views=1)

@@ -11,10 +11,10 @@ import pytest
 from benches.model.ablation import bench as ablation
 from benches.model.ablation import costs as ablation_costs
 from benches.model.ablation.bench import bench_ablation
-from benches.model.ablation.conditions import EXAMS, clothes_exams, coarse_exams, hard_exam, stepped
+from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, coarse_conditions, hard_condition, stepped
 from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, processor_ms, rendering_costs
 from benches.model.ablation.figure import draw_ablation
-from benches.model.ablation.rows import ROW_OF_BASE, THINGS, Thing, enough, spread_of, table, verdict, worth
+from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, table, verdict, worth
 from benches.model.ablation.runs import find_runs
 from benches.model.variants import scores as variants_scores
 
@@ -32,7 +32,7 @@ from bodyseg_model.networks.registry import build, predict
 STEPS = 1
 IMAGES = 2
 SETTINGS = {"patch": 16, "widths": [8], "blocks": [0]}
-THING = {thing.name: thing for thing in THINGS}
+THING = {thing.name: thing for thing in ROWS}
 TRAINED = ("losses", "no_noise", "no_clothes", "no_context", "views_6", "views_1")
 """Things without which, or with which, a network is trained here; the other ones are missing."""
 
@@ -48,7 +48,7 @@ def trained(data: Path, out: Path, arguments: tuple[str, ...]) -> None:
     assert train.run(parse(train.Options, [*words, "--workers", "0", "--device", "cpu"], "train", "", "")) == 0
 
 
-def as_if_trained(data: Path, like: Path, out: Path, thing: Thing, weights: int) -> None:
+def as_if_trained(data: Path, like: Path, out: Path, thing: AblationRow, weights: int) -> None:
     """A run of other weights, whose card says what `thing` does: as good as trained, and sooner there."""
     card = read_json(like / "network.json")
     images = RangeImages(data, thing.variant, "train", int(out.name[-1]), artifacts=thing.artifacts, only=thing.only)
@@ -113,12 +113,12 @@ def test_every_network_sits_every_exam(figures_set: Path, runs: tuple[Path, Path
     gained = 100 * (rows["losses"]["accuracy"]["patches_30"]["mean"] - measured["base"]["patches_30"]["mean"])
     assert rows["losses"]["worth"]["patches_30"]["points"] == pytest.approx(gained, abs=0.006)
     assert len(rows["step_8mm"]["accuracy"]["none"]["seeds"]) == 2 and rows["step_8mm"]["worth"]["all"]["sd"] is None
-    exams = [exam["name"] for exam in measured["exams"]]
-    assert exams == [
+    conditions = [condition["name"] for condition in measured["conditions"]]
+    assert conditions == [
         *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30", "grazing_30"),
         *("near_far", "other_side", "A", "hard"),  # there are no subjects B and C, and nobody is called P...
     ]
-    assert set(rows["views_1"]["accuracy"]) == set(exams)
+    assert set(rows["views_1"]["accuracy"]) == set(conditions)
     assert json.loads(json.dumps(measured)) == measured
 
 
@@ -152,9 +152,9 @@ def test_a_second_run_asks_nothing_again(
     again = bench_ablation(
         data, runs, IMAGES, data, (data, data), lambda done, total, note="": seen.append((done, total))
     )
-    assert (again["base"], again["exams"], again["missing"]) == (
+    assert (again["base"], again["conditions"], again["missing"]) == (
         measured["base"],
-        measured["exams"],
+        measured["conditions"],
         measured["missing"],
     )
     assert seen[-1] == (11 * 8 + 8 * 2 + 4,) * 2 and [done for done, _ in seen] == list(range(1, len(seen) + 1))
@@ -166,13 +166,13 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     measured: dict[str, Any], runs: tuple[Path, Path]
 ) -> None:
     missing = {row["name"]: row["command"] for row in measured["missing"]}
-    assert set(missing) == {f"{thing.name}-0" for thing in THINGS if thing.arguments is not None} - {
+    assert set(missing) == {f"{thing.name}-0" for thing in ROWS if thing.arguments is not None} - {
         f"{name}-0" for name in TRAINED
     }
     assert missing["one_distance-0"] == (
         "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch 2 --only '*-d255-*'"
     )
-    for thing in THINGS:
+    for thing in ROWS:
         if thing.arguments is not None:
             options = parse(train.Options, ["--data", "x", "--out", "y", *thing.arguments], "train", "", "")
             artifacts = train._artifacts(options)
@@ -185,7 +185,7 @@ def test_patterns_choose_what_rows_say() -> None:
     views = [(d, a + turn) for turn in range(0, 180, 30) for d, a in places]
     keys = [f"open-C-C-squat-{body:03d}-d{d}-a{a:03d}" for body in range(100) for d, a in views]
     found = {}
-    for thing in THINGS:
+    for thing in ROWS:
         if thing.group in ("amount", "views") and thing.only:
             chosen = [key for key in keys if any(Path(key).match(pattern) for pattern in thing.only)]
             bodies = {key.split("-")[4] for key in chosen}
@@ -218,7 +218,11 @@ def test_patterns_choose_what_rows_say() -> None:
         ("views_1-0", {"data": {"set": "x"}}, r"\(views_1\): its data is {'set': 'x'}, expected"),
         ("all-1", {"data": None}, r"all-1 must differ from the base in one thing \(all\): its data is {}"),
         ("all-0", {"network": "fcn_alexnet"}, r"all-0 must be a training of compact, found 'fcn_alexnet'"),
-        ("all-0", {"recipe": {"rate": -1}}, "all-0 must name recipe and settings of a training|rate must be"),
+        (
+            "all-0",
+            {"recipe": {"learning_rate": -1}},
+            "all-0 must name recipe and settings|learning_rate must be",
+        ),
         ("all-0", {"settings": 3}, "all-0 must name recipe and settings of a training: TypeError"),
         ("all-0", {"recipe": {"speed": 1}}, "all-0 must name recipe and settings of a training: TypeError"),
     ],
@@ -252,19 +256,19 @@ def test_without_a_base_nothing_is_compared(runs: tuple[Path, Path], figures_set
     with pytest.raises(BadConfig, match="clothes are told by two sets, of dressed bodies and of bare ones, found 1"):
         bench_ablation(str(figures_set), runs, clothes=("x",))
     assert [run.path.name for run in find_runs((runs[1], *runs))] == [
-        "all-0", "all-1", *(f"{thing.name}-0" for thing in THINGS if thing.name in TRAINED)
+        "all-0", "all-1", *(f"{thing.name}-0" for thing in ROWS if thing.name in TRAINED)
     ]  # fmt: skip
 
 
 def test_exams_change_what_they_say(figures_set: Path) -> None:
-    exams = {exam.label: exam for exam in EXAMS}
-    plain = exams["all"].open(str(figures_set))
+    conditions = {condition.label: condition for condition in CONDITIONS}
+    plain = conditions["all"].open(str(figures_set))
     assert plain.identity() == RangeImages(figures_set, "all", "test", 0).identity()
-    quiet = [exams[name].open(str(figures_set)) for name in ("noise_80", "missing_50")]
+    quiet = [conditions[name].open(str(figures_set)) for name in ("noise_80", "missing_50")]
     assert {image.sigma_mm for image in map(quiet[0].image, range(8))} == {80}
     assert {image.missing_rate for image in map(quiet[1].image, range(8))} == {0.5}
     for kind in ("patches", "stripes", "grazing"):
-        fewer = exams[f"{kind}_30"].open(str(figures_set))
+        fewer = conditions[f"{kind}_30"].open(str(figures_set))
         assert fewer.identity() != plain.identity()
         ours, usual, clean = fewer.image(3), plain.image(3), plain.clean(3)
         gone = (ours.range == 0) & (usual.range > 0)
@@ -277,15 +281,15 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
         image, labels = np.full_like(ours.range, 7), np.full_like(ours.labels, 7)
         fewer.write(3, 0, image, labels)
         assert np.array_equal(image, ours.range) and np.array_equal(labels, ours.labels)
-    elsewhere = hard_exam(str(figures_set)).open("nowhere")
+    elsewhere = hard_condition(str(figures_set)).open("nowhere")
     assert elsewhere.keys == plain.keys
     keys = [
         f"{source}-{body}-d215-a000"
         for source in ("open", "bare")
         for body in ("A-posture-1", "B-B-x-1", "C-C-x-1", "P1-person-1")
     ]
-    for exam in clothes_exams("d", "b"):
-        assert [key for key in keys if any(Path(key).match(only) for only in exam.only)] == [
+    for condition in clothes_conditions("d", "b"):
+        assert [key for key in keys if any(Path(key).match(only) for only in condition.only)] == [
             key for key in keys if key.split("-")[1] in "BC"
         ]
 
@@ -294,19 +298,19 @@ def test_coarse_steps_round_to_the_nearest(figures_set: Path) -> None:
     image = np.array([[0, 1, 4, 5, 6, 14, 65535]], np.uint16)
     assert stepped(image, 1).tolist() == [[0, 1, 1, 1, 1, 1, 6553]]
     assert stepped(np.array([[0, 15, 25, 26]], np.uint16), 0.4).tolist() == [[0, 4, 6, 6]]
-    (exam, _) = coarse_exams(8)
-    assert (exam.variant, exam.step_mm, exam.name) == ("all", 8, "all")
-    coarse, fine = exam.open(str(figures_set)).image(0).range, EXAMS[0].open(str(figures_set)).image(0).range
+    (condition, _) = coarse_conditions(8)
+    assert (condition.variant, condition.step_mm, condition.name) == ("all", 8, "all")
+    coarse, fine = condition.open(str(figures_set)).image(0).range, CONDITIONS[0].open(str(figures_set)).image(0).range
     assert np.array_equal(coarse > 0, fine > 0) and set(np.unique(coarse % 80)) == {0}
     assert np.abs(coarse.astype(int) - fine).max() == 40
 
 
 def test_deviations_are_not_small_by_luck() -> None:
-    found = spread_of({"a": [0.50, 0.52], "b": [0.5, 0.5]})
+    found = deviation_of({"a": [0.50, 0.52], "b": [0.5, 0.5]})
     assert found is not None
     assert found["a"] == pytest.approx(100 * 0.02 / 2**0.5)
     assert found["b"] == pytest.approx(100 * 0.02 / 2**0.5 / 2**0.5)
-    assert spread_of({"a": [0.5], "b": [0.6]}) is None
+    assert deviation_of({"a": [0.5], "b": [0.6]}) is None
 
 
 def test_what_pays_and_what_does_not() -> None:
@@ -378,7 +382,7 @@ def some_figures(measured: dict[str, Any]) -> dict[str, Any]:
     """An answer in which every thing has a row."""
     (row,) = (row for row in measured["rows"] if row["name"] == "views_6")
     rows = []
-    for number, thing in enumerate(THINGS):
+    for number, thing in enumerate(ROWS):
         points = (-3, 0.1, 25, 2.2)[number % 4]
         value = {name: {**each, "points": points} for name, each in row["worth"].items()}
         facts = {"name": thing.name, "what": thing.what, "group": thing.group, "added": thing.added}
@@ -392,7 +396,7 @@ def some_figures(measured: dict[str, Any]) -> dict[str, Any]:
 def test_the_table_has_a_line_a_thing(measured: dict[str, Any]) -> None:
     text = table(some_figures(measured))
     lines = text.splitlines()
-    assert len(lines) == 3 + len(THINGS) and all(line.count("|") == 8 for line in lines)
+    assert len(lines) == 3 + len(ROWS) and all(line.count("|") == 8 for line in lines)
     losses = next(line for line in lines if "`losses`" in line)
     assert losses.startswith("| + patches, stripes, grazing surfaces lost (`losses`) | 1 | ")
     none = {**measured["rows"][0], "accuracy": {"all": {"mean": 0.81234, "sd": 0.0012, "seeds": [1, 2]}}}

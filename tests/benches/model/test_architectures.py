@@ -26,7 +26,7 @@ from bodyseg_model.networks.registry import build, parameters, predict
 
 TINY = {"patch": 16, "widths": [8], "blocks": [0]}
 NARROW = {"width": 1 / 16}
-RECIPE = {"steps": 10, "batch": 8, "accumulate": 1, "rate": 2e-3}
+RECIPE = {"steps": 10, "batch_size": 8, "accumulate": 1, "learning_rate": 2e-3}
 DATA = {"set": "of these", "split": "train", "variant": "all"}
 IMAGES = 2
 
@@ -89,7 +89,7 @@ def test_every_network_is_judged_and_timed(figures_set: Path, run: Make) -> None
     data = {"set": RangeImages(figures_set, "all", "train").identity()["set"]}
     for seed in (1, 0):
         run(f"compact-{seed}", data=data)
-    folder = run("fcn_alexnet_16th-0", "fcn_alexnet", NARROW, data=data, recipe={"rate": 5e-4})
+    folder = run("fcn_alexnet_16th-0", "fcn_alexnet", NARROW, data=data, recipe={"learning_rate": 5e-4})
     (folder / "notes").mkdir()
     seen: list[tuple[int, int]] = []
     found = bench_architectures(
@@ -124,7 +124,7 @@ def test_every_network_is_judged_and_timed(figures_set: Path, run: Make) -> None
         assert row["gpu_ms"] is None
     assert {cell["networks"]["compact"]["times_as_long"] for cell in found["times"]} == {1.0}
     scale = found["scale"]
-    assert (scale["steps"], scale["batch"], scale["test_images"], scale["test_images_of"]) == (10, 8, IMAGES, 8)
+    assert (scale["steps"], scale["batch_size"], scale["test_images"], scale["test_images_of"]) == (10, 8, IMAGES, 8)
     assert (scale["forest_images"], scale["shottons_forest_images"]) == (4, 900_000)
 
 
@@ -186,7 +186,7 @@ def test_runs_are_grouped_by_name(run: Make) -> None:
     ("kind", "settings", "changes", "message"),
     [
         ("fcn_alexnet", NARROW, {"recipe": {"steps": 11}}, "steps is 11 in .*other-0 and 10 in .*compact-0"),
-        ("fcn_alexnet", NARROW, {"recipe": {"batch": 4}}, "batch is 4 in"),
+        ("fcn_alexnet", NARROW, {"recipe": {"batch_size": 4}}, "batch_size is 4 in"),
         ("fcn_alexnet", NARROW, {"recipe": {"accumulate": 2}}, "accumulate is 2 in"),
         ("fcn_alexnet", NARROW, {"data": {"set": "of those"}}, "set of the images is 'of those' in"),
         ("fcn_alexnet", NARROW, {"data": {"only": ["x"]}}, r"only of the images is \['x'\] in .* and None in"),
@@ -211,7 +211,7 @@ def test_seeds_of_a_name_share_everything(run: Make) -> None:
     run("compact-1", settings={**TINY, "widths": [4]})
     with pytest.raises(BadConfig, match=r"trained alike: settings is .*\[4\].* in .*compact-1 and .*\[8\]"):
         groups_in((folder,))
-    other = run("compact-1", folder="others", recipe={"rate": 1e-3})
+    other = run("compact-1", folder="others", recipe={"learning_rate": 1e-3})
     (folder / "compact-1" / "network.json").unlink()
     with pytest.raises(BadConfig, match="cannot read .*compact-1"):
         groups_in((folder,))

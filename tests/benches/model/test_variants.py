@@ -30,13 +30,13 @@ from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.training.distributed import Ranks
-from bodyseg_model.training.loop import Course, Figures
+from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.loop import Metrics, RunOptions
 
 SETTINGS = '{"patch": 16, "widths": [8], "blocks": [0]}'
 STEPS = 2
 IMAGES = 2
-HERE = Ranks(0, 1, torch.device("cpu"))
+HERE = ProcessGroup(0, 1, torch.device("cpu"))
 
 
 def trained_by_command(data: Path, out: Path, variant: str) -> None:
@@ -45,7 +45,7 @@ def trained_by_command(data: Path, out: Path, variant: str) -> None:
         out,
         variant,
         steps=STEPS,
-        batch=2,
+        batch_size=2,
         settings=SETTINGS,
         workers=0,
         device="cpu",  # type: ignore[arg-type]
@@ -65,7 +65,7 @@ def small() -> Iterator[None]:
         for sweeps in (SWEEPS, SWEEPS_ALONE):
             for name, sweep in sweeps.items():
                 patch.setitem(sweeps, name, short(sweep, 0, *(s for s in sweep.strengths if s in (40, 0.5))))
-        patch.setattr(variants_runs, "_COURSE", Course(log_every=1, keep_every=1, workers=0))
+        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, workers=0))
         yield
 
 
@@ -185,7 +185,7 @@ def test_a_training_that_was_cut_goes_on(
     folder, _ = measured
     plan = common_plan(runs_in(folder, 1), str(figures_set), None)
 
-    def cut(figures: Figures) -> None:
+    def cut(figures: Metrics) -> None:
         if figures.step == STEPS:
             raise KeyboardInterrupt
 
@@ -250,7 +250,7 @@ def test_trainings_of_another_kind_are_refused(
 
 def test_a_new_folder_takes_the_preset(figures_set: Path, tmp_path: Path) -> None:
     plan = common_plan(runs_in(tmp_path, 2), str(figures_set), 7)
-    assert plan.recipe.steps == 7 and plan.recipe.batch == train_command.recipe_for("compact").batch
+    assert plan.recipe.steps == 7 and plan.recipe.batch_size == train_command.recipe_for("compact").batch_size
     assert [run.name for run in runs_in(tmp_path, 2)][:6] == ["none-0", "occ-0", "noise-0", "md-0", "all-0", "none-1"]
 
 

@@ -48,7 +48,7 @@ class Placed:
 
 
 def place_labels(labels: Sequence[Label], dots: Floats, lines: Floats, area: Floats) -> list[Placed]:
-    """Place labels one after the other where each does the least harm, in the best of several orders.
+    """Place labels one after the other where each covers the least, in the best of several orders.
 
     dots: [M, 3] places and radii of all markers; lines: [K, 2] places along lines; area: [4] left, bottom, right, top,
     which no label leaves if there is room. All in pixels.

@@ -154,7 +154,7 @@ def _seen(given: object) -> bytes:
     """The pixels of a sample that was read."""
     if not isinstance(given, Sample):
         return b"read"
-    images = (given.range, given.labels, given.faces_projector, given.shading_range())
+    images = (given.range, given.labels, given.faces_projector, given.occluder_range())
     return b"".join(image.tobytes() for image in images)
 
 

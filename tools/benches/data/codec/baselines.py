@@ -26,7 +26,7 @@ Decode = Callable[[bytes], Image]
 
 
 @dataclass(frozen=True)
-class Rival:
+class Baseline:
     """A way to store one image: `encode(image, background)`, where background fills most of it, and its inverse."""
 
     name: str
@@ -44,13 +44,13 @@ class Cropped:
     unpack: Callable[[bytes, Box, Any], Image]
 
     def encode(self, image: Image, background: int) -> bytes:
-        """See `Rival`."""
+        """See `Baseline`."""
         box = used_box(image != background)
         fields = [image.itemsize, background, *image.shape, box.top, box.left, box.height, box.width]
         return np.array(fields, "<u2").tobytes() + self.pack(np.ascontiguousarray(box.of(image)))
 
     def decode(self, data: bytes) -> Image:
-        """See `Rival`."""
+        """See `Baseline`."""
         size, background, rows, columns, *place = np.frombuffer(data[:16], "<u2").tolist()
         kind, box = (np.uint16 if size == 2 else np.uint8), Box(*place)
         image: Image = np.full((rows, columns), background, kind)
@@ -145,7 +145,7 @@ def predicted(predictor: str, layout: str, library: str, level: int) -> Cropped:
     return Cropped(pack, unpack)
 
 
-def rivals() -> list[Rival]:
+def rivals() -> list[Baseline]:
     """Every other way that is measured. Raises MissingLibrary without imagecodecs."""
     try:
         library: Any = importlib.import_module("imagecodecs")
@@ -195,8 +195,8 @@ def rivals() -> list[Rival]:
         ("two-way zigzag, bytes, zstd 1", predicted("two-way, zigzag", "bytes", "zstd", 1)),
         ("two-way zigzag, bytes, zstd 19", predicted("two-way, zigzag", "bytes", "zstd", 19)),
     ]
-    plain = Rival("PNG", lambda image, background: encode_png(image), decode_png)
-    return [plain, *(Rival(name, way.encode, way.decode) for name, way in found)]
+    plain = Baseline("PNG", lambda image, background: encode_png(image), decode_png)
+    return [plain, *(Baseline(name, way.encode, way.decode) for name, way in found)]
 
 
 def _jpeg_xl(crop: Image, effort: int) -> bytes:

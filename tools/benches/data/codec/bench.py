@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.charts.fronts import unbeaten
-from benches.data.codec.baselines import Rival, rivals
+from benches.data.codec.baselines import Baseline, rivals
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -75,7 +75,7 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
     sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
     for done, (sample, exact) in enumerate(_samples(views), start=1):
-        images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.shading_range()
+        images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
         for turn in range(len(others)):
             rival = others[(turn + done) % len(others)]
             _measure(rival, images, costs[rival.name])
@@ -134,7 +134,7 @@ def _computed_by(choice: str) -> Iterator[None]:
         kernels.use_compiled.cache_clear()
 
 
-def _measure(rival: Rival, images: Images, costs: dict[str, _Costs]) -> None:
+def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
         rounds = 1 if "19" in rival.name or "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
@@ -153,8 +153,8 @@ def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
     camera, labels, projector = images
     nothing = np.zeros_like(projector)
     before = 0, 0.0, 0.0
-    for kind, shading in (("range and labels", nothing), ("projector", projector)):
-        encode_s, data = _timed(lambda shading=shading: encode_images(camera, labels, shading), _ROUNDS)  # type: ignore[misc]
+    for kind, occluder in (("range and labels", nothing), ("projector", projector)):
+        encode_s, data = _timed(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
         wanted = kind == "projector"
         decode_s, _ = _timed(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
         costs[kind].bytes.append(len(data) - before[0])
@@ -222,7 +222,7 @@ class _Rounding:
         self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
         self._coarse += len(encode_sample(sample)["bsi"])
         self._texels, self._kept = self._texels + int((image > 0).sum()), self._kept + int((coarse > 0).sum())
-        masks = [self._test.lit(sample.range, shading, sample.faces_projector) for shading in (image, coarse)]
+        masks = [self._test.lit(sample.range, occluder, sample.faces_projector) for occluder in (image, coarse)]
         self._differing += int((masks[0] != masks[1]).sum())
 
     def row(self) -> dict[str, Any]:

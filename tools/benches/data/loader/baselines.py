@@ -37,7 +37,7 @@ class Premade(Sequence[RangeImage]):
         return self._images.image(index, 0)
 
 
-class Rival(Protocol):
+class Baseline(Protocol):
     """One way to store and read a set of images that are made already."""
 
     def write(self, images: Premade, folder: Path) -> int:

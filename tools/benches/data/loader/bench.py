@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import torch
 
-from benches.data.loader.baselines import Memory, PngFiles, Premade, Rival, Webdataset, folder_bytes
+from benches.data.loader.baselines import Baseline, Memory, PngFiles, Premade, Webdataset, folder_bytes
 from benches.data.loader.limits import five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
@@ -44,7 +44,7 @@ _PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml
 Progress = Callable[[int, int], None]
 
 
-def rivals() -> dict[str, Rival]:
+def rivals() -> dict[str, Baseline]:
     """The opponents by name."""
     return {
         "webdataset_png": Webdataset(),
@@ -140,7 +140,7 @@ def _threads(count: int) -> Iterator[int]:
         torch.set_num_threads(before)
 
 
-def _written(name: str, rival: Rival, images: Premade, folder: Path) -> int | None:
+def _written(name: str, rival: Baseline, images: Premade, folder: Path) -> int | None:
     folder.mkdir()
     try:
         return rival.write(images, folder)
@@ -150,7 +150,7 @@ def _written(name: str, rival: Rival, images: Premade, folder: Path) -> int | No
 
 
 def _openings(
-    packed: Path, there: Mapping[str, Rival], scratch: Path, batch: int, workers: int
+    packed: Path, there: Mapping[str, Baseline], scratch: Path, batch: int, workers: int
 ) -> dict[str, Callable[[], Iterable[Batch]]]:
     """Name -> what opens the contender."""
 

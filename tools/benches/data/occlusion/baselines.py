@@ -30,7 +30,7 @@ Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 """Projector range, x, y, range of points -> whether light gets there, as `occlusion.reached`."""
 
-Stored = Literal["whole", "shading", "coarse"]
+Stored = Literal["whole", "occluder", "coarse"]
 """All texels; those that can shade a pixel; those, rounded as far as no pixel's answer changes."""
 
 DEFAULT_BIAS_MM: Final = SURFACE_GAP_M * 1000
@@ -81,7 +81,7 @@ class Method:
 
 DEFAULT: Final = Method("interpolated, votes at edges", DEFAULT_BIAS_MM, reached)
 
-_PLAIN: Final[tuple[Stored, ...]] = ("whole", "shading")
+_PLAIN: Final[tuple[Stored, ...]] = ("whole", "occluder")
 _EDGE_MM: Final = EDGE_M * 1000
 _OTHER_CONSTANTS: Final = ((4, 20), (6, 15), (6, 20), (6, 30), (8, 20), (8, 30), (10, 20), (10, 30), (15, 30))
 
@@ -96,7 +96,7 @@ def methods() -> list[Method]:
     ]
     plain = [replace(DEFAULT, projector_scale=scale, stored=stored) for scale in (1, 2) for stored in _PLAIN]
     rounded = [
-        replace(method, projector_scale=scale, step_mm=step_mm, stored="shading")
+        replace(method, projector_scale=scale, step_mm=step_mm, stored="occluder")
         for method in (DEFAULT, compare("nearest texel", 20.0, nearest), compare("votes of four texels", 20.0, votes))
         for scale in (1, 2)
         for step_mm in STEPS_MM
@@ -107,7 +107,7 @@ def methods() -> list[Method]:
             bias_mm=float(gap_mm),
             rule=two_rules(gap_mm, edge_mm),
             projector_scale=scale,
-            stored="shading",
+            stored="occluder",
             note=f", edge from {edge_mm} mm",
         )
         for scale in (1, 2)
@@ -120,7 +120,7 @@ def methods() -> list[Method]:
 def _families() -> Iterator[Method]:
     """All that is tried at every size, with and without the facing bit."""
     yield DEFAULT
-    yield Method("interpolated range everywhere", DEFAULT_BIAS_MM, interpolated, stored="shading")
+    yield Method("interpolated range everywhere", DEFAULT_BIAS_MM, interpolated, stored="occluder")
     for bias_mm in (5.0, 10.0, 20.0, 30.0):
         yield compare("nearest texel", bias_mm, nearest)
         yield compare("votes of four texels", bias_mm, votes)

@@ -84,7 +84,7 @@ class Storage:
 
     def _stored(self, method: Method) -> StoredImage:
         if method == DEFAULT:
-            image = self.view.sample.shading_range()
+            image = self.view.sample.occluder_range()
             return StoredImage(image, image)
         whole = self.whole(method)
         if method.stored == "whole":

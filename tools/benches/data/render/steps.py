@@ -24,7 +24,7 @@ from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.occluder_range import shading_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
 from bodyseg_data.packing.pack import Packing
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
@@ -97,7 +97,7 @@ class _Scene:
             projector_range = steps(renderer.see(projector).range, view.name)
         else:
             test = shadow_test(self.rig)
-            projector_range = shading_range(
+            projector_range = occluder_range(
                 test, camera_range, facing, lambda texels: steps(renderer.ranges(projector, texels), view.name)
             )
         return _images(camera_range, projector_range, labels, facing)
@@ -106,7 +106,7 @@ class _Scene:
 def _taken(sampler: Sampler, view: View) -> Images:
     """As packing has it."""
     sample = sampler.take(view)
-    return _images(sample.range, sample.shading_range(), sample.labels, sample.faces_projector)
+    return _images(sample.range, sample.occluder_range(), sample.labels, sample.faces_projector)
 
 
 def _images(camera: NDArray[Any], projector: NDArray[Any], labels: NDArray[Any], facing: NDArray[np.bool_]) -> Images:

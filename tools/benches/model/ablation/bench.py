@@ -15,9 +15,15 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from benches.model.ablation.conditions import EXAMS, Exam, clothes_exams, coarse_exams, hard_exam
+from benches.model.ablation.conditions import (
+    CONDITIONS,
+    Condition,
+    clothes_conditions,
+    coarse_conditions,
+    hard_condition,
+)
 from benches.model.ablation.costs import byte_costs, costs_of, loader_costs, network_costs, rendering_costs
-from benches.model.ablation.rows import BASE, RULE, THINGS, Thing, Tree, enough, spread_of, table, verdict, worth
+from benches.model.ablation.rows import BASE, ROWS, RULE, AblationRow, Tree, deviation_of, enough, table, verdict, worth
 from benches.model.ablation.runs import (
     NETWORK,
     Run,
@@ -29,7 +35,7 @@ from benches.model.ablation.runs import (
     plan_of,
     sets_of,
 )
-from benches.model.variants.scores import Examiner
+from benches.model.variants.scores import Evaluator
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
@@ -65,17 +71,17 @@ def bench_ablation(
     whole_number("the number of test images", images, 1)
     sets = sets_of(data, clothes)
     start = time.perf_counter()
-    things = [thing for thing in THINGS if thing.source in sets]
+    things = [thing for thing in ROWS if thing.source in sets]
     found = find_runs(runs, things)
     plan = plan_of(found[0])
     trained_on = identities(sets, [run.thing for run in found])
     for run in found:
         check_run(run, plan, trained_on[run.thing.name])
-    exams = _exams(data, hard, clothes)
-    coarse = [(thing, exam) for thing in things if thing.step_mm for exam in coarse_exams(thing.step_mm)]
+    conditions = _conditions(data, hard, clothes)
+    coarse = [(thing, condition) for thing in things if thing.step_mm for condition in coarse_conditions(thing.step_mm)]
     base = [run for run in found if run.thing.name == BASE]
-    jobs = [(run.thing, exam, run) for exam in exams for run in found]
-    jobs += [(thing, exam, run) for thing, exam in coarse for run in base]
+    jobs = [(run.thing, condition, run) for condition in conditions for run in found]
+    jobs += [(thing, condition, run) for thing, condition in coarse for run in base]
     marks = _asked(data, images, jobs, progress)
     costs = _measured(data, plan.settings, progress, len(jobs))
     first = RangeImages(data, BASE, "train")
@@ -83,7 +89,7 @@ def bench_ablation(
     figures = {
         "scale": {
             "steps": plan.recipe.steps,
-            "images_a_step": plan.recipe.batch * plan.recipe.accumulate,
+            "images_a_step": plan.recipe.batch_size * plan.recipe.accumulate,
             **{f"train_{name}": count for name, count in trained_on[BASE]["amount"].items()},
             "test_images": images,
             "seeds": len(base),
@@ -93,7 +99,7 @@ def bench_ablation(
         "recipe": asdict(plan.recipe),
         "data": {"source": first.manifest.source, "train": trained_on[BASE]["data"]["set"]},
         "rule": RULE,
-        "exams": [{"name": exam.label, "title": exam.title} for exam in exams],
+        "conditions": [{"name": condition.label, "title": condition.title} for condition in conditions],
         "base": {name: over_seeds(values) for name, values in marks[BASE].items()},
         "rows": rows,
         "enough": {prefix: enough(rows, f"{prefix}_") for prefix in ("bodies", "views")},
@@ -106,34 +112,38 @@ def bench_ablation(
     return {**figures, "table": table(figures)}
 
 
-def _exams(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[Exam]:
+def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[Condition]:
     """The exams for which the sets have images."""
-    exams = [*EXAMS, *([hard_exam(hard)] if hard is not None else []), *(clothes_exams(*clothes) if clothes else ())]
+    conditions = [
+        *CONDITIONS,
+        *([hard_condition(hard)] if hard is not None else []),
+        *(clothes_conditions(*clothes) if clothes else ()),
+    ]
     found = []
-    for exam in exams:
+    for condition in conditions:
         try:
-            exam.open(data)
+            condition.open(data)
         except BadConfig:
-            if not exam.only:
+            if not condition.only:
                 raise
             continue  # a set of other bodies or views
-        found.append(exam)
+        found.append(condition)
     return found
 
 
 def _asked(
-    data: str, images: int, jobs: Sequence[tuple[Thing, Exam, Run]], progress: Callable[..., None]
+    data: str, images: int, jobs: Sequence[tuple[AblationRow, Condition, Run]], progress: Callable[..., None]
 ) -> dict[str, Marks]:
     """Thing -> exam -> accuracy of each seed."""
-    examiner, device = Examiner(data, images), find_device()
+    evaluator, device = Evaluator(data, images), find_device()
     networks: dict[Path, nn.Module] = {}
     marks: dict[str, Marks] = {}
-    for done, (thing, exam, run) in enumerate(jobs, start=1):
+    for done, (thing, condition, run) in enumerate(jobs, start=1):
         if run.path not in networks:
             networks[run.path] = load_network(run.path).network.to(device)
-        found = examiner.scores(run.path, networks[run.path], exam, extras=False)
-        marks.setdefault(thing.name, {}).setdefault(exam.label, []).append(found[_ACCURACY])
-        progress(done, len(jobs) + _MEASURES, f"{run.path.name} on {exam.label}")
+        found = evaluator.scores(run.path, networks[run.path], condition, extras=False)
+        marks.setdefault(thing.name, {}).setdefault(condition.label, []).append(found[_ACCURACY])
+        progress(done, len(jobs) + _MEASURES, f"{run.path.name} on {condition.label}")
     return marks
 
 
@@ -152,10 +162,10 @@ def _measured(data: str, settings: dict[str, Any], progress: Callable[..., None]
 
 
 def _rows(marks: Mapping[str, Marks], costs: Tree, amounts: Mapping[str, Tree], images: RangeImages) -> list[Tree]:
-    spread = spread_of(marks[BASE])
+    spread = deviation_of(marks[BASE])
     bytes_a_sample = images.stored_bytes() / len(images)
     rows = []
-    for thing in THINGS:
+    for thing in ROWS:
         if thing.name not in marks:
             continue
         against = thing.against if thing.against in marks else BASE

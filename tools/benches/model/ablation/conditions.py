@@ -25,7 +25,7 @@ _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networ
 
 
 @dataclass(frozen=True)
-class Exam(Setting):
+class Condition(Setting):
     """Test images of one kind. label: its name in the answer; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
@@ -47,57 +47,57 @@ class Exam(Setting):
 
     def open(self, data: str) -> RangeImages:
         """The images, of the test split. Raises as `RangeImages`."""
-        return ExamImages(self.data or data, self)
+        return ConditionImages(self.data or data, self)
 
 
-EXAMS: Final = (
-    Exam("all", label="all", title="all artifacts"),
-    Exam("none", label="none", title="no artifact"),
-    Exam("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
-    Exam("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
+CONDITIONS: Final = (
+    Condition("all", label="all", title="all artifacts"),
+    Condition("none", label="none", title="no artifact"),
+    Condition("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
+    Condition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
     *(
-        Exam("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
+        Condition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
         for kind in ("patches", "stripes", "grazing")
     ),
-    Exam("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
-    Exam("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
-    Exam("all", only=("open-A-*",), label="A", title="subject A, postures"),
-    Exam("all", only=("open-B-*",), label="B", title="subject B, dressed"),
-    Exam("all", only=("open-C-*",), label="C", title="subject C, dressed"),
-    Exam("all", only=("open-P*",), label="people", title="other people"),
+    Condition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
+    Condition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
+    Condition("all", only=("open-A-*",), label="A", title="subject A, postures"),
+    Condition("all", only=("open-B-*",), label="B", title="subject B, dressed"),
+    Condition("all", only=("open-C-*",), label="C", title="subject C, dressed"),
+    Condition("all", only=("open-P*",), label="people", title="other people"),
 )
 
 
-def hard_exam(data: str) -> Exam:
+def hard_condition(data: str) -> Condition:
     """The exam of a set of hard poses."""
-    return Exam("all", label="hard", title="hard poses", data=data)
+    return Condition("all", label="hard", title="hard poses", data=data)
 
 
-def clothes_exams(dressed: str, bare: str) -> tuple[Exam, ...]:
+def clothes_conditions(dressed: str, bare: str) -> tuple[Condition, ...]:
     """The exams of those who wear something, and of the same bodies bare, of two sets that are alike otherwise."""
     worn = ("*-B-*", "*-C-*")
     return (
-        Exam("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
-        Exam("all", label="bare", title="B and C without clothes", only=worn, data=bare),
+        Condition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
+        Condition("all", label="bare", title="B and C without clothes", only=worn, data=bare),
     )
 
 
-def coarse_exams(step_mm: float) -> tuple[Exam, ...]:
+def coarse_conditions(step_mm: float) -> tuple[Condition, ...]:
     """The exams that networks trained on fine steps sit with coarse ones, labelled like those with fine ones."""
-    return tuple(Exam(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
+    return tuple(Condition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
 
 
-class ExamImages(RangeImages):
+class ConditionImages(RangeImages):
     """Test images as an exam shows them: as the variant does, then with losses, then rounded."""
 
-    def __init__(self, path: str, exam: Exam) -> None:
+    def __init__(self, path: str, condition: Condition) -> None:
         usual = Artifacts()
         strengths = Artifacts(
-            usual.noise if exam.noise_mm is None else Noise(exam.noise_mm, exam.noise_mm),
-            usual.missing_data if exam.missing is None else MissingData((exam.missing,)),
+            usual.noise if condition.noise_mm is None else Noise(condition.noise_mm, condition.noise_mm),
+            usual.missing_data if condition.missing is None else MissingData((condition.missing,)),
         )
-        super().__init__(path, exam.variant, "test", _SEED, artifacts=strengths, only=exam.only)
-        self._exam = exam
+        super().__init__(path, condition.variant, "test", _SEED, artifacts=strengths, only=condition.only)
+        self._exam = condition
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """As `RangeImages.write`."""

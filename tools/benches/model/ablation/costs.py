@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from benches.model.ablation.conditions import stepped
-from benches.model.ablation.rows import BASE, ROW_OF_BASE, THINGS, Thing, Tree
+from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
@@ -61,7 +61,7 @@ def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) 
 def loader_costs(data: str) -> Tree:
     """Of a sample made in the loader, from shard to image, for the base, no artifact, and all other artifacts."""
     known = [ROW_OF_BASE, replace(ROW_OF_BASE, name="none", variant="none")]
-    known += [thing for thing in THINGS if thing.group in ("artifacts", "sub-kinds")]
+    known += [thing for thing in ROWS if thing.group in ("artifacts", "sub-kinds")]
     images = {each.name: RangeImages(data, each.variant, "train", artifacts=each.artifacts) for each in known}
     camera = images[BASE].manifest.rig.camera
     places = _spread(len(images[BASE]), SAMPLES)
@@ -80,12 +80,12 @@ def byte_costs(data: str) -> Tree:
     sizes: dict[str, list[int]] = {}
     for place in _spread(len(images), SAMPLES):
         sample = images.clean(place)
-        labels, shading = join_labels(sample.labels, sample.faces_projector), sample.shading_range()
-        made = {BASE: encode_images(sample.range, labels, shading)}
-        made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(shading))
-        for thing in THINGS:
+        labels, occluder = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
+        made = {BASE: encode_images(sample.range, labels, occluder)}
+        made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(occluder))
+        for thing in ROWS:
             if thing.step_mm is not None:
-                made[thing.name] = encode_images(stepped(sample.range, thing.step_mm), labels, shading)
+                made[thing.name] = encode_images(stepped(sample.range, thing.step_mm), labels, occluder)
         for name, encoded in made.items():
             sizes.setdefault(name, []).append(len(encoded))
     return {name: round(float(np.mean(values))) for name, values in sizes.items()}
@@ -94,7 +94,7 @@ def byte_costs(data: str) -> Tree:
 def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
     """Milliseconds from a test image to labels and confidences, all threads. settings: of the base's network."""
     networks = {BASE: build("compact", settings, seed=0).eval()}
-    for thing in THINGS:
+    for thing in ROWS:
         if thing.settings:
             networks[thing.name] = build("compact", {**settings, **thing.settings}, seed=0).eval()
     images = RangeImages(data, BASE, "test")
@@ -130,7 +130,7 @@ def _render(source: MadeBodies, bodies: Sequence[BodyRef], rig: Rig) -> None:
         renderer.close()
 
 
-def costs_of(thing: Thing, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
+def costs_of(thing: AblationRow, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
     """What a thing costs, one entry a kind: what, with it, without it. samples: trained on, in the row and its base."""
     found = []
 

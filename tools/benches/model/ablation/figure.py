@@ -36,7 +36,11 @@ def draw_ablation(figures: Tree, path: Path) -> None:
     lines = _lines(figures["rows"])
     figure = new_chart(16, max(6.0, 1.9 + 0.27 * len(lines)))
     grid = figure.add_gridspec(2, 2, width_ratios=(2.35, 1))
-    _dots(figure.add_subplot(grid[:, 0]), lines, {exam["name"]: exam["title"] for exam in figures["exams"]})
+    _dots(
+        figure.add_subplot(grid[:, 0]),
+        lines,
+        {condition["name"]: condition["title"] for condition in figures["conditions"]},
+    )
     for place, (name, label) in enumerate(_AMOUNTS.items()):
         _amounts(figure.add_subplot(grid[place, 1]), figures, name, label)
     figure.legend(handles=_handles(), loc="outside lower center", ncols=4, fontsize=10, frameon=False)

@@ -26,7 +26,7 @@ LEAST_POINTS: Final = 0.3
 DEVIATIONS: Final = 2.0
 NEAR_POINTS: Final = 1.0
 """How far behind the full set a smaller one may be to be called enough."""
-HARMS_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like harm by chance
+LOSSES_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like a loss by chance
 
 RULE: Final = (
     f"A thing pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
@@ -37,7 +37,7 @@ RULE: Final = (
 
 
 @dataclass(frozen=True)
-class Thing:
+class AblationRow:
     """One thing that can be left out.
 
     name: of its trainings' folders, NAME-SEED. what: left out, in words; added, where `added`. helps: labels of the
@@ -61,23 +61,25 @@ class Thing:
     source: Source = ""
 
 
-def _only(name: str, what: str, group: Group, *patterns: str, **more: Any) -> Thing:
-    return Thing(name, what, group, arguments=("--only", *patterns), only=patterns, **more)
+def _only(name: str, what: str, group: Group, *patterns: str, **more: Any) -> AblationRow:
+    return AblationRow(name, what, group, arguments=("--only", *patterns), only=patterns, **more)
 
 
-def _settings(name: str, what: str, group: Group, text: str, **settings: Any) -> Thing:
-    return Thing(name, what, group, arguments=("--settings", text), settings=settings)
+def _settings(name: str, what: str, group: Group, text: str, **settings: Any) -> AblationRow:
+    return AblationRow(name, what, group, arguments=("--settings", text), settings=settings)
 
 
-ROW_OF_BASE: Final = Thing(BASE, "nothing", "artifacts")
+ROW_OF_BASE: Final = AblationRow(BASE, "nothing", "artifacts")
 
 _SPREAD: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _LOSSES: Final = 0.4
 
-THINGS: Final = (
-    Thing("no_occlusion", "shadows", "artifacts", arguments=("--variant", "noise+md"), variant="noise+md"),
-    Thing("no_noise", "noise", "artifacts", ("all", "noise_80"), arguments=("--variant", "occ+md"), variant="occ+md"),
-    Thing(
+ROWS: Final = (
+    AblationRow("no_occlusion", "shadows", "artifacts", arguments=("--variant", "noise+md"), variant="noise+md"),
+    AblationRow(
+        "no_noise", "noise", "artifacts", ("all", "noise_80"), arguments=("--variant", "occ+md"), variant="occ+md"
+    ),
+    AblationRow(
         "no_missing",
         "missing pixels",
         "artifacts",
@@ -85,7 +87,7 @@ THINGS: Final = (
         arguments=("--variant", "occ+noise"),
         variant="occ+noise",
     ),
-    Thing(
+    AblationRow(
         "noise_50",
         "noise of more than 50 mm",
         "sub-kinds",
@@ -93,7 +95,7 @@ THINGS: Final = (
         ("--noise-mm", "50"),
         artifacts=Artifacts(noise=Noise(0, 50)),
     ),
-    Thing(
+    AblationRow(
         "missing_spread",
         "six shares of missing pixels, not three",
         "sub-kinds",
@@ -102,7 +104,7 @@ THINGS: Final = (
         artifacts=Artifacts(missing_data=MissingData(_SPREAD)),
         added=True,
     ),
-    Thing(
+    AblationRow(
         "losses",
         "patches, stripes, grazing surfaces lost",
         "sub-kinds",
@@ -111,8 +113,8 @@ THINGS: Final = (
         artifacts=Artifacts(losses=Losses(_LOSSES)),
         added=True,
     ),
-    Thing("dressed_233", "all but 233 bodies", "amount", source="dressed"),
-    Thing("no_clothes", "clothes", "bodies", ("dressed",), against="dressed_233", source="bare"),
+    AblationRow("dressed_233", "all but 233 bodies", "amount", source="dressed"),
+    AblationRow("no_clothes", "clothes", "bodies", ("dressed",), against="dressed_233", source="bare"),
     _only("no_people", "583 people of all shapes", "bodies", "open-[ABC]-*", helps=("all", "people")),
     _only("only_people", "postures and motions", "bodies", "open-P*", helps=("all", "A", "B", "C", "hard")),
     _only("one_distance", "2.15 m and 2.95 m", "views", "*-d255-*", helps=("near_far",), against="views_6"),
@@ -120,7 +122,7 @@ THINGS: Final = (
     _settings("half_resolution", "three of four pixels", "image", '{"shrink": 2, "patch": 8}', shrink=2, patch=8),
     _settings("quarter_resolution", "15 of 16 pixels", "image", '{"shrink": 4, "patch": 4}', shrink=4, patch=4),
     *(
-        Thing(f"step_{step}mm", f"steps finer than {step} mm", "image", ("all", "none"), None, step_mm=step)
+        AblationRow(f"step_{step}mm", f"steps finer than {step} mm", "image", ("all", "none"), None, step_mm=step)
         for step in STEPS_MM
     ),
     _settings("no_context", "the mean over the body", "network", '{"context": false}', context=False),
@@ -135,7 +137,7 @@ THINGS: Final = (
 )
 
 
-def spread_of(base: Mapping[str, Sequence[float]]) -> dict[str, float] | None:
+def deviation_of(base: Mapping[str, Sequence[float]]) -> dict[str, float] | None:
     """Exam -> standard deviation over seeds, in points; None for one seed. base: exam -> accuracy of each seed.
 
     The larger one of the exam's own and the root mean square of all: of three seeds, a deviation alone may be small
@@ -174,7 +176,7 @@ def verdict(found: Mapping[str, Tree], helps: Sequence[str]) -> Tree:
     """`RULE` applied to what `worth` found."""
     meant = [name for name in helps if name in found]
     pays = [name for name in meant if found[name]["points"] > found[name]["threshold"]]
-    harms = [name for name in HARMS_SOUGHT_ON if name in found and found[name]["points"] < -found[name]["threshold"]]
+    harms = [name for name in LOSSES_SOUGHT_ON if name in found and found[name]["points"] < -found[name]["threshold"]]
     perhaps = any(found[name]["points"] > LEAST_POINTS for name in meant)
     word = "pays" if pays else "undecided" if perhaps else "does not pay"
     return {"verdict": word, "pays_on": pays, "harms_on": harms}
@@ -188,7 +190,7 @@ def enough(rows: Iterable[Tree], prefix: str) -> str | None:
 
 def table(figures: Tree) -> str:
     """The rows of `bench_ablation`'s answer as a table of Markdown."""
-    titles = {exam["name"]: exam["title"] for exam in figures["exams"]}
+    titles = {condition["name"]: condition["title"] for condition in figures["conditions"]}
     lines = [
         "| left out (+ added) | seeds | accuracy on `all`, % | worth there, points | worth where it is meant to help "
         "| verdict | cost with → without |",

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benches.model.ablation.rows import BASE, ROW_OF_BASE, THINGS, Source, Thing, Tree
+from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
 from bodyseg_data.commands.options import place_name
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build, settings_of
-from bodyseg_model.training.geometric_augmentation import Placements
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS, Recipe
 
 NETWORK: Final = "compact"
@@ -24,7 +24,7 @@ NETWORK: Final = "compact"
 class Run:
     """A finished training and its folder."""
 
-    thing: Thing
+    thing: AblationRow
     seed: int
     path: Path
 
@@ -37,7 +37,7 @@ class Plan:
     settings: dict[str, Any]
 
 
-def find_runs(folders: Sequence[Path], things: Sequence[Thing] = THINGS) -> list[Run]:
+def find_runs(folders: Sequence[Path], things: Sequence[AblationRow] = ROWS) -> list[Run]:
     """All finished trainings of `things`, those of the base first; of two of one name, that in the first folder.
 
     Raises BadConfig if there is none of the base.
@@ -100,7 +100,7 @@ def sets_of(data: str, clothes: tuple[str, ...] | None) -> dict[Source, str]:
     return {"": data, "dressed": clothes[0], "bare": clothes[1]}
 
 
-def identities(sets: Mapping[Source, str], things: Sequence[Thing]) -> dict[str, Tree]:
+def identities(sets: Mapping[Source, str], things: Sequence[AblationRow]) -> dict[str, Tree]:
     """Thing -> what its training images are, and how many, of how many bodies and views."""
     found = {}
     for thing in {thing.name: thing for thing in things}.values():
@@ -120,7 +120,7 @@ def identities(sets: Mapping[Source, str], things: Sequence[Thing]) -> dict[str,
 
 
 def missing(
-    found: Sequence[Run], things: Sequence[Thing], plan: Plan, sets: Mapping[Source, str], folders: Sequence[Path]
+    found: Sequence[Run], things: Sequence[AblationRow], plan: Plan, sets: Mapping[Source, str], folders: Sequence[Path]
 ) -> list[Tree]:
     """The trainings that are not there, and what makes them."""
     there = {run.thing.name for run in found}
@@ -131,10 +131,10 @@ def missing(
     ]
 
 
-def _command(thing: Thing, recipe: Recipe, data: str, folder: Path) -> str:
+def _command(thing: AblationRow, recipe: Recipe, data: str, folder: Path) -> str:
     words = ["bodyseg", "train", "--data", place_name(data), "--out", f"{folder.name}/{thing.name}-0"]
-    words += ["--steps", str(recipe.steps), "--batch", str(recipe.batch)]
-    words += ["--no-placements"] if recipe.placements == Placements() else []
+    words += ["--steps", str(recipe.steps), "--batch", str(recipe.batch_size)]
+    words += ["--no-placements"] if recipe.geometric_augmentation == GeometricAugmentation() else []
     return shlex.join([*words, *(thing.arguments or ())])
 
 

@@ -23,7 +23,7 @@ from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is
 from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
-from benches.model.variants.scores import TABLE, Examiner
+from benches.model.variants.scores import TABLE, Evaluator
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
 from bodyseg_data.loading.batch_order import whole_number
@@ -72,8 +72,8 @@ def bench_architectures(
     """
     whole_number("the number of test images", images, 1)
     groups = groups_in(runs)
-    examiner = Examiner(data, images)
-    test_images = examiner.images(TABLE["all"])
+    evaluator = Evaluator(data, images)
+    test_images = evaluator.images(TABLE["all"])
     scale = _forest_scale(data, forest, next(iter(groups.values()))[0])
     cells = _cells()
     total = len(cells) + sum(map(len, groups.values())) + (2 if scale else 0)
@@ -101,7 +101,7 @@ def bench_architectures(
     device = find_device()
     for name, group in groups.items():
         for run in group:
-            scores[name].append(examiner.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
+            scores[name].append(evaluator.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
             did(f"judged {run.path.name}")
     if scale is not None:
         answer = evaluate(networks[FOREST], test_images, images, extras=(), batch_size=1)

@@ -14,7 +14,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.networks.registry import settings_of
 
-SHARED: Final = ("steps", "batch", "accumulate")
+SHARED: Final = ("steps", "batch_size", "accumulate")
 """Of a recipe; the rest may be what suits a network."""
 
 _NAME: Final = re.compile(r"(.+)-(\d+)")

@@ -16,15 +16,15 @@ import torch
 
 from benches.model.variants.claims import Ask, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, runs_in, train
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Examiner, Setting, Sweep
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Evaluator, Setting, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
-from bodyseg_model.training.distributed import Ranks, find_device
-from bodyseg_model.training.loop import Figures
+from bodyseg_model.training.distributed import ProcessGroup, find_device
+from bodyseg_model.training.loop import Metrics
 
 _PASSES: Final = 3
 """An image trained on takes about as long as so many that are only looked at: forwards, and twice as much backwards."""
@@ -54,13 +54,13 @@ def bench_variants(
     plan = common_plan(trainings, data, steps)
     sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})
     settings = list(dict.fromkeys([*TABLE.values(), *(each for sweep in sweeps.values() for each in sweep.settings)]))
-    examiner = Examiner(data, images)
-    test_images = min(images, len(examiner.images(settings[0])))
+    evaluator = Evaluator(data, images)
+    test_images = min(images, len(evaluator.images(settings[0])))
     work = _Work(trainings, plan, test_images * len(settings), progress)
     start = time.perf_counter()
     device = find_device()
     for run in work.missing:
-        train(run, plan, data, Ranks(0, 1, device), work.report(run))
+        train(run, plan, data, ProcessGroup(0, 1, device), work.report(run))
         work.trained(run)
     found: dict[tuple[Run, Setting], Tree] = {}
     networks = {run: load_network(run.path) for run in trainings}
@@ -68,13 +68,13 @@ def bench_variants(
         for run, trained in networks.items():
             network = trained.network.to(device)
             extras = run.variant == "all" and setting == TABLE["all"]
-            found[run, setting] = examiner.scores(run.path, network, setting, extras)
+            found[run, setting] = evaluator.scores(run.path, network, setting, extras)
             work.judged(run, setting, test_images)
 
     def ask(variant: VariantName, setting: Setting) -> list[Tree]:
         return [found[run, setting] for run in trainings if run.variant == variant]
 
-    manifest = examiner.images(settings[0]).manifest
+    manifest = evaluator.images(settings[0]).manifest
     return {
         "scale": {
             "steps": plan.recipe.steps,
@@ -105,7 +105,7 @@ def bench_variants(
 
 
 def _images_a_step(plan: Plan) -> int:
-    return plan.recipe.batch * plan.recipe.accumulate
+    return plan.recipe.batch_size * plan.recipe.accumulate
 
 
 def _curves(ask: Ask, sweep: Sweep) -> Tree:
@@ -155,8 +155,8 @@ class _Work:
     def _of_training(self, steps: int) -> int:
         return _PASSES * _images_a_step(self.plan) * steps
 
-    def report(self, run: Run) -> Callable[[Figures], None]:
-        def show(figures: Figures) -> None:
+    def report(self, run: Run) -> Callable[[Metrics], None]:
+        def show(figures: Metrics) -> None:
             note = f"training {run.name}, step {figures.step} of {self.plan.recipe.steps}, per class "
             self.progress(self.done + self._of_training(figures.step), self._total, f"{note}{figures.accuracy:.1%}")
 

@@ -18,13 +18,13 @@ from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build, settings_of
-from bodyseg_model.training.distributed import Ranks
-from bodyseg_model.training.loop import Course, Report, Training
+from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.loop import Report, RunOptions, Training
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
 NETWORK: Final = "compact"
-_COURSE: Final = Course()
+_RUN_OPTIONS: Final = RunOptions()
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,13 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     return shared
 
 
-def train(run: Run, plan: Plan, data: str, ranks: Ranks, report: Report) -> None:
+def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Report) -> None:
     """Train to the end, from the folder's last checkpoint if there is one, as `bodyseg train` would.
 
     Raises what `Training.run` raises.
     """
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
-    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), ranks, run.seed, _COURSE)
+    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, _RUN_OPTIONS)
     command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})

@@ -90,7 +90,7 @@ SWEEPS_ALONE: Final = {
 """The same without the other artifacts, which the paper does not show."""
 
 
-class Examiner:
+class Evaluator:
     """Asks one network after the other, and does not ask again what is kept in its folder."""
 
     def __init__(self, data: str, images: int) -> None:
