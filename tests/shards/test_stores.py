@@ -379,9 +379,9 @@ def test_forked_workers_read_by_range_while_their_parent_does(web: Nginx, expect
 READER = """
 import sys
 from pathlib import Path
-from bodyseg_data.addresses import open_store
-from bodyseg_data.cached_store import keep_shards
-from bodyseg_data.manifest import read_manifest
+from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.cache.store import keep_shards
+from bodyseg_data.shards.manifest import read_manifest
 store, _ = open_store(sys.argv[1])
 manifest = read_manifest(store)
 kept = keep_shards(store, manifest.shards, sys.argv[2], None)

@@ -91,7 +91,7 @@ def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
 
 
 def test_the_example_is_a_command_line() -> None:
-    options = parse(Options, EXAMPLE.split()[2:], "tools/chart", "", EXAMPLE)
+    options = parse(Options, EXAMPLE.split()[1:], "tools/chart", "", EXAMPLE)
     assert options == Options(in_=Path("docs/results"), out=Path("charts"))
 
 
