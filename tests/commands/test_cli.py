@@ -4,12 +4,13 @@ import importlib
 import inspect
 import json
 import os
+import signal
 import subprocess
 import sys
 import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from benches import __main__ as tools
@@ -200,6 +201,24 @@ def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytes
     monkeypatch.setattr(verify, "run", interrupt)
     assert main(["verify", "x"]) == 130
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a background job of a script, which Ctrl-C is not meant for."""
+
+    def interrupted(options: Any) -> int:
+        signal.raise_signal(number)
+        return 0
+
+    monkeypatch.setattr(verify, "run", interrupted)
+    before = signal.signal(number, signal.SIG_IGN)
+    actions = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    try:
+        assert cli.main(["verify", "shards"]) == 0
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == actions
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help"])
