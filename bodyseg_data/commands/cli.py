@@ -85,8 +85,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
-        if signal.getsignal(signal.SIGTERM) is _stop:  # else this process is ending
-            for number, action in before.items():
+        for number, action in before.items():
+            if signal.getsignal(number) is _stop:  # else this process is ending
                 signal.signal(number, action)
 
 

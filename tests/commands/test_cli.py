@@ -4,13 +4,13 @@ import importlib
 import inspect
 import json
 import os
+import signal
 import subprocess
 import sys
 import typing
 from dataclasses import dataclass
-from importlib import util
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from benches import __main__ as tools
@@ -18,7 +18,7 @@ from benches import bench
 from folders import ROOT
 from PIL import Image
 
-from bodyseg_data.commands import cli, shard
+from bodyseg_data.commands import cli, shard, verify
 from bodyseg_data.commands.options import option, parse
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS, main
@@ -181,26 +181,44 @@ def test_a_plan_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(name: str, words: list[str]) -> int:
+    def fail(options: object) -> int:
         raise ZeroDivisionError("by zero\nindeed")
 
-    monkeypatch.setattr(cli, "_run", fail)
+    monkeypatch.setattr(verify, "run", fail)
     monkeypatch.delenv("BODYSEG_TRACEBACK", raising=False)
-    assert main(["verify"]) == cli.INTERNAL_ERROR
+    assert main(["verify", "x"]) == cli.INTERNAL_ERROR
     line = "bodyseg verify: internal error: ZeroDivisionError: by zero indeed (BODYSEG_TRACEBACK=1 shows where)\n"
     assert capsys.readouterr().err == line
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
-        main(["verify"])
+        main(["verify", "x"])
 
 
 def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def interrupt(name: str, words: list[str]) -> int:
+    def interrupt(options: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_run", interrupt)
-    assert main(["verify"]) == 130
+    monkeypatch.setattr(verify, "run", interrupt)
+    assert main(["verify", "x"]) == 130
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a background job of a script, which Ctrl-C is not meant for."""
+
+    def interrupted(options: Any) -> int:
+        signal.raise_signal(number)
+        return 0
+
+    monkeypatch.setattr(verify, "run", interrupted)
+    before = signal.signal(number, signal.SIG_IGN)
+    actions = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    try:
+        assert cli.main(["verify", "shards"]) == 0
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == actions
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help"])
@@ -264,11 +282,14 @@ def test_a_picture_that_cannot_be_written_is_one_line(
 def test_every_bench_has_its_module_and_its_figure() -> None:
     assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
     for name, takes in bench.BENCHES.items():
-        measure = getattr(importlib.import_module(f"{takes.package}.{name}"), f"bench_{name}")
+        home = f"benches.{takes.home}"
+        measure = getattr(importlib.import_module(home), f"bench_{name}")
         parameters = inspect.signature(measure).parameters
         assert {"progress", *takes.takes} == set(parameters)
         assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.needs)
-        assert (util.find_spec(f"{takes.package}.{name}_figure") is not None) == takes.figure
+        if takes.figure is not None:
+            figure = importlib.import_module(f"{home.rpartition('.')[0]}.{takes.figure}")
+            assert callable(getattr(figure, f"draw_{name}"))
 
 
 def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
