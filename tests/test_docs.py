@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import io
 import re
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
 from benches.__main__ import main as tools_main
 from benches.bench import BENCHES
+
 from bodyseg_model.commands.cli import main as bodyseg_main
 
 ROOT = Path(__file__).parents[1]
@@ -26,7 +29,9 @@ FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/
 PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")
 DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+(?!/)")
 BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z]+)")
-COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg )(\w+)\b(?![ /][\d\"\w]*/|\.)([^`\n]*)", re.MULTILINE)
+COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
+"""A command's name, which is no folder, file or format ("bodyseg shards 3"), and the rest of its line."""
+
 OPTION = re.compile(r"(?<=\s)--[a-z][a-z-]*")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
@@ -89,27 +94,36 @@ def is_reached(link: str, text: str, folder: Path) -> bool:
     return not anchor or anchor in anchors(text if target is None else target.read_text())
 
 
+@cache
+def python_files() -> list[str]:
+    """Paths of all Python files of the project, with a slash before each."""
+    homes = (ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools", "tests"))
+    return [f"/{path.relative_to(ROOT).as_posix()}" for home in homes for path in home.rglob("*.py")]
+
+
 def wrong_names(text: str, folder: Path) -> list[str]:
     """Files, modules, commands, benches and links of a document in `folder` that are not there."""
-    files = [f"/{path.relative_to(ROOT).as_posix()}" for path in ROOT.glob("*/**/*.py") if path.parts[-2][0] != "."]
     wrong = [f"file {name}" for name in FILE.findall(text) if not (ROOT / name).exists()]
-    wrong += [f"file {name}" for name in PYTHON_FILE.findall(text) if not any(f.endswith(f"/{name}") for f in files)]
+    known = python_files()
+    wrong += [
+        f"file {name}" for name in PYTHON_FILE.findall(text) if not any(path.endswith(f"/{name}") for path in known)
+    ]
     wrong += [f"name {name}" for name in [*DOTTED_NAME.findall(text), *imported(text)] if not is_defined(name)]
     wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
     wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES]
     return wrong + [f"target {link}" for link in LINK.findall(text) if not is_reached(link, text, folder)]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_whatever_a_document_names_exists(document: Path) -> None:
-    assert not wrong_names(document.read_text(), document.parent)
+def test_whatever_a_document_names_exists() -> None:
+    found = {str(path.relative_to(ROOT)): wrong_names(path.read_text(), path.parent) for path in DOCUMENTS}
+    assert not {document: wrong for document, wrong in found.items() if wrong}
 
 
 def test_names_of_nothing_are_found() -> None:
     text = """
 # One heading
 
-See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing --json`,
+See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
 [a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loader.py`,
 `loader.py`, `bodyseg_data.loading.loader.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
 [a page](architecture.md#rooms), [a heading](#one-heading) and `tools/bench codec`.
@@ -132,22 +146,33 @@ from bodyseg_data.loading.loader import Loader, Nothing
     ]
 
 
+def test_every_decision_is_in_the_index() -> None:
+    folder = ROOT / "docs" / "decisions"
+    pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
+    assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../architecture.md"}
+
+
 def options_on_command_lines() -> dict[str, set[str]]:
     """Command -> the options that the documents' command lines give it."""
     found: dict[str, set[str]] = {}
     for document in DOCUMENTS:
         for name, rest in COMMAND.findall(document.read_text().replace("\\\n", " ")):
             found.setdefault(name, set()).update(OPTION.findall(rest.partition(" # ")[0]))
-    return {name: options for name, options in found.items() if options}
+    return found
 
 
-@pytest.mark.parametrize(("name", "options"), sorted(options_on_command_lines().items()), ids=lambda value: str(value)[:9])
-def test_commands_have_the_options_that_documents_give_them(
-    name: str, options: set[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")  # no option's name is wrapped
-    with contextlib.suppress(SystemExit):
+def options_of(name: str) -> set[str]:
+    """The options that a command's help lists."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([name, "--help"])
-    offered = set(re.findall(r"--[a-z][a-z-]*", capsys.readouterr().out))
-    assert "--help" in offered or "-h" in offered
-    assert not options - offered
+    return set(re.findall(r"--[a-z][a-z-]*", out.getvalue()))
+
+
+def test_commands_have_the_options_that_documents_give_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")  # no option's name is wrapped
+    given = options_on_command_lines()
+    assert {"--source", "--plan"} <= given["shard"]
+    assert "--json" in options_of("bench")
+    wrong = {name: options - options_of(name) for name, options in given.items() if options}
+    assert not {name: options for name, options in wrong.items() if options}
