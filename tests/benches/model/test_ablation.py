@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.ablation import bench as ablation
+from benches.model.ablation import conditions as ablation_exams
 from benches.model.ablation import costs as ablation_costs
 from benches.model.ablation.bench import bench_ablation
 from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, coarse_conditions, hard_condition, stepped
@@ -160,6 +161,9 @@ def test_a_second_run_asks_nothing_again(
     assert seen[-1] == (11 * 8 + 8 * 2 + 4,) * 2 and [done for done, _ in seen] == list(range(1, len(seen) + 1))
     with pytest.raises(AssertionError, match="nothing is left"):  # these images have not been shown
         bench_ablation(str(figures_set), runs, IMAGES + 1)
+    kept = json.loads((runs[0] / "all-0" / variants_scores.FILE).read_text())["results"].values()
+    code = {ablation_exams.__name__, variants_scores.__name__}  # that which makes an exam's images, and that which asks
+    assert len(kept) == 11 + 8 and all(set(each["modules"]) == code for each in kept)
 
 
 def test_missing_trainings_are_named_as_the_command_takes_them(
