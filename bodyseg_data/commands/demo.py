@@ -74,7 +74,7 @@ def run(options: Options) -> int:
 def _stream(shards: Path, variant: str, workers: int) -> dict[str, Any]:
     """Two passes over the training split: the first starts the workers, the second is timed."""
     images = RangeImages(shards, variant=variant, split="train", seed=0)
-    batches = loader(images, batch_size=20, workers=workers)
+    batches = loader(images, batch_size=20, num_workers=workers)
     kept = pixels = 0
     ranges: list[float] = []
     for batch in batches:

@@ -45,8 +45,8 @@ def trained(data: Path, out: Path, arguments: tuple[str, ...]) -> None:
         words[place] = json.dumps({**SETTINGS, **json.loads(words[place])})
     else:
         words += ["--settings", json.dumps(SETTINGS)]
-    words += ["--data", str(data), "--out", str(out), "--steps", str(STEPS), "--batch", "2"]
-    assert train.run(parse(train.Options, [*words, "--workers", "0", "--device", "cpu"], "train", "", "")) == 0
+    words += ["--data", str(data), "--out", str(out), "--steps", str(STEPS), "--batch-size", "2"]
+    assert train.run(parse(train.Options, [*words, "--num-workers", "0", "--device", "cpu"], "train", "", "")) == 0
 
 
 def as_if_trained(data: Path, like: Path, out: Path, thing: AblationRow, weights: int) -> None:
@@ -174,7 +174,7 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
         f"{name}-0" for name in TRAINED
     }
     assert missing["one_distance-0"] == (
-        "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch 2 --only '*-d255-*'"
+        "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch-size 2 --only '*-d255-*'"
     )
     for thing in ROWS:
         if thing.arguments is not None:

@@ -48,7 +48,7 @@ def trained_by_command(data: Path, out: Path, variant: str) -> None:
         steps=STEPS,
         batch_size=2,
         settings=SETTINGS,
-        workers=0,
+        num_workers=0,
         device="cpu",  # type: ignore[arg-type]
     )
     assert train_command.run(options) == 0
@@ -66,7 +66,7 @@ def small() -> Iterator[None]:
         for sweeps in (SWEEPS, SWEEPS_ALONE):
             for name, sweep in sweeps.items():
                 patch.setitem(sweeps, name, short(sweep, 0, *(s for s in sweep.strengths if s in (40, 0.5))))
-        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, workers=0))
+        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, num_workers=0))
         yield
 
 
@@ -383,7 +383,7 @@ def test_the_command_writes_what_was_measured(
         (["variants", "--views", "3"], "--views is for bench occlusion, borders, reduction"),
         (["codec", "--alone"], "--alone is for bench variants, found it with bench codec"),
         (["codec", "--runs", "x"], "--runs is for bench variants, network, sensors, architectures"),
-        (["codec", "--workers", "1"], "--workers is for bench loader, found it with bench codec"),
+        (["codec", "--num-workers", "1"], "--num-workers is for bench loader, found it with bench codec"),
     ],
 )
 def test_options_go_with_their_bench(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
