@@ -27,6 +27,7 @@ HEAVY = [
     "pymeshlab",
     "pyrender",
     "scipy",
+    "skimage",
     "sklearn",
     "tensorboard",
     "transformers",
