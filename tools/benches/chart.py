@@ -26,7 +26,7 @@ _ALL = "charts.json"
 class Options:
     """What the command takes."""
 
-    in_: Path = option("folder of the benches' figures, BENCH.json each")
+    in_: Path = option("folder of the benches' figures, BENCH.json each", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
     page: Path | None = option("also fill the template PATH.in with numbers of --in, and write it to this file", None)
 
