@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.views import SCALES
 from bodyseg_data.artifacts.occlusion import (
-    EDGE_M,
-    FARTHEST,
-    GAP_STEPS,
-    SURFACE_GAP_M,
     Floats,
     ShadowTest,
     four_texels,
     framed,
     reached,
 )
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M, SHADOW_THRESHOLDS
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 """Camera range, projector range, facing bit, as `ShadowTest.lit` takes them."""
@@ -33,9 +29,9 @@ Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 Stored = Literal["whole", "occluder", "coarse"]
 """All texels; those that can shade a pixel; those, rounded as far as no pixel's answer changes."""
 
-DEFAULT_BIAS_MM: Final = SURFACE_GAP_M * 1000
+DEFAULT_BIAS_MM: Final = SHADOW_THRESHOLDS.surface_gap_m * 1000
 STEPS_MM: Final = (1.0, 2.0, 4.0, 8.0)
-_TORN: Final = np.int32(round(EDGE_M / RANGE_STEP_M))  # a larger difference between neighbours is no slope
+_TORN: Final = np.int32(SHADOW_THRESHOLDS.edge_steps)  # a larger difference between neighbours is no slope
 
 
 @dataclass(frozen=True)
@@ -82,7 +78,7 @@ class Method:
 DEFAULT: Final = Method("interpolated, votes at edges", DEFAULT_BIAS_MM, reached)
 
 _PLAIN: Final[tuple[Stored, ...]] = ("whole", "occluder")
-_EDGE_MM: Final = EDGE_M * 1000
+_EDGE_MM: Final = SHADOW_THRESHOLDS.edge_m * 1000
 _OTHER_CONSTANTS: Final = ((4, 20), (6, 15), (6, 20), (6, 30), (8, 20), (8, 30), (10, 20), (10, 30), (15, 30))
 
 
@@ -149,7 +145,7 @@ def nearest(bias_mm: float, slope: float = 0.0) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         image, start = framed(projector_range), nearest_texel(projector_range, x, y)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         if slope:
             across, down = slopes(image, start)
             limit -= np.float32(slope) * (np.abs(across) + np.abs(down))
@@ -168,9 +164,9 @@ def plane(bias_mm: float) -> Rule:
         across, down = slopes(image, start)
         half = np.float32(0.5)
         x_off, y_off = x - np.floor(x + half), y - np.floor(y + half)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias - across * x_off - down * y_off
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias - across * x_off - down * y_off
         # Nothing is behind an empty texel, whatever the slope beside it.
-        limit = np.minimum(limit, FARTHEST)
+        limit = np.minimum(limit, FARTHEST_STEPS)
         lit: NDArray[np.bool_] = image.ravel().take(start) >= limit
         return lit
 
@@ -183,7 +179,7 @@ def farthest(bias_mm: float) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         (a, b, c, d), _, _ = four_texels(projector_range, x, y)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         lit: NDArray[np.bool_] = np.maximum(np.maximum(a, b), np.maximum(c, d)) >= limit
         return lit
 
@@ -196,7 +192,7 @@ def votes(bias_mm: float, slope: float = 0.0) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         texels, along, below = four_texels(projector_range, x, y)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         if slope:
             across, down = slopes(framed(projector_range), nearest_texel(projector_range, x, y))
             limit -= np.float32(slope) * (np.abs(across) + np.abs(down))
@@ -213,7 +209,9 @@ def interpolated(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away
     texels, along, below = four_texels(projector_range, x, y)
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = np.minimum(away - 1, FARTHEST) - (upper + below * (lower - upper)) <= GAP_STEPS
+    lit: NDArray[np.bool_] = (
+        np.minimum(away - 1, FARTHEST_STEPS) - (upper + below * (lower - upper)) <= SHADOW_THRESHOLDS.gap_steps
+    )
     return lit
 
 
