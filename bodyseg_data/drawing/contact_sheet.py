@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.variants import VARIANTS, RangeImage, VariantName
+from bodyseg_data.artifacts import caption
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.parts import colour_labels
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
@@ -86,7 +88,7 @@ def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
         (_metres(occluder), colour_range(occluder, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
-    panels += [(_note(image), colour_range(image.range, *span)) for image in row.variants.values()]
+    panels += [(caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
     return [(note, _fit(picture)) for note, picture in panels]
 
@@ -112,15 +114,6 @@ def _fit(picture: NDArray[np.uint8]) -> Image.Image:
     scale = min(_PANEL_ROWS / height, _PANEL_COLUMNS / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return Image.fromarray(picture).resize(size, Image.Resampling.NEAREST)
-
-
-def _note(image: RangeImage) -> str:
-    drawn = []
-    if image.sigma_mm is not None:
-        drawn.append(f"noise {image.sigma_mm:.0f} mm")
-    if image.missing_rate is not None:
-        drawn.append(f"{image.missing_rate:.0%} missing")
-    return ", ".join(drawn)
 
 
 def _caption(sample: Sample) -> str:

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-import json
 import operator
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict
@@ -22,7 +20,9 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from bodyseg_data.artifacts.variants import Artifacts, Augmentation, RangeImage, artifacts_of, check_variant
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
@@ -142,7 +142,7 @@ class RangeImages(Dataset[dict[str, Any]]):
     def _sample(self, index: int, into: Into | None = None) -> Sample:
         """What the variant needs of a stored sample; into: see `decode_sample`."""
         shard, within = self._where(index)
-        return self._reader.read(shard, within, artifacts_of(self.augmentation.variant).occlusion, into)
+        return self._reader.read(shard, within, self.augmentation.needs_projector, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
@@ -191,13 +191,12 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def identity(self) -> dict[str, Any]:
         """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
-        strengths = json.loads(json.dumps(asdict(self.augmentation.artifacts)))
         return {
             "set": self._digest,
             "split": self.split,
             "variant": self.variant,
             "seed": self.seed,
-            "artifacts": {name: strength for name, strength in strengths.items() if strength is not None},
+            "artifacts": self.augmentation.artifacts.to_json(),
         } | ({"only": list(self.only)} if self.only else {})
 
     @cached_property

@@ -26,6 +26,7 @@ from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
@@ -174,6 +175,7 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "tolerance_mm": packing.tolerance_mm,
         "views": [view.name for view in packing.views],
         "rig": packing.rig.to_json(),
+        "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
         "codec": packing.codec,
         "shards": [shard.name for shard in shards],

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import Known, Sample, info_from_json
+from bodyseg_data.core.sample import Occupancy, Sample, info_from_json
 from bodyseg_data.shards.codecs.bodyseg_images import Decoded, decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels, split_labels
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
@@ -76,8 +76,8 @@ def decode_sample(key: str, members: Mapping[str, bytes], projector: bool = True
         info = info_from_json(json.loads(members["json"]), key)
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
-    places = None if into is None else Known(images.edges, images.texels)
-    return Sample(key, images.range, images.occluder, images.labels, images.facing, info, places)
+    occupancy = None if into is None else Occupancy(images.edges, images.texels)
+    return Sample(key, images.range, images.occluder, images.labels, images.facing, info, occupancy)
 
 
 def _decode_bsi(key: str, data: bytes, projector: bool, into: Into | None) -> Decoded:

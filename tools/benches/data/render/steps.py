@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.codec.baselines import predicted
+from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
@@ -24,7 +25,7 @@ from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range
 from bodyseg_data.packing.pack import Packing
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
