@@ -2,28 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import torch
 
-from bodyseg_data.core.parts import PARTS
+from bodyseg_data.core.parts import MIRRORED_LABELS
 from bodyseg_data.core.randomness import chance
-
-
-def _mirrored_parts() -> torch.Tensor:
-    """uint8 [256]: a label -> the label of the same place on the other side of the body."""
-    table = torch.arange(256, dtype=torch.uint8)
-    names = {part.landmark: part.label for part in PARTS}
-    for part in PARTS:
-        table[part.label] = (
-            names[_OTHER[part.landmark[:3]] + part.landmark[3:]] if part.side != "middle" else part.label
-        )
-    return table
-
-
-_OTHER: Final = {"Rt.": "Lt.", "Lt.": "Rt."}
-MIRRORED_PARTS: Final = _mirrored_parts()
-"""uint8 [256]: label -> label of its mirror image; parts of the middle, and what is no part, are their own."""
 
 
 def body_window(measured: torch.Tensor, margin: int) -> tuple[slice, slice] | None:
@@ -56,7 +38,7 @@ def mirror(range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor) ->
     A mirrored person's left hand is a right hand, so labels change sides. Shadows change sides, too: such an image is
     that of a rig whose projector stands on the camera's other side.
     """
-    flipped = MIRRORED_PARTS.to(labels.device)[labels.flip(-1).long()]
+    flipped = torch.from_numpy(MIRRORED_LABELS).to(labels.device)[labels.flip(-1).long()]
     return (
         torch.where(chosen[:, None, None, None], range_m.flip(-1), range_m),
         torch.where(chosen[:, None, None], flipped, labels),

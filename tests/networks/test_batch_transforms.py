@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from bodyseg_data.core.parts import PARTS
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS, body_window, cut_to_bodies, mirror, mirror_draws
-
-
-def test_a_mirror_exchanges_left_and_right_and_nothing_else() -> None:
-    for part in PARTS:
-        other = PARTS[int(MIRRORED_PARTS[part.label])]
-        assert other.landmark == part.landmark.replace("Rt.", "@").replace("Lt.", "Rt.").replace("@", "Lt.")
-        assert other.face == part.face
-        assert int(MIRRORED_PARTS[other.label]) == part.label
-    assert (MIRRORED_PARTS[33:] == torch.arange(33, 256)).all()
+from bodyseg_model.networks.batch_transforms import body_window, cut_to_bodies, mirror, mirror_draws
 
 
 def test_chosen_images_are_mirrored() -> None:
