@@ -50,6 +50,12 @@ class Table:
             raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
         return int(value)
 
+    def flag(self, key: str) -> bool:
+        value = self._take(key, "flag")
+        if not isinstance(value, bool):
+            raise BadConfig(f"{self.where}: {key!r} must be true or false, found {_shown(value)}")
+        return value
+
     def text(self, key: str) -> str:
         value = self._take(key, "text")
         if not isinstance(value, str):

@@ -29,7 +29,7 @@ from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
 
 Method = Literal["as it is", "scaled", "turned and scaled"]
@@ -64,10 +64,9 @@ class Scene:
 def all_scenes() -> list[Scene]:
     """The known camera as it is known; the others at all distances, and past a body in all directions."""
     scenes = [Scene(KNOWN, load_rig().camera, KNOWN_AT_M)]
-    for shape, (sensor, _) in SENSORS.items():
-        camera = frame_camera(shape, sensor).camera
-        scenes += [Scene(sensor, camera, distance) for distance in DISTANCES_M]
-        scenes += [Scene(sensor, camera, ASIDE_AT_M, turn) for turn in DIRECTIONS_DEG]
+    for sensor in other_sensors():
+        scenes += [Scene(sensor.title, sensor.camera, distance) for distance in DISTANCES_M]
+        scenes += [Scene(sensor.title, sensor.camera, ASIDE_AT_M, turn) for turn in DIRECTIONS_DEG]
     return scenes
 
 
