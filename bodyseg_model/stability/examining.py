@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from torch import nn
 
 from bodyseg_data.artifacts import losses
 from bodyseg_data.core.errors import BadConfig
@@ -24,6 +23,7 @@ from bodyseg_model.networks import batch_transforms as crops
 from bodyseg_model.networks import range_input
 from bodyseg_model.networks import registry as networks
 from bodyseg_model.networks.checkpoints import NETWORK, read_bytes, read_json, write_json
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation import resampling
 from bodyseg_model.stability import scenes as scenes_module
@@ -38,7 +38,7 @@ Accuracies = dict[str, dict[Setting, float]]
 """Run's name -> setting -> average per-class accuracy."""
 
 
-def accuracy(network: nn.Module, pictures: Sequence[Picture]) -> float:
+def accuracy(network: Network, pictures: Sequence[Picture]) -> float:
     """Average per-class accuracy of a network, in evaluation mode, of one confusion matrix over all pictures.
 
     They are shown one by one, as a sensor gives them: what is cut out of a batch depends on all its bodies. NaN if

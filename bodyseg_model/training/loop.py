@@ -27,7 +27,7 @@ from bodyseg_data.loading.range_images import Batch
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import margin, settings_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
@@ -79,7 +79,7 @@ class Training:
 
     def __init__(
         self,
-        network: nn.Module,
+        network: Network,
         name: str,
         images: RangeImages,
         recipe: Recipe,
@@ -102,7 +102,7 @@ class Training:
         """What is trained on what, as plain JSON: two trainings with one plan have one result."""
         return {
             "network": self.name,
-            "settings": settings_of(self.network),
+            "settings": self.network.settings,
             "variant": self.images.variant,
             "seed": self.seed,
             "recipe": asdict(self.recipe),
@@ -188,7 +188,8 @@ class Training:
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
             if recipe.crop:
-                range_m, labels = cut_to_bodies(range_m, labels, margin(self.network))
+                network = self.network
+                range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
             if recipe.mirror:
                 range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
             range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])

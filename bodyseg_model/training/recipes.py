@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
@@ -126,7 +126,12 @@ PRESETS: Final[dict[str, Recipe]] = {
         geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
     ),
 }
-"""Recipe's name -> recipe. A network has the one of its own name, or else that of `compact`."""
+"""Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
+
+if TYPE_CHECKING:
+    RecipeName = str
+else:
+    RecipeName = Literal[tuple(PRESETS)]
 
 
 def recipe_for(name: str, **changes: Any) -> Recipe:

@@ -19,8 +19,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from torch import nn
-
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
@@ -31,6 +29,7 @@ from bodyseg_model.networks import batch_transforms as crops
 from bodyseg_model.networks import range_input
 from bodyseg_model.networks import registry as networks
 from bodyseg_model.networks.checkpoints import read_bytes, read_json, write_json
+from bodyseg_model.networks.network import Network
 
 FORMAT: Final = "bodyseg sweep 1"
 FILE: Final = "sweep.json"
@@ -103,7 +102,7 @@ class Evaluator:
             self._opened = setting, setting.open(self._data)
         return self._opened[1]
 
-    def scores(self, folder: Path, network: nn.Module, setting: Setting, extras: bool) -> dict[str, Any]:
+    def scores(self, folder: Path, network: Network, setting: Setting, extras: bool) -> dict[str, Any]:
         """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
 
         extras: count confidences and distances to borders as well. Raises BadConfig for a file of kept scores that
@@ -125,7 +124,7 @@ class Evaluator:
 class _Kept:
     """The scores in a run's folder that belong to its network as it is now, and to the code as it is now."""
 
-    def __init__(self, folder: Path, network: nn.Module) -> None:
+    def __init__(self, folder: Path, network: Network) -> None:
         self._file = folder / FILE
         weights = hashlib.sha256(read_bytes(folder / "network.safetensors")).hexdigest()
         card = read_json(folder / "network.json")
