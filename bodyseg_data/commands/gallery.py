@@ -22,7 +22,9 @@ _VIEWS: Final = 48
 class Options:
     """What the command takes."""
 
-    folders: tuple[str, ...] = option("folders or addresses of sets of shards, all of one rig", positional=True)
+    folders: tuple[str, ...] = option(
+        "folders or addresses of sets of shards, all of one rig", positional=True, address=True
+    )
     out: Path = option("write the picture to this PNG file")
     views: int | None = option("how many views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
 

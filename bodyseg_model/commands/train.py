@@ -45,9 +45,9 @@ class Options:
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
     recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
-    batch: int | None = option("images that go through the network together (default: the recipe's)", None)
+    batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
-    rate: float | None = option("learning rate of the last layer (default: the recipe's)", None)
+    learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
@@ -57,7 +57,7 @@ class Options:
     compile: bool = option("compile the network for this machine first", False)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
-    workers: int = option("processes that load images", 2)
+    num_workers: int = option("processes that load images", 2)
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
@@ -68,13 +68,13 @@ def run(options: Options) -> int:
     recipe = recipe_for(
         options.recipe or network_class(options.network).default_recipe,
         steps=options.steps,
-        batch_size=options.batch,
+        batch_size=options.batch_size,
         accumulate=options.accumulate,
-        learning_rate=options.rate,
+        learning_rate=options.learning_rate,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
-    run_options = RunOptions(options.log_every, options.checkpoint_every, options.workers, options.compile)
+    run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.compile)
     images = RangeImages(
         options.data, options.variant, "train", options.seed, artifacts=_artifacts(options), only=options.only
     )

@@ -174,7 +174,7 @@ def evaluate(
     *,
     extras: Collection[Extra] = EXTRAS,
     batch_size: int = 16,
-    workers: int = 0,
+    num_workers: int = 0,
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[Seen, float], None] | None = None,
 ) -> Evaluation:
@@ -198,7 +198,7 @@ def evaluate(
     device = device_of(network)
     lap = _Stopwatch().lap
     done = 0
-    for batch in _batches(images, wanted, batch_size, workers):
+    for batch in _batches(images, wanted, batch_size, num_workers):
         found.seconds.loading += lap()
         keys = batch["key"][: wanted - done]
         answer = predict(network, batch["range"][: len(keys)].to(device))
@@ -217,10 +217,10 @@ def evaluate(
     return found
 
 
-def _batches(images: RangeImages, wanted: int, batch_size: int, workers: int) -> Iterator[Batch]:
+def _batches(images: RangeImages, wanted: int, batch_size: int, num_workers: int) -> Iterator[Batch]:
     """Batches that hold the first `wanted` images of the permutation, and maybe more."""
     # One process evaluates, whatever torchrun says; and the order is that of the images' epoch, for every split.
-    batches = loader(images, batch_size, workers, shuffle=True, rank=0, world_size=1)
+    batches = loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1)
     for number, batch in enumerate(batches, 1):
         yield batch
         if number * batch_size >= wanted:

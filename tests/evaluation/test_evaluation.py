@@ -98,7 +98,9 @@ def test_scores_are_those_of_single_images(
 ) -> None:
     images = open_images(str(figures_set), variant)
     steps: list[tuple[int, int]] = []
-    found = evaluate(network, images, batch_size=batch_size, workers=workers, progress=lambda *step: steps.append(step))
+    found = evaluate(
+        network, images, batch_size=batch_size, num_workers=workers, progress=lambda *step: steps.append(step)
+    )
     expected = plainly(network, images)
     assert set(found.subsets) == {"A", "people"}
     for name, scores in found.subsets.items():
@@ -323,7 +325,7 @@ def test_the_command_writes_scores_and_figures(
     figures_set: Path, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "scores.json"
-    words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--workers", 0]
+    words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--num-workers", 0]
     assert call(*words, "--figures", tmp_path / "figures") == 0
     assert "8 images: average per-class accuracy " in capsys.readouterr().err
     tree = json.loads(out.read_text())
@@ -341,7 +343,7 @@ def test_the_command_writes_scores_and_figures(
     assert set(sizes) == {"parts.png", "confusion.png", "confidence.png", "border_distance.png", "samples.png"}
 
     again = tmp_path / "again.json"
-    assert call(*words[:4], "--json", again, "--frames", 0, "--workers", 0, "--batch-size", 3) == 0
+    assert call(*words[:4], "--json", again, "--frames", 0, "--num-workers", 0, "--batch-size", 3) == 0
     other = json.loads(again.read_text())
     assert other["milliseconds_per_frame"] is None
     assert {name: other[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")} == {
@@ -353,7 +355,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
     figures_set: Path, run_folder: Path, tmp_path: Path, pack_figures: Callable[..., Path], capsys: Any
 ) -> None:
     out = tmp_path / "scores.json"
-    common = ("--run", run_folder, "--json", out, "--frames", 0, "--workers", 0, "--images", 3)
+    common = ("--run", run_folder, "--json", out, "--frames", 0, "--num-workers", 0, "--images", 3)
     halves = [figures_set / "test-00000.tar", figures_set / "test-00001.tar"]
     assert call(*common, "--data", *halves) == 0
     tree = json.loads(out.read_text())
@@ -376,7 +378,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
-        (["--variant", "none", "--noise", "5"], "a fixed strength of noise is for a variant that has any"),
+        (["--variant", "none", "--noise-mm", "5"], "a fixed strength of noise is for a variant that has any"),
         (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
@@ -395,7 +397,7 @@ def test_one_line_says_what_is_wrong(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").touch()
-    usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--workers": 0}
+    usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--num-workers": 0}
     usual |= dict(zip(words[::2], words[1::2], strict=True))
     assert call(*(word for pair in usual.items() for word in pair)) == 2
     error = capsys.readouterr().err
@@ -424,7 +426,7 @@ def test_an_interrupted_evaluation_leaves_no_file(
 
     monkeypatch.setattr(evaluation, "predict", interrupt)
     words = ("--run", run_folder, "--data", figures_set, "--json", tmp_path / "x.json")
-    assert call(*words, "--workers", 0, "--batch-size", 2) == 130
+    assert call(*words, "--num-workers", 0, "--batch-size", 2) == 130
     assert list(tmp_path.iterdir()) == []
 
 
@@ -432,7 +434,7 @@ def test_without_a_run_the_network_that_ships_is_judged(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(command, "shipped_network", lambda: command.load_network(run_folder))
-    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--workers", 0) == 0
+    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None
 
 

@@ -18,13 +18,13 @@ from typing import Any
 import pytest
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary
+from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
 from bodyseg_data.shards.cache.store import CachedStore, keep_shards
 from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.stores.store import LocalFolder, open_file
+from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file
 from bodyseg_data.shards.tar import ShardReader
 
 fsspec = pytest.importorskip("fsspec")
@@ -106,9 +106,12 @@ def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Pat
     for wrong in (-1, 1.5, True, "10"):
         with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
-    for wrong_patience in ({"tries": 0}, {"tries": 1.5}, {"total_s": 0}, {"stall_s": float("nan")}, {"total_s": "5"}):
-        with pytest.raises(BadConfig, match="Patience: (tries|total_s|stall_s) must be a "):
-            RetryPolicy(**wrong_patience)
+    for name, wrong in (("tries", 0), ("tries", 1.5), ("progress_bytes", 0), ("progress_bytes", True)):
+        with pytest.raises(BadConfig, match=f"Patience: {name} must be a whole number of at least 1, found {wrong}"):
+            RetryPolicy(**{name: wrong})
+    for name, wrong in (("total_s", 0), ("stall_s", float("nan")), ("total_s", "5")):
+        with pytest.raises(BadConfig, match=f"Patience: {name} must be a positive number of seconds, found {wrong!r}"):
+            RetryPolicy(**{name: wrong})
 
 
 @pytest.mark.parametrize("missing", ["fsspec", "aiohttp"])
@@ -153,13 +156,25 @@ def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path
         assert store.whole("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
 
 
+class Stricter:
+    """A store that takes a file of 1 kB for one of 256 MiB."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._store, name)
+
+    def whole(self, name: str, limit: int) -> bytes | None:
+        assert limit == 1 << 28
+        return self._store.whole(name, 1000)
+
+
 @pytest.mark.parametrize("remote", [False, True])
-def test_a_manifest_larger_than_any_is_not_read(
-    remote: bool, memory: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bodyseg_data.shards.manifest._LARGEST_MANIFEST", 1000)
-    with pytest.raises(Exception, match=r"manifest.json.*at most 1000 bytes are read, found more"):
-        read_manifest(open_store(memory)[0] if remote else figures_set)
+def test_a_manifest_larger_than_any_is_not_read(remote: bool, memory: str, figures_set: Path) -> None:
+    store = open_store(memory if remote else str(figures_set))[0]
+    with pytest.raises((BadShard, Unreachable), match=r"manifest.json.*at most 1000 bytes are read, found more"):
+        read_manifest(Stricter(store))
 
 
 def test_the_cache_is_where_the_system_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -240,14 +255,20 @@ def test_threads_that_want_one_shard_fetch_it_once(tmp_path: Path) -> None:
     assert cache.read(record(7), 1020, 100) == b"\7" * 4
 
 
-def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(tmp_path: Path) -> None:
-    class Late(ShardCache):
-        def _open_part(self, wanted: ShardRecord) -> int | None:
-            assert fill(ShardCache(tmp_path, 4096), wanted)  # another process, just now
-            return super()._open_part(wanted)
+def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_now = os.open
 
-    with Late(tmp_path, 4096).claim(record(3)) as handle:
+    def open_late(*arguments: Any) -> int:
+        monkeypatch.setattr(os, "open", open_now)
+        assert fill(ShardCache(tmp_path, 4096), record(3))  # another process, just now
+        return os.open(*arguments)
+
+    monkeypatch.setattr(os, "open", open_late)
+    with ShardCache(tmp_path, 4096).claim(record(3)) as handle:
         assert handle is None
+    assert os.open is open_now, "the part was opened"
     assert [path.name for path in tmp_path.glob("*.*")] == [f"{record(3).sha256}.tar"], "no empty part takes room"
 
 

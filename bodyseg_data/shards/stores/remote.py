@@ -8,15 +8,12 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary, Unreachable
 from bodyseg_data.shards.stores.transport import Failed, NotThere, Refused, open_transport
-
-_PROGRESS_BYTES: Final = 1 << 16
-"""An attempt that brought as much was not in vain; to count less would let a row of failures go on for ever."""
 
 _SHORTEST_SECRET: Final = 4
 
@@ -30,6 +27,8 @@ class RetryPolicy:
     tries: attempts in a row that may bring next to nothing. total_s: seconds such a row may last. stall_s: seconds
     without a byte after which a connection counts as broken. first_wait_s: pause after a first failure; every further
     pause is twice as long. By chance pauses are up to half shorter, so that many processes do not come back at once.
+    progress_bytes: an attempt that brought as many was not in vain and begins a new row; of a server that cuts every
+    connection after fewer, nothing larger than `tries` times as many can be had.
 
     Raises BadConfig.
     """
@@ -38,11 +37,14 @@ class RetryPolicy:
     total_s: float = 300.0
     stall_s: float = 30.0
     first_wait_s: float = 0.5
+    progress_bytes: int = 1 << 16
 
     def __post_init__(self) -> None:
-        if isinstance(self.tries, bool) or not isinstance(self.tries, int) or self.tries < 1:
-            raise BadConfig(f"Patience: tries must be a whole number of at least 1, found {self.tries!r}")
-        for name in (field.name for field in fields(self) if field.name != "tries"):
+        for name in ("tries", "progress_bytes"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise BadConfig(f"Patience: {name} must be a whole number of at least 1, found {value!r}")
+        for name in ("total_s", "stall_s", "first_wait_s"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                 raise BadConfig(f"Patience: {name} must be a positive number of seconds, found {value!r}")
@@ -158,7 +160,7 @@ class _Row:
 
     def wait_after(self, failure: Failed, brought: int) -> float | None:
         """Seconds to wait before the next attempt; None to give up."""
-        if brought >= _PROGRESS_BYTES or not self.failures:
+        if brought >= self._retry_policy.progress_bytes or not self.failures:
             self.failures, self._since = 0, time.monotonic()
         self.failures += 1
         if self.failures >= self._retry_policy.tries:

@@ -6,6 +6,7 @@ No event loop, session or socket crosses a fork: every process opens its own fil
 from __future__ import annotations
 
 import errno
+import inspect
 import os
 import re
 import time
@@ -29,6 +30,7 @@ _FINAL_NAMES: Final = frozenset(
     {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}
 )
 _FINAL_NUMBERS: Final = frozenset({errno.EINVAL, errno.ENOSYS})
+_LISTINGS: Final = frozenset({"use_listings_cache", "listings_expiry_time", "max_paths"})
 _CONTENT_RANGE: Final = re.compile(r"bytes ([0-9]{1,19})-([0-9]{1,19})/([0-9]{1,19}|\*)")
 
 
@@ -110,7 +112,10 @@ def open_transport(protocol: str, options: Mapping[str, Any], stall_s: float, to
 
 
 class _Http:
-    """Streams, so that what came before a connection broke is kept."""
+    """Streams through aiohttp, in fsspec's session and thread, so that what came before a connection broke is kept.
+
+    fsspec's own `cat_file` and `open` lose that, and do not check which range came (docs/dependencies.md has figures).
+    """
 
     def __init__(self, filesystem: _Filesystem, stall_s: float) -> None:
         self._opened, self._stall_s = filesystem, stall_s
@@ -171,19 +176,27 @@ class _Http:
     async def _ask(self, address: str, start: int | None, stop: int | None) -> tuple[Any, bytes, Any]:
         filesystem = self._opened.get()
         session = await filesystem.set_session()
-        request = dict(filesystem.kwargs)
+        request = _request_options(filesystem)
         headers = {**(request.pop("headers", None) or {}), "Accept-Encoding": "identity"}
         if start is not None and stop is not None:
             headers["Range"] = f"bytes={start}-{stop - 1}"
         if "timeout" not in request:
             timeout = import_module("aiohttp").ClientTimeout
             request["timeout"] = timeout(total=None, sock_connect=self._stall_s, sock_read=self._stall_s)
-        response = await session.get(filesystem.encode_url(address), headers=headers, **request)
+        encoded = bool(filesystem.storage_options.get("encoded", False))
+        url = import_module("yarl").URL(address, encoded=encoded)
+        response = await session.get(url, headers=headers, **request)
         return response, *await _read(response)
 
     def _run(self, work: Any, *arguments: Any) -> Any:
         """The result of a coroutine, which runs in fsspec's thread."""
         return import_module("fsspec.asyn").sync(self._opened.get().loop, work, *arguments)
+
+
+def _request_options(filesystem: Any) -> dict[str, Any]:
+    """The options that aiohttp gets with every request: those that are neither the filesystem's nor of its listings."""
+    own = inspect.signature(type(filesystem).__init__).parameters.keys() | _LISTINGS
+    return {name: value for name, value in filesystem.storage_options.items() if name not in own}
 
 
 async def _read(response: Any) -> tuple[bytes, Exception | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +43,7 @@ from PIL import Image
 from bodyseg_data.artifacts.variants import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
@@ -79,6 +80,12 @@ def test_window_sums_against_a_search() -> None:
     for row in range(17):
         for column in range(11):
             assert found[row, column] == mask[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5].sum()
+
+
+def test_scikit_image_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "skimage.transform", None)
+    with pytest.raises(MissingLibrary, match=r"needs the package 'scikit-image': pip install 'bodyseg\[bench\]' \("):
+        window_sums(np.ones((3, 3), np.bool_), 1)
 
 
 def test_distance_to_the_edges_that_a_body_touches() -> None:

@@ -129,9 +129,9 @@ def test_what_the_library_refuses_is_one_line() -> None:
 
 HOSTILE = """
 import numpy as np, sys
-from bodyseg_data.errors import Unanswerable
-from bodyseg_data.geodesics import nearest_sources
-from bodyseg_data.mending import mend
+from bodyseg_data.core.errors import Unanswerable
+from bodyseg_data.meshes.partition.geodesics import nearest_sources
+from bodyseg_data.meshes.mending import mend
 import trimesh
 method, seed = sys.argv[1], int(sys.argv[2])
 rng = np.random.default_rng(seed)

@@ -121,7 +121,7 @@ class _Step:
 
 
 def _differences(level: int) -> Callable[[Images], int]:
-    codec = predicted("two-way", "bytes", "zstd", level)
+    codec = predicted("two-way", level)
     return lambda images: sum(len(codec.encode(image, background)) for image, background in images)
 
 

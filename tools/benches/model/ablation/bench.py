@@ -63,7 +63,7 @@ def bench_ablation(
     data: the set that was trained on. runs: folders of trainings, NAME-SEED. images: test images of each kind. hard: a
     set of hard poses to ask about as well. clothes: two sets of the same views, of dressed bodies and of bare ones, to
     ask about trainings on either. Trains nothing: "missing" names the command of every training that is not there.
-    Scores are kept in each run's sweep.json.
+    Scores are kept in each run's cached_results.json.
 
     Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
     `clothes`, or a wrong number; otherwise as `evaluate`.

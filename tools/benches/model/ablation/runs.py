@@ -133,8 +133,8 @@ def missing(
 
 def _command(thing: AblationRow, recipe: Recipe, data: str, folder: Path) -> str:
     words = ["bodyseg", "train", "--data", place_name(data), "--out", f"{folder.name}/{thing.name}-0"]
-    words += ["--steps", str(recipe.steps), "--batch", str(recipe.batch_size)]
-    words += ["--no-placements"] if recipe.geometric_augmentation == GeometricAugmentation() else []
+    words += ["--steps", str(recipe.steps), "--batch-size", str(recipe.batch_size)]
+    words += ["--no-geometric-augmentation"] if recipe.geometric_augmentation == GeometricAugmentation() else []
     return shlex.join([*words, *(thing.arguments or ())])
 
 

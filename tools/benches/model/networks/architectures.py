@@ -64,7 +64,8 @@ def bench_architectures(
     """Size, milliseconds a frame and accuracy of every network in the folders `runs`, each trained as NAME-SEED.
 
     images: how many test images of `all` of the set `data`. views: typical frames to time with. forest: how many
-    training images of `data` a forest is grown on to compare with; 0: none. Scores are kept in each run's sweep.json.
+    training images of `data` a forest is grown on to compare with; 0: none. Scores are kept in each run's
+    cached_results.json.
 
     cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads; labels_ms: of
     `predict` on typical frames, on the processor. Raises BadConfig for wrong numbers, or as `groups_in`, MissingLibrary

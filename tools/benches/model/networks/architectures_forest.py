@@ -219,9 +219,10 @@ def fit_forest(
     progress: called with images read and images to read. Raises BadConfig for fewer images than the scale asks for,
     MissingLibrary without scikit-learn.
     """
-    ensemble, scale = _ensemble(), scale or ForestScale()
+    scale = scale or ForestScale()
     if len(images) < scale.images:
         raise BadConfig(f"a forest of {scale.images} training images needs as many, found {len(images)}")
+    ensemble = _ensemble()
     offsets = draw_offsets(scale, seed)
     features = np.empty((scale.images * scale.pixels, scale.candidates), np.float32)
     labels = np.empty(len(features), np.uint8)
