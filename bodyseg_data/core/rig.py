@@ -90,7 +90,7 @@ class Camera:
         return rays
 
     def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side."""
+        """The same view with `factor` times as many pixels a side. Raises BadConfig for a factor below 1."""
         if factor < 1:
             raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
         return replace(
@@ -135,7 +135,7 @@ def axes_at(azimuth_deg: int) -> NDArray[np.float64]:
 class Rig:
     """A structured-light rig: a camera and a projector. The rig's frame is the camera's when its pose is the default.
 
-    stand_off_m: the distance the rig is made for, metres; kept for the record, nothing computes with it.
+    stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
     """
 
     name: str
@@ -182,7 +182,7 @@ class Rig:
         return replace(self, projector=self.projector.scaled(factor))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers and strings, for manifests."""
+        """The rig as plain JSON, for manifests."""
         return {"format": RIG_FORMAT, **asdict(self)}
 
     @property

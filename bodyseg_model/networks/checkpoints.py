@@ -35,6 +35,10 @@ class Trained:
     network: Network
     card: dict[str, Any]
 
+    def __repr__(self) -> str:
+        facts = {name: self.card.get(name) for name in ("network", "settings", "variant", "seed")}
+        return f"Trained({', '.join(f'{name}={value!r}' for name, value in facts.items())})"
+
 
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
     """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.

@@ -11,6 +11,7 @@ import pytest
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig, load_sensor, parse_rig, parse_sensor, rig_from_json, rig_names
+from bodyseg_data.core.tables import Table
 from bodyseg_data.core.views import View, ViewGrid
 
 PAPER = (resources.files("bodyseg_data.core") / "rigs" / "paper.toml").read_text()
@@ -197,6 +198,12 @@ def test_the_rigs_that_ship_are_listed_and_called_as_their_files() -> None:
     assert load_sensor("paper").rig == load_sensor().rig == load_rig()
     with pytest.raises(BadConfig, match="^rig kinect_v1 is a camera alone"):
         load_rig("kinect_v1")
+
+
+def test_a_table_shows_what_was_not_read() -> None:
+    table = Table({"rows": 3, "columns": 4}, "rig x")
+    assert table.whole("rows") == 3
+    assert repr(table) == "Table('rig x', unread: columns)"
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:

@@ -79,6 +79,7 @@ def train(
         **options,
     )
     made.run(resume, said.append, {"commit": "none"})
+    assert repr(made) == f"Training('compact', {RunFolder(out)!r}, step {recipe.steps} of {recipe.steps})"
     return said
 
 
@@ -282,7 +283,7 @@ def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -
 
 def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
     images = RangeImages(figures_set, "all", "train")
-    with pytest.raises(BadConfig, match="a batch of 2 images cannot be shared out evenly to 3 processes"):
+    with pytest.raises(BadConfig, match="batch_size must be a multiple of the 3 processes, found 2"):
         Training(
             build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), ProcessGroup(0, 3, torch.device("cpu"))
         )
