@@ -13,7 +13,6 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -29,6 +28,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -173,7 +173,7 @@ def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artif
 
 
 def evaluate(
-    network: nn.Module,
+    network: Network,
     images: RangeImages,
     count: int | None = None,
     *,

@@ -44,12 +44,11 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 from bodyseg_model.networks.checkpoints import Trained
 
 Labels = NDArray[np.uint8]
@@ -122,7 +121,7 @@ def test_an_edge_in_depth_is_no_slope() -> None:
 
 def test_which_parts_adjoin() -> None:
     assert (ADJOINING == ADJOINING.T).all() and ADJOINING.diagonal().all()
-    mirror = MIRRORED_PARTS[:PART_COUNT].long().numpy()
+    mirror = [part.mirror for part in PARTS]
     assert (ADJOINING[np.ix_(mirror, mirror)] == ADJOINING).all()
     source = open_source("open")
     body = source.build(next(body for body in source.bodies() if body.mesh == "person-120"))

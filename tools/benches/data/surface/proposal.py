@@ -70,7 +70,7 @@ def measure(mesh: Mesh, places: NDArray[np.float64], proposal: Proposal) -> dict
     vertices = proposal.landmarks.for_mesh(mesh)
     found = mesh.vertices[vertices]
     error = 100 * np.linalg.norm(found - places, axis=1)
-    other = _other_side()
+    other = [part.mirror for part in PARTS]
     swapped = np.linalg.norm(found - places[other], axis=1) < np.linalg.norm(found - places, axis=1)
     true = np.linalg.norm(mesh.surface_vertices[:, None] - places, axis=2).argmin(axis=0)
     labels = [partition(mesh, at).labels for at in (vertices, np.unique(mesh.faces)[true])]
@@ -114,9 +114,3 @@ def shuffled(mesh: Mesh, seed: int) -> Mesh:
     order = rng.permutation(len(vertices))
     place = np.argsort(order)
     return Mesh(mesh.name, vertices[order], place[faces][rng.permutation(len(faces))].astype(np.int32))
-
-
-def _other_side() -> NDArray[np.int64]:
-    """The label of each part's counterpart, [33]; its own in the middle."""
-    step = {"right": 1, "left": -1, "middle": 0}
-    return np.array([part.label + step[part.side] for part in PARTS])

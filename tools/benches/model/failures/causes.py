@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 
 About = Literal["a place", "a mistake", "an image"]
 
@@ -146,7 +145,7 @@ def _adjoining() -> NDArray[np.bool_]:
     for name, others in _JOINED.items():
         for other in others:
             pair = [labels[name], labels[other]]
-            for one, two in (pair, MIRRORED_PARTS[pair].tolist()):
+            for one, two in (pair, MIRRORED_LABELS[pair].tolist()):
                 found[one, two] = found[two, one] = True
     return found
 
