@@ -15,7 +15,7 @@ from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition import geodesics
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics
+from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod
 from bodyseg_data.meshes.partition.surface_parts import part_areas, partition, partition_unmended
 
 
@@ -184,7 +184,7 @@ def test_landmarks_that_share_one_place_are_refused() -> None:
 
 def test_a_sound_body_has_no_note() -> None:
     mesh = ball(subdivisions=3)
-    for method in get_args(Geodesics):
+    for method in get_args(GeodesicMethod):
         assert partition(mesh, evenly_drawn(mesh), method).note is None
 
 
@@ -234,7 +234,7 @@ def test_seams_that_are_not_welded_change_nothing() -> None:
 def test_a_method_that_cannot_answer_is_replaced_and_the_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = ball(subdivisions=3)
     landmarks = evenly_drawn(mesh)
-    wanted = partition(mesh, landmarks, ALWAYS_ANSWERS)
+    wanted = partition(mesh, landmarks, FALLBACK_METHOD)
 
     def too_thin(*arguments: Any) -> Any:
         raise Unanswerable("the method 'exact' cannot answer: it is tired")
