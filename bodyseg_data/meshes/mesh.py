@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes.topology import components, find_edges
+from bodyseg_data.meshes.topology import check_arrays, components, find_edges
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -35,37 +35,25 @@ class Mesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
+
     def __post_init__(self) -> None:
         vertices: NDArray[np.float64] = np.asarray(self.vertices, np.float64)
         faces: NDArray[Any] = np.asarray(self.faces)
-        self._check(vertices, faces)
+        check_arrays(f"mesh {self.name}", vertices, faces)
+        self._check_extent(vertices, faces)
         for field, array in (("vertices", vertices), ("faces", faces.astype(np.int32))):
             frozen = np.ascontiguousarray(array).copy()
             frozen.flags.writeable = False
             object.__setattr__(self, field, frozen)
         self._check_orientation()
 
-    def _check(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
-        where = f"mesh {self.name}"
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise BadMesh(f"{where}: vertices and faces must have three columns, found {vertices.shape}, {faces.shape}")
-        if len(vertices) == 0 or len(faces) == 0:
-            raise BadMesh(f"{where}: a body needs vertices and faces, found {len(vertices)} and {len(faces)}")
-        if not np.issubdtype(faces.dtype, np.integer):
-            raise BadMesh(f"{where}: faces must be whole numbers, found {faces.dtype}")
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        if len(bad):
-            raise BadMesh(f"{where}: coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
-        bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
-        if len(bad):
-            raise BadMesh(
-                f"{where}: faces must use vertices 0 to {len(vertices) - 1}, found {faces[bad[0]].tolist()} "
-                f"at face {bad[0]}"
-            )
+    def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
         extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
         low, high = HEIGHT_RANGE_M
         if not low <= extent <= high:
-            raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
+            raise BadMesh(f"mesh {self.name}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
 
     def _check_orientation(self) -> None:
         """Raise BadMesh unless neighbours agree and the whole and each closed piece enclose a positive volume.

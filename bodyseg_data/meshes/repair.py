@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.system_libraries import missing_library, require_libraries
-from bodyseg_data.meshes.topology import components
+from bodyseg_data.meshes.topology import check_arrays, components
 
 SAME_POINT_M: Final = 1e-6
 """Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
@@ -79,19 +79,8 @@ def _used_part(
     name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices that faces use, and faces with their new indices, checked, since pymeshlab does not check its input."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise BadMesh(
-            f"mesh {name}: vertices and faces must have three columns and a row, found {vertices.shape}, {faces.shape}"
-        )
-    if not np.issubdtype(faces.dtype, np.integer) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadMesh(
-            f"mesh {name}: faces must be whole numbers from 0 to {len(vertices) - 1}, found {faces.min()} to "
-            f"{faces.max()} ({faces.dtype})"
-        )
+    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)
     used, renumbered = np.unique(faces, return_inverse=True)
-    if not np.isfinite(vertices[used]).all():
-        bad = used[~np.isfinite(vertices[used]).all(axis=1)][0]
-        raise BadMesh(f"mesh {name}: coordinates must be finite, found {vertices[bad].tolist()} at vertex {bad}")
     return vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
 
 

@@ -1,4 +1,4 @@
-"""Connectivity of triangle meshes: edges and connected components."""
+"""Arrays of triangle meshes: their checks, edges and connected components."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.system_libraries import missing_library
 
 
@@ -31,6 +32,29 @@ class Edges:
         side = self.of_side.ravel()
         two = np.flatnonzero(self.faces[side] == 2)
         return two[np.argsort(side[two], kind="stable")].reshape(-1, 2)
+
+
+def check_arrays(where: str, vertices: NDArray[Any], faces: NDArray[Any], check_unused: bool = True) -> None:
+    """Raise BadMesh, beginning with `where`, unless the arrays are those of a mesh.
+
+    vertices: float [V, 3], V > 0, finite; those that no face uses need not be unless `check_unused`. faces: int [F, 3],
+    F > 0, 0 to V - 1.
+    """
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise BadMesh(f"{where}: vertices and faces must have three columns, found {vertices.shape}, {faces.shape}")
+    if len(vertices) == 0 or len(faces) == 0:
+        raise BadMesh(f"{where}: a mesh needs vertices and faces, found {len(vertices)} and {len(faces)}")
+    if not np.issubdtype(faces.dtype, np.integer):
+        raise BadMesh(f"{where}: faces must be whole numbers, found {faces.dtype}")
+    bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
+    if len(bad):
+        found = f"{faces[bad[0]].tolist()} at face {bad[0]}"
+        raise BadMesh(f"{where}: faces must use vertices 0 to {len(vertices) - 1}, found {found}")
+    checked = np.full(len(vertices), check_unused)
+    checked[faces] = True
+    bad = np.flatnonzero(checked & ~np.isfinite(vertices).all(axis=1))
+    if len(bad):
+        raise BadMesh(f"{where}: coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
 
 
 def find_edges(faces: NDArray[Any]) -> Edges:

@@ -52,6 +52,9 @@ class ShardRecord:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def __repr__(self) -> str:
+        return f"ShardRecord({self.name!r}, {len(self)} samples, {self.size} bytes)"
+
 
 @dataclass(frozen=True)
 class Manifest:
@@ -63,6 +66,10 @@ class Manifest:
     renderer: str
     plan: str
     shards: tuple[ShardRecord, ...]
+
+    def __repr__(self) -> str:
+        size = f"{self.samples()} samples in {len(self.shards)} shards"
+        return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
 
     def notes(self) -> list[str]:
         """Notes on meshes, in the order of the shards."""

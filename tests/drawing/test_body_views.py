@@ -90,14 +90,14 @@ def test_numbers_do_not_cover_each_other_or_the_dots() -> None:
     dots = [tuple(place) for place in rng.uniform((60, 60), (240, 440), (33, 2))]
     taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in dots]
     for x, y in dots:
-        plate = portrait._free_place(x, y, 20, 15, size, taken)
+        plate = portrait._label_box(x, y, 20, 15, size, taken)
         assert plate[0] >= 0 and plate[1] >= 0 and plate[2] < size[0] and plate[3] < size[1]
         assert not any(portrait._overlap(plate, other) for other in taken)
         taken.append(plate)
 
 
 def test_a_number_finds_a_place_even_where_there_is_none() -> None:
-    assert portrait._free_place(5, 5, 20, 15, (10, 10), []) is not None
+    assert portrait._label_box(5, 5, 20, 15, (10, 10), []) is not None
 
 
 def test_a_picture_has_a_row_for_each_body_and_a_legend() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_names, json_table
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_distinct, check_names, json_table
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 
@@ -89,13 +89,7 @@ class PointLandmarks:
                 f"{np.round(self.points[worst], 4).tolist()}"
                 + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
             )
-        holders: dict[int, str] = {}
-        for name, vertex in zip(LANDMARKS, vertices.tolist(), strict=True):
-            if vertex in holders:
-                raise BadLandmarks(
-                    f"{where}: landmarks must be different vertices, found {holders[vertex]!r} and {name!r} at {vertex}"
-                )
-            holders[vertex] = name
+        check_distinct(vertices.tolist(), where)
         piece = mesh.pieces(_FEATURE)[vertices]
         body = np.bincount(piece).argmax()
         if (piece != body).any():

@@ -12,6 +12,7 @@ vertex order, whatever their pose and shape, share one set. Landmarks by coordin
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -121,15 +122,19 @@ def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
     check_names(list(table), LANDMARKS, where, "landmark")
-    holders: dict[int, str] = {}
-    for name in LANDMARKS:
-        vertex = _whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}")
-        if vertex in holders:
+    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
+    check_distinct(vertices, where)
+    return tuple(vertices)
+
+
+def check_distinct(vertices: Sequence[int], where: str) -> None:
+    """Raise BadLandmarks, naming both, if two landmarks, in the order of `parts.LANDMARKS`, are the same vertex."""
+    first: dict[int, str] = {}
+    for name, vertex in zip(LANDMARKS, vertices, strict=True):
+        if first.setdefault(vertex, name) != name:
             raise BadLandmarks(
-                f"{where}: landmarks must be different vertices, found {holders[vertex]!r} and {name!r} at {vertex}"
+                f"{where}: landmarks must be different vertices, found {first[vertex]!r} and {name!r} at {vertex}"
             )
-        holders[vertex] = name
-    return tuple(holders)
 
 
 def json_table(text: str, source: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.files import contents
 from bodyseg_data.meshes.readers.ply import fan, read_ply
+from bodyseg_data.meshes.topology import check_arrays
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
@@ -45,9 +46,10 @@ def read_mesh(path: Path) -> Surface:
     form = suffix.removesuffix(".gz")[1:]
     try:
         vertices, faces = {"ply": read_ply, "obj": _read_obj, "off": _read_off}[form](data)
-        return _checked(vertices, faces)
     except BadMesh as error:
         raise BadMesh(f"{path}: {error}") from None
+    check_arrays(str(path), vertices, faces, check_unused=False)
+    return vertices, faces.astype(np.int32)
 
 
 def mesh_suffix(name: str) -> str | None:
@@ -75,23 +77,6 @@ def _contents(path: Path, packed: bool) -> bytes:
     if data is None:
         raise BadMesh(f"{path}: a mesh file may hold {LARGEST_BYTES >> 20} MiB, found more")
     return data
-
-
-def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
-    if not len(vertices) or not len(faces):
-        raise BadMesh(f"a mesh needs vertices and faces, found {len(vertices)} and {len(faces)}")
-    outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
-    if len(outside):
-        raise BadMesh(
-            f"corners must be vertices 0 to {len(vertices) - 1}, found {faces[outside[0]].tolist()} in triangle "
-            f"{outside[0]}"
-        )
-    used = np.zeros(len(vertices), np.bool_)
-    used[faces] = True
-    bad = np.flatnonzero(used & ~np.isfinite(vertices).all(axis=1))  # what no face uses may be anything
-    if len(bad):
-        raise BadMesh(f"coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
-    return vertices, faces.astype(np.int32)
 
 
 def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

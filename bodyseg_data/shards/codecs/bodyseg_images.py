@@ -149,9 +149,7 @@ def _decode_projector(data: bytes, start: int, keep: bool) -> tuple[Range, Pixel
     _check_counts(box, runs, long, 0, 0, 0)
     values, lengths, longs = _number_rows(data[start:], [2 * runs, runs, 4 * long])
     image = _thread_image("projector", size, np.uint16) if keep else np.zeros(size, np.uint16)
-    return image, Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box)).write_sparse_into(
-        image, box
-    )
+    return image, Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box)).write_into(image, box)
 
 
 def _checked_geometry(geometry: Sequence[int]) -> tuple[tuple[int, int], Box]:

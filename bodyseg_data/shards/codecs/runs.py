@@ -43,20 +43,16 @@ class Runs:
     values: NDArray[Any]
     lengths: NDArray[np.int64]
 
-    def write_into(self, image: Image, box: Box) -> None:
-        """Write the pixels into the box of `image`; there must be as many as the box has."""
-        if use_compiled():
-            _loops()[0](self.values, self.lengths, image, box.top, box.left, box.width)
-        else:
-            box.crop(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
+    def write_into(self, image: Image, box: Box) -> NDArray[np.int32]:
+        """Write the pixels, as many as the box has, into the box of `image`, [H, W], zeros.
 
-    def write_sparse_into(self, image: Image, box: Box) -> NDArray[np.int32]:
-        """Write as `write_into` does, into an `image` of zeros; returns the flat indices of the pixels other than 0."""
+        Returns the flat indices of the pixels other than 0, ascending.
+        """
         if not use_compiled():
-            self.write_into(image, box)
+            box.crop(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
             return np.flatnonzero(image).astype(np.int32)
         indices = np.empty(self.lengths[self.values != 0].sum(), np.int32)
-        _loops()[1](self.values, self.lengths, image, box.top, box.left, box.width, indices)
+        _loop()(self.values, self.lengths, image, box.top, box.left, box.width, indices)
         return indices
 
 
@@ -125,22 +121,8 @@ def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
     return lengths
 
 
-def _fill(values: NDArray[Any], lengths: NDArray[np.int64], image: Image, top: int, left: int, width: int) -> None:
-    row, column = top, 0
-    for run in range(len(values)):
-        value, remaining = values[run], lengths[run]
-        while remaining > 0:
-            count = min(remaining, width - column)
-            for pixel_column in range(left + column, left + column + count):
-                image[row, pixel_column] = value
-            remaining -= count
-            column += count
-            if column == width:
-                row, column = row + 1, 0
-
-
 def _fill_nonzero(values: Any, lengths: Any, image: Any, top: int, left: int, width: int, indices: Any) -> None:
-    """Write as `_fill` does, except zeros; writes the flat indices of all other pixels to `indices`."""
+    """Write all values but zeros into the box of `image`, and their flat indices into `indices`."""
     row, column, count = top, 0, 0
     for run in range(len(values)):
         value, remaining = values[run], lengths[run]
@@ -158,5 +140,5 @@ def _fill_nonzero(values: Any, lengths: Any, image: Any, top: int, left: int, wi
 
 
 @lru_cache(maxsize=1)
-def _loops() -> tuple[Any, Any]:
-    return compiled(_fill, "expanding runs"), compiled(_fill_nonzero, "expanding runs")
+def _loop() -> Any:
+    return compiled(_fill_nonzero, "expanding runs")

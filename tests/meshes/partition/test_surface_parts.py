@@ -166,7 +166,7 @@ def test_bad_landmarks_are_refused_by_name() -> None:
         (changed(good, 2, -1), f"must be vertices 0 to {last}, found Supramenton at -1"),
         (changed(good, 2, last + 1), f"must be vertices 0 to {last}, found Supramenton at {last + 1}"),
         (changed(good, 2, last), f"must lie on the surface, found Supramenton at {last}"),
-        (changed(good, 2, good[1]), f"must be different vertices, found Nuchale and Supramenton at {good[1]}"),
+        (changed(good, 2, good[1]), f"must be different vertices, found 'Nuchale' and 'Supramenton' at {good[1]}"),
     ):
         with pytest.raises(BadLandmarks, match=message):
             partition(mesh, landmarks)
