@@ -21,8 +21,6 @@ from bodyseg_data.core.files import contents
 from bodyseg_data.meshes.readers.ply import fan, read_ply
 from bodyseg_data.meshes.topology import check_arrays
 
-Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
-
 MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
 """Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
 
@@ -32,7 +30,7 @@ LARGEST_BYTES: Final = 1 << 28
 _OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
-def read_mesh(path: Path) -> Surface:
+def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Read vertices float64 [V, 3] and triangles int32 [F, 3], both in the file's order, units and axes.
 
     Polygons become fans about their first corner. Colours, normals and textures are ignored.
