@@ -124,18 +124,6 @@ def _with_borders(
     return Partition(labels, distance, find_borders(mesh, labels, distance, surface.representative), note)
 
 
-def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Share of the mesh's area that each part covers, float64 [33], sum 1.
-
-    labels: uint8 [V], 0 to 32. The area of a triangle is shared equally by its corners.
-    """
-    areas = np.linalg.norm(mesh.normals, axis=1) / 2
-    shares = np.zeros(PART_COUNT)
-    for corner in range(3):
-        np.add.at(shares, labels[mesh.faces[:, corner]], areas / (3 * areas.sum()))
-    return shares
-
-
 def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]:
     where = f"mesh {mesh.name}"
     landmarks = np.asarray(landmarks)

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from benches.data.surface.areas import part_areas
 from shapes import ball, box_mesh, evenly_drawn, figure
 
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
@@ -16,7 +17,7 @@ from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition import geodesics
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod
-from bodyseg_data.meshes.partition.surface_parts import part_areas, partition, partition_unmended
+from bodyseg_data.meshes.partition.surface_parts import partition, partition_unmended
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:
