@@ -144,7 +144,7 @@ class _PosedBody:
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
         """Range in steps and parts, as a camera sees them with no projector to think of."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
-        seen = self.renderer.see(placed)
+        seen = self.renderer.render(placed)
         rows, columns = np.nonzero(seen.face >= 0)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         points = surface_points(seen, placed, rows, columns)
