@@ -28,6 +28,7 @@ ONLY_IN_A_CHECKOUT = ("bench", "chart")
 FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/(?:[\w./-]*[\w/])?")
 PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")
 DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+(?!/)")
+MEMBER = re.compile(r"`([A-Z]\w+)\.([a-z]\w*)")
 BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z]+)")
 COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
 """A command's name, which is no folder, file or format ("bodyseg shards 3"), and the rest of its line."""
@@ -101,6 +102,21 @@ def python_files() -> list[str]:
     return [f"/{path.relative_to(ROOT).as_posix()}" for home in homes for path in home.rglob("*.py")]
 
 
+@cache
+def members() -> dict[str, set[str]]:
+    """Class -> what its body and those of its bases in the project define, together for classes of one name."""
+    own: dict[str, set[str]] = {}
+    bases: dict[str, set[str]] = {}
+    for path in python_files():
+        for node in ast.walk(ast.parse((ROOT / path[1:]).read_text())):
+            if isinstance(node, ast.ClassDef):
+                own.setdefault(node.name, set()).update(name for name, _ in defined_in(node.body))
+                bases.setdefault(node.name, set()).update(ast.unparse(base) for base in node.bases)
+    for name, parents in bases.items():
+        own[name] = own[name].union(*(own.get(parent, set()) for parent in parents))
+    return own
+
+
 def wrong_names(text: str, folder: Path) -> list[str]:
     """Files, modules, commands, benches and links of a document in `folder` that are not there."""
     wrong = [f"file {name}" for name in FILE.findall(text) if not (ROOT / name).exists()]
@@ -109,6 +125,7 @@ def wrong_names(text: str, folder: Path) -> list[str]:
         f"file {name}" for name in PYTHON_FILE.findall(text) if not any(path.endswith(f"/{name}") for path in known)
     ]
     wrong += [f"name {name}" for name in [*DOTTED_NAME.findall(text), *imported(text)] if not is_defined(name)]
+    wrong += [f"name {kind}.{name}" for kind, name in MEMBER.findall(text) if name not in members().get(kind, {name})]
     wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
     wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES]
     return wrong + [f"target {link}" for link in LINK.findall(text) if not is_reached(link, text, folder)]
@@ -123,7 +140,8 @@ def test_names_of_nothing_are_found() -> None:
     text = """
 # One heading
 
-See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
+See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.state_dict()`,
+`bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
 [a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loader.py`,
 `loader.py`, `bodyseg_data.loading.loader.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
 [a page](architecture.md#rooms), [a heading](#one-heading) and `tools/bench codec`.
@@ -139,6 +157,7 @@ from bodyseg_data.loading.loader import Loader, Nothing
         "file nowhere.py",
         "name bodyseg_data.loading.loader.Loader.nothing",
         "name bodyseg_data.loading.loader.Nothing",
+        "name Loader.nothing",
         "command nothing",
         "bench nothing",
         "target nowhere.md",
