@@ -16,13 +16,13 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.stability.examining import evaluate_conditions
+from bodyseg_model.stability.accuracies import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
 from bodyseg_model.stability.numerical import numerical
 from bodyseg_model.stability.scenes import Scenes
-from bodyseg_model.stability.severities import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.summary import motion_over_seeds, summarise
+from bodyseg_model.stability.sweeps import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.tables import tables
 from bodyseg_model.stability.temporal import temporal
 from bodyseg_model.training.distributed import find_device, use_threads
@@ -49,7 +49,7 @@ class Options:
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
     parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
-    images: int = option("images of every setting", 40)
+    images: int = option("images of every condition", 40)
     seed: int = option("of the artifacts' draws, and of which images are taken", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
@@ -105,10 +105,12 @@ def _images(
     """The sweeps over images."""
     images = RangeImages(options.data, "none", "test", options.seed)
     hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
-    settings = list(dict.fromkeys(setting for name, sweep in sweeps.items() for setting in sweep.settings(name)))
+    conditions = list(
+        dict.fromkeys(condition for name, sweep in sweeps.items() for condition in sweep.conditions(name))
+    )
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
-        found = evaluate_conditions(runs, settings, scenes, options.out / _CACHED, progress.update)
+        found = evaluate_conditions(runs, conditions, scenes, options.out / _CACHED, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,

@@ -33,7 +33,7 @@ _FIRST_PLACE: Final = (2 * _TRUTH + _WRONG) * THRESHOLD_STEPS
 
 
 @dataclass(frozen=True)
-class Kept:
+class ConfidentPixels:
     """What is left when unsure pixels are dropped: their share, and how much of it is right.
 
     average_per_class_accuracy: over the parts of which pixels are left.
@@ -150,7 +150,7 @@ class Confidences:
         kept = np.cumsum(inside[held])
         return kept / max(self.pixels, 1), np.cumsum(self.counts[1][held]) / kept
 
-    def above(self, threshold: float) -> Kept:
+    def above(self, threshold: float) -> ConfidentPixels:
         """What is left when only pixels of more confidence than `threshold` are kept.
 
         Raises BadConfig unless the threshold is a multiple of 1/30 from 0 to below 1.
@@ -162,7 +162,7 @@ class Confidences:
         right, wrong = self.by_part[:, :, :steps].sum(axis=2).T
         kept = right + wrong
         if not kept.any():
-            return Kept(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
+            return ConfidentPixels(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
         shown = kept > 0
         average = float((right[shown] / kept[shown]).mean())
-        return Kept(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)
+        return ConfidentPixels(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)

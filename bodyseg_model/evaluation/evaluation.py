@@ -27,7 +27,7 @@ from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
-from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -37,7 +37,7 @@ EXTRAS: Final[tuple[Extra, ...]] = ("confidences", "borders")
 _WORST: Final = 10
 
 
-class Seen(NamedTuple):
+class PredictedImage(NamedTuple):
     """One image as a network saw it. Arrays last until the next image.
 
     range_m: float32 [H, W], metres; labels: uint8 [H, W], the truth; predicted: uint8 [H, W]; confidence: float32
@@ -59,11 +59,11 @@ class Scores:
         self.extras = frozenset(extras)
         self.images = 0
         self.confusion = ConfusionMatrix()
-        self.spread = Spread()
+        self.per_image = PerImageAccuracy()
         self.confidences = Confidences() if "confidences" in extras else None
         self.borders = BorderErrors() if "borders" in extras else None
 
-    def add(self, seen: Seen, borders: NDArray[np.uint8]) -> float:
+    def add(self, seen: PredictedImage, borders: NDArray[np.uint8]) -> float:
         """Count one image; returns its average per-class accuracy, NaN if it shows nothing.
 
         borders: the labels whose borders distances are measured to, uint8 [H, W]. Raises BadConfig for labels or
@@ -78,7 +78,7 @@ class Scores:
             self.confidences.add(pairs, seen.confidence.ravel().take(where))
         if self.borders is not None:
             self.borders.add(pairs, distance_bins(borders).ravel().take(where))
-        return self.spread.add(counts)
+        return self.per_image.add(counts)
 
     def merge(self, other: Scores) -> None:
         """Count all of another one's images. Raises BadConfig unless both count the same scores."""
@@ -89,7 +89,7 @@ class Scores:
             )
         self.images += other.images
         self.confusion.counts += other.confusion.counts
-        self.spread.merge(other.spread)
+        self.per_image.merge(other.per_image)
         if self.confidences is not None and other.confidences is not None:
             self.confidences.merge(other.confidences)
         if self.borders is not None and other.borders is not None:
@@ -126,7 +126,7 @@ class Evaluation:
             total.merge(self.subsets[name])
         return total
 
-    def add(self, seen: Seen, borders: NDArray[np.uint8]) -> float:
+    def add(self, seen: PredictedImage, borders: NDArray[np.uint8]) -> float:
         """Count one image in its subset; see `Scores.add`."""
         accuracy = self.subsets.setdefault(seen.subset, Scores(self.extras)).add(seen, borders)
         if not math.isnan(accuracy):
@@ -176,7 +176,7 @@ def evaluate(
     batch_size: int = 16,
     num_workers: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    watch: Callable[[Seen, float], None] | None = None,
+    watch: Callable[[PredictedImage, float], None] | None = None,
 ) -> Evaluation:
     """Judge a network, in evaluation mode, by `images` as their epoch shows them.
 
@@ -206,7 +206,7 @@ def evaluate(
         found.seconds.network += lap()
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         for at, key in enumerate(keys):
-            seen = Seen(key, clean.subset(key), ranges[at], labels[at], predicted[at], confidence[at])
+            seen = PredictedImage(key, clean.subset(key), ranges[at], labels[at], predicted[at], confidence[at])
             accuracy = found.add(seen, clean.labels(key, seen.labels) if "borders" in extras else seen.labels)
             if watch is not None:
                 watch(seen, accuracy)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bodyseg_data.core.parts import PARTS
 from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
-from bodyseg_model.evaluation.calibration import Confidences, Kept
+from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
 from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds
 
@@ -54,8 +54,8 @@ def summary(scores: Scores) -> Tree:
         "pixels": pixels,
         "average_per_class_accuracy": _share(matrix.average_per_class_accuracy()),
         "over_images": {
-            "mean": _share(float(scores.spread.mean()[-1])),
-            "sd": _share(float(scores.spread.deviation()[-1])),
+            "mean": _share(float(scores.per_image.mean()[-1])),
+            "sd": _share(float(scores.per_image.deviation()[-1])),
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
@@ -74,7 +74,7 @@ def summary(scores: Scores) -> Tree:
 def _parts(scores: Scores) -> list[Tree]:
     """Part by part: accuracy over all pixels, and mean and standard deviation over the images that show the part."""
     accuracy, iou = scores.confusion.per_class_accuracy(), scores.confusion.intersection_over_union()
-    mean, deviation = scores.spread.mean(), scores.spread.deviation()
+    mean, deviation = scores.per_image.mean(), scores.per_image.deviation()
     return [
         {
             "label": part.label,
@@ -82,7 +82,7 @@ def _parts(scores: Scores) -> list[Tree]:
             "pixels": int(scores.confusion.counts[part.label].sum()),
             "accuracy": _share(float(accuracy[part.label])),
             "iou": _share(float(iou[part.label])),
-            "images": int(scores.spread.images[part.label]),
+            "images": int(scores.per_image.images[part.label]),
             "mean_over_images": _share(float(mean[part.label])),
             "sd_over_images": _share(float(deviation[part.label])),
         }
@@ -126,7 +126,7 @@ def _borders(borders: BorderErrors) -> list[Tree]:
     return rows
 
 
-def _kept(kept: Kept) -> Tree:
+def _kept(kept: ConfidentPixels) -> Tree:
     return {
         "share_of_pixels": _share(kept.share),
         "pixel_accuracy": _share(kept.pixel_accuracy),

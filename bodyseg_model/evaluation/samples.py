@@ -12,7 +12,7 @@ from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.drawing.contact_sheet import colour_range
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
-from bodyseg_model.evaluation.evaluation import Seen
+from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
 from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -42,10 +42,10 @@ class SamplePicture:
     """Watches an evaluation and keeps the first image of every subset, and the one that went worst of all."""
 
     def __init__(self) -> None:
-        self._first: dict[str, tuple[float, Seen]] = {}
-        self._worst: tuple[float, Seen] | None = None
+        self._first: dict[str, tuple[float, PredictedImage]] = {}
+        self._worst: tuple[float, PredictedImage] | None = None
 
-    def watch(self, seen: Seen, accuracy: float) -> None:
+    def watch(self, seen: PredictedImage, accuracy: float) -> None:
         """Look at one image; empty ones are passed over."""
         if np.isnan(accuracy):
             return
@@ -81,13 +81,13 @@ class SamplePicture:
         return picture
 
 
-def _kept(seen: Seen) -> Seen:
+def _kept(seen: PredictedImage) -> PredictedImage:
     """A copy of what the body takes of an image."""
     body = seen.labels != BACKGROUND
     rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
     top, left = (max(int(places[0]) - _BODY_MARGIN, 0) for places in (rows, columns))
     box = slice(top, int(rows[-1]) + 1 + _BODY_MARGIN), slice(left, int(columns[-1]) + 1 + _BODY_MARGIN)
-    return Seen(
+    return PredictedImage(
         seen.key,
         seen.subset,
         seen.range_m[box].copy(),
@@ -97,7 +97,7 @@ def _kept(seen: Seen) -> Seen:
     )
 
 
-def _caption(accuracy: float, seen: Seen) -> str:
+def _caption(accuracy: float, seen: PredictedImage) -> str:
     sure = ConfusionMatrix()
     sure.add(np.where(seen.confidence > PAPERS_THRESHOLD, seen.labels, np.uint8(BACKGROUND)), seen.predicted)
     share = sure.pixels / np.count_nonzero(seen.labels != BACKGROUND)
@@ -108,7 +108,7 @@ def _caption(accuracy: float, seen: Seen) -> str:
     return f"{caption}; {better:.1f} % among the {100 * share:.0f} % of pixels above {_THRESHOLD}"
 
 
-def _panels(seen: Seen) -> list[NDArray[np.uint8]]:
+def _panels(seen: PredictedImage) -> list[NDArray[np.uint8]]:
     body = seen.labels != BACKGROUND
     steps = np.rint(seen.range_m / RANGE_STEP_M).astype(np.uint16)
     # Noise has tails: the ramp covers what most pixels have.

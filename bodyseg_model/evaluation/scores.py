@@ -78,7 +78,7 @@ class ConfusionMatrix:
         return _mean(self.intersection_over_union())
 
 
-class Spread:
+class PerImageAccuracy:
     """How accuracy differs from image to image: every image counts once, however many pixels it has.
 
     The first 33 entries are the parts, over the images that show them; the last is the image's average per-class
@@ -102,7 +102,7 @@ class Spread:
         self.squares += values**2
         return average
 
-    def merge(self, other: Spread) -> None:
+    def merge(self, other: PerImageAccuracy) -> None:
         """Note all of another one's images."""
         self.images += other.images
         self.sums += other.sums

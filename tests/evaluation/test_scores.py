@@ -5,7 +5,7 @@ import pytest
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 
 
 def image(*labels: int) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_spread_counts_every_image_once() -> None:
         (image(0, 0), image(0, 1)),  # part 0: 0.5
         (image(BACKGROUND), image(BACKGROUND)),
     ]
-    spread, rest = Spread(), Spread()
+    spread, rest = PerImageAccuracy(), PerImageAccuracy()
     averages = [
         part.add(count_pairs(pairs_of(truth, predicted)))
         for part, (truth, predicted) in zip((spread, rest, rest), images, strict=True)

@@ -50,7 +50,7 @@ def test_labels_come_back_to_the_pixels_that_they_are_of() -> None:
     scale = 757.5757 / 2.5 / (100 / 2.0)
     (body,) = result.bodies
     assert body.scale == pytest.approx(scale, rel=1e-6)
-    assert (body.middle_m, body.turn_rad) == pytest.approx((2.0, 0.0))
+    assert (body.median_range_m, body.turn_rad) == pytest.approx((2.0, 0.0))
     np.testing.assert_array_equal(body.pixels, np.flatnonzero(frame))
     np.testing.assert_array_equal(result.labels == BACKGROUND, frame == 0)
     # The block's rows in the paper's image, and the view's first row there: 640 rows with the block in their middle.
@@ -80,8 +80,8 @@ def test_every_body_is_seen_by_itself_and_every_pixel_labelled_once() -> None:
     assert len(np.unique(pixels)) == len(pixels) == result.pixels == np.count_nonzero(frame)
     np.testing.assert_array_equal(result.labels != BACKGROUND, frame > 0)
     for body, z in zip(result.bodies, (3.0, 2.0), strict=True):
-        assert body.middle_m == pytest.approx(z, rel=0.05) and body.scale == pytest.approx(
-            body.middle_m * 3.0303, rel=1e-4
+        assert body.median_range_m == pytest.approx(z, rel=0.05) and body.scale == pytest.approx(
+            body.median_range_m * 3.0303, rel=1e-4
         )
         assert len(np.unique(result.labels.ravel()[body.pixels])) in (2, 3, 4)
 
