@@ -31,7 +31,7 @@ _FORMAT: Final = "bodyseg evaluation 1"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg evaluate`."""
 
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
@@ -51,17 +51,17 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Evaluate, write the scores, then draw."""
+    """Evaluate, write the scores, then draw the figures."""
     _check(options)
     trained = shipped_network() if options.run is None else load_network(options.run)
     trained.network.to(find_device(options.device))
     sets = _open(options)
-    facts = _facts(options, trained)  # before: files may change meanwhile
+    facts = _facts(options, trained)  # first, as files may change meanwhile
     picture = None if options.figures is None else SamplePicture()
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
     scores = report(found)
-    seconds = {name: round(value, 2) for name, value in vars(found.seconds).items()}
+    seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images) for images in sets]
     write_figures(
         options.json,
@@ -87,7 +87,7 @@ def _check(options: Options) -> None:
     use_threads(options.threads)
     check_target(options.json, "--json")
     if options.figures is not None:
-        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+        new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
         try:
             options.figures.mkdir(exist_ok=True)
         except OSError as error:
@@ -133,14 +133,14 @@ def _show(progress: Progress, before: int, total: int, done: int, _: int) -> Non
 
 
 def _times(trained: Trained, images: RangeImages, frames: int) -> dict[str, Any]:
-    """On the first images of the first set that were judged."""
+    """Time the network on the first images of the first set."""
     chosen = images.order(images.epoch)[:frames].tolist()
     times = dataclasses.asdict(time_frames(trained.network, [images[index]["range"][None] for index in chosen]))
     return {name: round(value, 2) if isinstance(value, float) else value for name, value in times.items()}
 
 
 def _facts(options: Options, trained: Trained) -> dict[str, Any]:
-    """What was asked for, of which network, where."""
+    """Provenance of the scores: command, network, artifacts."""
     facts: dict[str, Any] = {"format": _FORMAT, **provenance(command_line("bodyseg evaluate", options))}
     facts["run"] = None if options.run is None else options.run.name
     facts["card"] = trained.card

@@ -1,4 +1,4 @@
-"""`bodyseg stability`: networks under rising severity of what a sensor does, in motion, and in coarser arithmetic."""
+"""`bodyseg stability`: robustness of networks to sensor artifacts, motion and coarser arithmetic."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ Part = Literal["images", "temporal", "numerical"]
 
 _FORMAT: Final = "bodyseg stability 1"
 _CACHED: Final = "cached_results"
-"""In --out: a folder with what was measured before an interruption."""
+"""Folder in --out with the results measured so far."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg stability`."""
 
     run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
@@ -56,18 +56,18 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Measure the parts asked for, write the figures, then draw."""
+    """Measure the chosen parts, write stability.json, then draw."""
     if options.images < 1:
         raise BadConfig(f"--images must be at least 1, found {options.images}")
     use_threads(options.threads)
     sweeps = chosen(options.sweeps, options.hard is not None)
     device = find_device(options.device)
-    facts = provenance(command_line("bodyseg stability", options))  # before: files may change meanwhile
+    facts = provenance(command_line("bodyseg stability", options))  # first, as files may change meanwhile
     runs = load_runs((*options.run, *options.reference))
     groups = group(runs)
     reference = group_of(groups, options.reference)
     if "images" in options.parts:
-        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+        new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
     try:
         (options.out / _CACHED).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -102,7 +102,7 @@ def run(options: Options) -> int:
 def _images(
     options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
 ) -> dict[str, Any]:
-    """The sweeps over images."""
+    """Measure the sweeps over images."""
     images = RangeImages(options.data, "none", "test", options.seed)
     hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
     conditions = list(
@@ -121,7 +121,7 @@ def _images(
 
 
 def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[str, Any]:
-    """How steady labels are while bodies move."""
+    """Measure the temporal consistency of labels while bodies move."""
     networks = {each.name: each.trained.network for each in runs}
     rig = RangeImages(options.data, "none", "test").manifest.rig
     with Progress("motion", "frames") as progress:
@@ -130,7 +130,7 @@ def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[st
 
 
 def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
-    """What changes with the arithmetic, for the first network of every group: another seed computes the same way."""
+    """Compare computations on the first network of every group; networks of other seeds compute in the same way."""
     found = {}
     with Progress("arithmetic", "networks") as progress:
         for done, each in enumerate(groups):
@@ -159,7 +159,7 @@ def _origin(run: Run) -> dict[str, Any]:
 
 
 def _remarks(groups: list[Group], reference: Group | None) -> str:
-    """What a reader of the figures should know."""
+    """Lines for standard error about missing seeds or reference."""
     few = [each.label for each in groups if each.few_seeds]
     lines = [f"fewer than {FEWEST_SEEDS} seeds, so no spread to speak of: {', '.join(few)}\n"] if few else []
     lines += [] if reference is not None else ["no --reference, so no mCE\n"]

@@ -1,4 +1,4 @@
-"""A picture of single images: range, truth, prediction, mistakes, confidence: in the manner of the paper's Fig. 5."""
+"""Figure of single test images, as in the paper's Fig. 5: range, truth, prediction, mistakes, confidence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EMPTY: Final = (24, 26, 32)
 _DROPPED: Final = (120, 122, 128)
 _RIGHT, _WRONG, _SWAPPED = (220, 226, 236), (232, 134, 46), (148, 62, 190)
 _KIND_COLOURS: Final = {"right": _RIGHT, "other": _WRONG}
-"""Any other kind is a swap. Light, middle and darker, so that they are told apart in grey, too."""
+"""Any other kind is a swap. Light, medium and darker, so that they are distinct in grey as well."""
 
 # Unsure to sure: dark to light as well as blue to yellow.
 _RAMP: Final = np.array([[0, 34, 78], [66, 78, 108], [124, 123, 120], [189, 175, 110], [254, 232, 56]])
@@ -39,23 +39,23 @@ _BODY_MARGIN: Final = 6
 
 
 class SamplePicture:
-    """Watches an evaluation and keeps the first image of every subset, and the one that went worst of all."""
+    """Collects the first image of every subset and the image of lowest accuracy during an evaluation."""
 
     def __init__(self) -> None:
         self._first: dict[str, tuple[float, PredictedImage]] = {}
         self._worst: tuple[float, PredictedImage] | None = None
 
     def watch(self, seen: PredictedImage, accuracy: float) -> None:
-        """Look at one image; empty ones are passed over."""
+        """Consider one image for the figure; empty ones are ignored."""
         if np.isnan(accuracy):
             return
         if seen.subset not in self._first:
-            self._first[seen.subset] = accuracy, _kept(seen)
+            self._first[seen.subset] = accuracy, _cropped(seen)
         if self._worst is None or accuracy < self._worst[0]:
-            self._worst = accuracy, _kept(seen)
+            self._worst = accuracy, _cropped(seen)
 
     def draw(self) -> Image.Image | None:
-        """The picture; None if every image was empty."""
+        """Draw the figure; None if every image was empty."""
         if self._worst is None:
             return None
         groups = sorted(self._first, key=subset_order)
@@ -81,20 +81,14 @@ class SamplePicture:
         return picture
 
 
-def _kept(seen: PredictedImage) -> PredictedImage:
-    """A copy of what the body takes of an image."""
+def _cropped(seen: PredictedImage) -> PredictedImage:
+    """A copy of an image, cropped to the body."""
     body = seen.labels != BACKGROUND
     rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
-    top, left = (max(int(places[0]) - _BODY_MARGIN, 0) for places in (rows, columns))
+    top, left = (max(int(filled[0]) - _BODY_MARGIN, 0) for filled in (rows, columns))
     box = slice(top, int(rows[-1]) + 1 + _BODY_MARGIN), slice(left, int(columns[-1]) + 1 + _BODY_MARGIN)
-    return PredictedImage(
-        seen.key,
-        seen.subset,
-        seen.range_m[box].copy(),
-        seen.labels[box].copy(),
-        seen.predicted[box].copy(),
-        seen.confidence[box].copy(),
-    )
+    arrays = ("range_m", "labels", "predicted", "confidence")
+    return seen._replace(**{name: getattr(seen, name)[box].copy() for name in arrays})
 
 
 def _caption(accuracy: float, seen: PredictedImage) -> str:
@@ -111,7 +105,7 @@ def _caption(accuracy: float, seen: PredictedImage) -> str:
 def _panels(seen: PredictedImage) -> list[NDArray[np.uint8]]:
     body = seen.labels != BACKGROUND
     steps = np.rint(seen.range_m / RANGE_STEP_M).astype(np.uint16)
-    # Noise has tails: the ramp covers what most pixels have.
+    # Noise has long tails: the ramp covers 98 % of the pixels.
     near, far = (int(edge) for edge in np.percentile(steps[body], (1, 99)))
     kinds = np.zeros(body.shape, np.uint8)
     kinds[body] = KIND_OF[seen.labels[body], seen.predicted[body]]
@@ -132,14 +126,14 @@ def _panels(seen: PredictedImage) -> list[NDArray[np.uint8]]:
 
 
 def _colour_confidence(confidence: NDArray[np.float32]) -> NDArray[np.uint8]:
-    place = np.clip(confidence, 0, 1) * (len(_RAMP) - 1)
-    colours = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
+    position = np.clip(confidence, 0, 1) * (len(_RAMP) - 1)
+    colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
     return drawn
 
 
 def _fit(panel: NDArray[np.uint8]) -> Image.Image:
-    """Scale to the rows' height, or width where a body lies, by picking pixels: averaging would hide missing ones."""
+    """Scale to the panel's height or width by picking the nearest pixels: averaging would hide missing ones."""
     height, width = panel.shape[:2]
     scale = min(_HEIGHT / height, _WIDTH / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))

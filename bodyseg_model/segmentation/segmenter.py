@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,6 +13,7 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.resampling import view_body
@@ -117,16 +115,3 @@ class Segmenter:
                 labels.ravel()[pixels] = found
                 bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence))
         return Segmentation(labels, tuple(bodies), watch.milliseconds)
-
-
-class Stopwatch:
-    """Adds up how long each stage takes: `with watch("network"): ...`. milliseconds: by stage."""
-
-    def __init__(self, stages: Sequence[str]) -> None:
-        self.milliseconds = dict.fromkeys(stages, 0.0)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.milliseconds[stage] += 1000 * (time.perf_counter() - start)

@@ -55,9 +55,9 @@ def evaluate_conditions(
     found: Accuracies = {run.name: {} for run in runs}
     done, total = 0, len(runs) * len(conditions) * len(scenes)
     for condition in conditions:  # the outer loop, so that images are made once
-        keys = {run.name: _cache_key(scenes, condition, run) for run in runs}
+        queries = {run.name: _query(scenes, condition, run) for run in runs}
         for run in runs:
-            cached = caches[run.name].get(keys[run.name])
+            cached = caches[run.name].get(queries[run.name])
             if cached is not None:
                 found[run.name][condition] = math.nan if cached["accuracy"] is None else cached["accuracy"]
         missing = [run for run in runs if condition not in found[run.name]]
@@ -65,7 +65,7 @@ def evaluate_conditions(
         images = scenes.labelled_images(condition) if missing else []
         for run in missing:
             value = accuracy(run.trained.network, images)
-            caches[run.name].put(keys[run.name], {"accuracy": None if math.isnan(value) else value})
+            caches[run.name].put(queries[run.name], {"accuracy": None if math.isnan(value) else value})
             found[run.name][condition] = value
             done += len(scenes)
             progress(done, total, condition.name)
@@ -76,7 +76,7 @@ def _cache(folder: Path, run: Run) -> ResultCache:
     return ResultCache(folder / f"{run.name.replace('/', '+')}.json", network_identity(run.path), __name__)
 
 
-def _cache_key(scenes: Scenes, condition: Condition, run: Run) -> dict[str, Any]:
+def _query(scenes: Scenes, condition: Condition, run: Run) -> dict[str, Any]:
     """Everything that an accuracy depends on besides network and code."""
     return {
         "sweep": condition.sweep,

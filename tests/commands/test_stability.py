@@ -120,7 +120,7 @@ def test_an_interrupted_run_carries_on(
     file = out / "cached_results" / "all-1.json"
     content = json.loads(file.read_text())
     farther = {"sweep": "farther", "strength": 3.5}
-    lost = next(key for key, each in content["results"].items() if farther.items() <= each["question"].items())
+    lost = next(key for key, each in content["results"].items() if farther.items() <= each["query"].items())
     wanted = content["results"].pop(lost)
     file.write_text(json.dumps(content))
     times = []

@@ -20,7 +20,7 @@ from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
 from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, Scores, PredictedImage, evaluate, open_images
+from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, PredictedImage, Scores, evaluate, open_images
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
@@ -117,7 +117,7 @@ def test_scores_are_those_of_single_images(
     assert np.array_equal(total.confusion.counts, sum(plain["counts"] for plain in expected.values()))
     assert total.images == len(images) == 8
     assert steps[-1] == (8, 8)
-    assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
+    assert set(found.milliseconds) == {"network", "scores", "loading"} and min(found.milliseconds.values()) > 0
 
 
 def keys_seen(network: nn.Module, images: RangeImages, count: int | None, batch_size: int) -> list[str]:

@@ -16,10 +16,11 @@ from PIL import Image
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.overlay import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.segmenter import STAGES, Segmenter, Stopwatch
+from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
@@ -138,7 +139,7 @@ def test_every_stage_is_timed() -> None:
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
-    monkeypatch.setattr("bodyseg_model.segmentation.segmenter.time.perf_counter", lambda: next(times))
+    monkeypatch.setattr("bodyseg_model.evaluation.frame_times.time.perf_counter", lambda: next(times))
     watch = Stopwatch(("a", "b"))
     for _ in range(2):
         with watch("b"):
