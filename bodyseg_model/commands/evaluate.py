@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,7 +40,7 @@ class Options:
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
-    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    seed: int = option("seed of the artifacts, and of the choice of images", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
     batch_size: int = option("images that go through the network together", 16)
@@ -121,15 +120,11 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     options.images,
                     batch_size=options.batch_size,
                     num_workers=options.num_workers,
-                    progress=partial(_show, progress, before, total),
+                    progress=lambda done, _, before=before: progress.update(before + done, total),  # type: ignore[misc]
                     watch=None if picture is None else picture.watch,
                 )
             )
     return found
-
-
-def _show(progress: Progress, before: int, total: int, done: int, _: int) -> None:
-    progress.update(before + done, total)
 
 
 def _times(trained: Trained, images: RangeImages, frames: int) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class Options:
     frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
-    units: str = option("what one step of a frame is: mm, 0.1mm, cm ...", "mm")
+    units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
     rig: str | None = option("frames are from this rig's camera: 'paper' or a TOML file", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
@@ -150,5 +150,5 @@ def _remarks(camera: FrameCamera, summary: SequenceSummary, frames: int, out: Pa
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
     if camera.assumed:
-        lines.append(f"camera {camera.origin}: --focal or --rig says otherwise")
+        lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     return lines

@@ -44,13 +44,13 @@ class Options:
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
     out: Path = option("folder for stability.json, stability.png, and cached results to carry on from")
     reference: tuple[Path, ...] = option(
-        "runs whose errors are 1 in mCE: FCN-AlexNet trained on none (default: no mCE)", ()
+        "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
     parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
     images: int = option("images of every condition", 40)
-    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    seed: int = option("seed of the artifacts, and of the choice of images", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 

@@ -39,7 +39,7 @@ class ConfidentPixels:
     average_per_class_accuracy: over the parts that have such pixels.
     """
 
-    share: float
+    share_of_pixels: float
     pixel_accuracy: float
     average_per_class_accuracy: float
 
@@ -48,7 +48,7 @@ class ConfidentPixels:
 class Reliability:
     """One of 15 bins of confidence. confidence, accuracy: means over its pixels, NaN in an empty bin."""
 
-    above: float
+    confidence_above: float
     up_to: float
     pixels: int
     confidence: float

@@ -64,19 +64,19 @@ class Scores:
     def __repr__(self) -> str:
         return f"Scores({self.images} images, {self.confusion})"
 
-    def add(self, seen: PredictedImage, borders: NDArray[np.uint8]) -> float:
+    def add(self, image: PredictedImage, borders: NDArray[np.uint8]) -> float:
         """Count one image; returns its average per-class accuracy, NaN if it shows nothing.
 
         borders: the label image in which distances to borders are measured, uint8 [H, W]. Raises BadConfig for labels
         above 32 or confidences outside 0 to 1.
         """
-        pairs = pairs_of(seen.labels, seen.predicted)
+        pairs = pairs_of(image.labels, image.predicted)
         counts = count_pairs(pairs)
         self.images += 1
         self.confusion.counts += counts
-        where = np.flatnonzero(seen.labels != BACKGROUND)
+        where = np.flatnonzero(image.labels != BACKGROUND)
         if self.confidences is not None:
-            self.confidences.add(pairs, seen.confidence.ravel().take(where))
+            self.confidences.add(pairs, image.confidence.ravel().take(where))
         if self.borders is not None:
             self.borders.add(pairs, distance_bins(borders).ravel().take(where))
         return self.per_image.add(counts)
@@ -119,11 +119,11 @@ class Evaluation:
             total.merge(self.subsets[name])
         return total
 
-    def add(self, seen: PredictedImage, borders: NDArray[np.uint8]) -> float:
+    def add(self, image: PredictedImage, borders: NDArray[np.uint8]) -> float:
         """Count one image in its subset; see `Scores.add`."""
-        accuracy = self.subsets.setdefault(seen.subset, Scores(self.extras)).add(seen, borders)
+        accuracy = self.subsets.setdefault(image.subset, Scores(self.extras)).add(image, borders)
         if not math.isnan(accuracy):
-            self.worst = sorted([*self.worst, (accuracy, seen.key)])[:_WORST]
+            self.worst = sorted([*self.worst, (accuracy, image.key)])[:_WORST]
         return accuracy
 
     def merge(self, other: Evaluation) -> None:
@@ -183,7 +183,7 @@ def evaluate(
     Raises BadConfig for an invalid count, an unknown score, or a network that predicts labels above 32 or confidences
     outside 0 to 1; otherwise as `loader`.
     """
-    wanted = len(images) if count is None else min(whole_number("the number of images", count, 1), len(images))
+    total = len(images) if count is None else min(whole_number("the number of images", count, 1), len(images))
     for name in extras:
         if name not in EXTRAS:
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")
@@ -194,22 +194,22 @@ def evaluate(
     found.milliseconds = stage.milliseconds
     # One process evaluates, also under torchrun; and the order is that of the images' epoch, for every split.
     batches = iter(loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1))
-    for done in range(0, wanted, batch_size):
+    for done in range(0, total, batch_size):
         with stage("loading"):
             batch = next(batches)
-        keys = batch["key"][: wanted - done]
+        keys = batch["key"][: total - done]
         with stage("network"):
             prediction = predict(network, batch["range"][: len(keys)].to(device))
             predicted, confidence = prediction.labels.cpu().numpy(), prediction.confidence.cpu().numpy()
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
             for at, key in enumerate(keys):
-                seen = PredictedImage(key, clean.subset(key), ranges[at], labels[at], predicted[at], confidence[at])
-                accuracy = found.add(seen, clean.labels(key, seen.labels) if "borders" in extras else seen.labels)
+                image = PredictedImage(key, clean.subset(key), ranges[at], labels[at], predicted[at], confidence[at])
+                accuracy = found.add(image, clean.labels(key, image.labels) if "borders" in extras else image.labels)
                 if watch is not None:
-                    watch(seen, accuracy)
+                    watch(image, accuracy)
         if progress is not None:
-            progress(done + len(keys), wanted)
+            progress(done + len(keys), total)
     return found
 
 

@@ -114,7 +114,7 @@ def draw_confusion(figures: Tree) -> Any:
     axis.set_yticks(range(PART_COUNT), [f"{part.landmark}  {part.label}" for part in PARTS], fontsize=8)
     axis.set_xlabel("predicted part", fontsize=10)
     axis.set_ylabel("true part", fontsize=10)
-    axis.set_title("Of a true part's pixels, how many per cent are given to which part (1 and more)", fontsize=12)
+    axis.set_title("Predicted parts of each true part's pixels, per cent (1 and more)", fontsize=12)
     bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
@@ -170,7 +170,7 @@ def _risk_coverage(axis: Any, figures: Tree) -> None:
     axis.set_ylim(0, top)
     axis.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
-    axis.set_xlabel("coverage: pixels kept, the surest first", fontsize=10)
+    axis.set_xlabel("coverage: pixels kept, most confident first", fontsize=10)
     axis.set_ylabel("risk: kept pixels that are wrong", fontsize=10)
     axis.set_title(f"Risk and coverage: area {figures['confidence']['aurc']}", loc="left", fontsize=11)
     _plain(axis, "both")
@@ -192,10 +192,10 @@ def _reliability(axis: Any, figures: Tree) -> None:
         linewidth=1.6,
         markersize=6,
         zorder=4,
-        label="accuracy where the network is so sure",
+        label="accuracy of the pixels in the bin",
     )
     axis.bar(0, 0, color="#dcdcdc", label="share of all pixels")
-    axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="as sure as right")
+    axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="perfect calibration")
     axis.set_xlim(0, 1)
     axis.set_ylim(0, 1)
     for which in (axis.xaxis, axis.yaxis):
@@ -232,7 +232,7 @@ def draw_border_distance(figures: Tree) -> Any:
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
     axis.set_xlabel("distance to the nearest pixel of another part", fontsize=10)
     axis.set_ylabel("wrong pixels among those at this distance", fontsize=10)
-    axis.set_title("Where mistakes lie", loc="left", fontsize=11)
+    axis.set_title("Wrong pixels by distance to a border", loc="left", fontsize=11)
     axis.legend(fontsize=9.5, framealpha=1, edgecolor="none", reverse=True)
     _plain(axis, "y")
     return figure

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
 
 from bodyseg_data.core.parts import PARTS
 from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
-from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels
+from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels, Reliability
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
 from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds
 
@@ -66,7 +67,7 @@ def summary(scores: Scores) -> Tree:
             "mean": _share(scores.confidences.mean()),
             "ece": _share(scores.confidences.ece()),
             "aurc": _share(scores.confidences.aurc()),
-            "above_70_percent": _kept(scores.confidences.above(PAPERS_THRESHOLD)),
+            "above_70_percent": _shares(scores.confidences.above(PAPERS_THRESHOLD)),
         }
     return found
 
@@ -96,22 +97,13 @@ def _confidences(confidences: Confidences) -> Tree:
     risks = np.interp(coverages, coverage, risk) if coverage.size else np.full(_CURVE_POINTS, np.nan)
     return {
         "thresholds": [
-            {"confidence_above": threshold, **_kept(confidences.above(threshold))} for threshold in _THRESHOLDS
+            {"confidence_above": threshold, **_shares(confidences.above(threshold))} for threshold in _THRESHOLDS
         ],
         "risk_coverage": {
             "coverage": [round(float(value), _DECIMALS) for value in coverages],
             "risk": [_share(float(value)) for value in risks],
         },
-        "reliability": [
-            {
-                "confidence_above": round(row.above, _DECIMALS),
-                "up_to": round(row.up_to, _DECIMALS),
-                "pixels": row.pixels,
-                "confidence": _share(row.confidence),
-                "accuracy": _share(row.accuracy),
-            }
-            for row in confidences.reliability()
-        ],
+        "reliability": [_shares(row) for row in confidences.reliability()],
     }
 
 
@@ -126,12 +118,8 @@ def _borders(borders: BorderErrors) -> list[Tree]:
     return rows
 
 
-def _kept(kept: ConfidentPixels) -> Tree:
-    return {
-        "share_of_pixels": _share(kept.share),
-        "pixel_accuracy": _share(kept.pixel_accuracy),
-        "average_per_class_accuracy": _share(kept.average_per_class_accuracy),
-    }
+def _shares(record: ConfidentPixels | Reliability) -> Tree:
+    return {name: _share(value) for name, value in asdict(record).items()}
 
 
 def subset_order(subset: str) -> tuple[bool, str]:

@@ -26,7 +26,7 @@ _RIGHT, _WRONG, _SWAPPED = (220, 226, 236), (232, 134, 46), (148, 62, 190)
 _KIND_COLOURS: Final = {"right": _RIGHT, "other": _WRONG}
 """Any other kind is a swap. Light, medium and darker, so that they are distinct in grey as well."""
 
-# Unsure to sure: dark to light as well as blue to yellow.
+# Low to high confidence: dark to light as well as blue to yellow.
 _RAMP: Final = np.array([[0, 34, 78], [66, 78, 108], [124, 123, 120], [189, 175, 110], [254, 232, 56]])
 
 _HEIGHT: Final = 340
@@ -45,14 +45,14 @@ class SamplePicture:
         self._first: dict[str, tuple[float, PredictedImage]] = {}
         self._worst: tuple[float, PredictedImage] | None = None
 
-    def watch(self, seen: PredictedImage, accuracy: float) -> None:
+    def watch(self, image: PredictedImage, accuracy: float) -> None:
         """Consider one image for the figure; empty ones are ignored."""
         if np.isnan(accuracy):
             return
-        if seen.subset not in self._first:
-            self._first[seen.subset] = accuracy, _cropped(seen)
+        if image.subset not in self._first:
+            self._first[image.subset] = accuracy, _cropped(image)
         if self._worst is None or accuracy < self._worst[0]:
-            self._worst = accuracy, _cropped(seen)
+            self._worst = accuracy, _cropped(image)
 
     def draw(self) -> Image.Image | None:
         """Draw the figure; None if every image was empty."""
@@ -61,7 +61,7 @@ class SamplePicture:
         groups = sorted(self._first, key=subset_order)
         shown = [(f"first of {name}", *self._first[name]) for name in groups]
         shown.append(("worst of all", *self._worst))
-        lines = [[_fit(panel) for panel in _panels(seen)] for _, _, seen in shown]
+        lines = [[_fit(panel) for panel in _panels(image)] for _, _, image in shown]
         widths = [max(_LEAST_WIDTH, *(line[column].width for line in lines)) for column in range(len(_HEADS))]
         width = sum(widths) + _GAP * (len(_HEADS) + 1)
         legend = _legend(width - 2 * _GAP)
@@ -72,8 +72,8 @@ class SamplePicture:
         for left, head in zip(lefts, _HEADS, strict=True):
             pen.text((left, 7), head, INK, font=font(15))
         top = _TOP
-        for (which, accuracy, seen), line, height in zip(shown, lines, heights, strict=True):
-            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, seen)}", FAINT, font=font(13))
+        for (which, accuracy, image), line, height in zip(shown, lines, heights, strict=True):
+            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, image)}", FAINT, font=font(13))
             for left, panel in zip(lefts, line, strict=True):
                 picture.paste(panel, (left, top + _CAPTION))
             top += height
@@ -81,47 +81,47 @@ class SamplePicture:
         return picture
 
 
-def _cropped(seen: PredictedImage) -> PredictedImage:
+def _cropped(image: PredictedImage) -> PredictedImage:
     """A copy of an image, cropped to the body."""
-    body = seen.labels != BACKGROUND
+    body = image.labels != BACKGROUND
     rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
     top, left = (max(int(filled[0]) - _BODY_MARGIN, 0) for filled in (rows, columns))
     box = slice(top, int(rows[-1]) + 1 + _BODY_MARGIN), slice(left, int(columns[-1]) + 1 + _BODY_MARGIN)
     arrays = ("range_m", "labels", "predicted", "confidence")
-    return seen._replace(**{name: getattr(seen, name)[box].copy() for name in arrays})
+    return image._replace(**{name: getattr(image, name)[box].copy() for name in arrays})
 
 
-def _caption(accuracy: float, seen: PredictedImage) -> str:
-    sure = ConfusionMatrix()
-    sure.add(np.where(seen.confidence > PAPERS_THRESHOLD, seen.labels, np.uint8(BACKGROUND)), seen.predicted)
-    share = sure.pixels / np.count_nonzero(seen.labels != BACKGROUND)
-    caption = f"{seen.key}. Average per-class accuracy {100 * accuracy:.1f} %"
-    if not sure.pixels:
+def _caption(accuracy: float, image: PredictedImage) -> str:
+    confident = ConfusionMatrix()
+    confident.add(np.where(image.confidence > PAPERS_THRESHOLD, image.labels, np.uint8(BACKGROUND)), image.predicted)
+    share = confident.pixels / np.count_nonzero(image.labels != BACKGROUND)
+    caption = f"{image.key}. Average per-class accuracy {100 * accuracy:.1f} %"
+    if not confident.pixels:
         return f"{caption}; no pixel is above {_THRESHOLD}"
-    better = 100 * sure.average_per_class_accuracy()
+    better = 100 * confident.average_per_class_accuracy()
     return f"{caption}; {better:.1f} % among the {100 * share:.0f} % of pixels above {_THRESHOLD}"
 
 
-def _panels(seen: PredictedImage) -> list[NDArray[np.uint8]]:
-    body = seen.labels != BACKGROUND
-    steps = np.rint(seen.range_m / RANGE_STEP_M).astype(np.uint16)
+def _panels(image: PredictedImage) -> list[NDArray[np.uint8]]:
+    body = image.labels != BACKGROUND
+    steps = np.rint(image.range_m / RANGE_STEP_M).astype(np.uint16)
     # Noise has long tails: the ramp covers 98 % of the pixels.
     near, far = (int(edge) for edge in np.percentile(steps[body], (1, 99)))
     kinds = np.zeros(body.shape, np.uint8)
-    kinds[body] = KIND_OF[seen.labels[body], seen.predicted[body]]
+    kinds[body] = KIND_OF[image.labels[body], image.predicted[body]]
     mistakes = np.array([_KIND_COLOURS.get(kind, _SWAPPED) for kind in KINDS], np.uint8)[kinds]
     mistakes[~body] = _EMPTY
-    confidence = _colour_confidence(seen.confidence)
+    confidence = _colour_confidence(image.confidence)
     confidence[~body] = _EMPTY
-    sure = colour_labels(seen.predicted, _EMPTY)
-    sure[body & (seen.confidence <= PAPERS_THRESHOLD)] = _DROPPED
+    confident = colour_labels(image.predicted, _EMPTY)
+    confident[body & (image.confidence <= PAPERS_THRESHOLD)] = _DROPPED
     return [
         colour_range(steps, near, far),
-        colour_labels(seen.labels, _EMPTY),
-        colour_labels(seen.predicted, _EMPTY),
+        colour_labels(image.labels, _EMPTY),
+        colour_labels(image.predicted, _EMPTY),
         mistakes,
         confidence,
-        sure,
+        confident,
     ]
 
 

@@ -61,14 +61,14 @@ def find_frames(paths: Sequence[Path]) -> list[FrameFile]:
     groups = [[_file(path) for path in files]]
     groups += [_folder(path) if path.is_dir() else _tar(path) for path in paths if path not in files]
     frames = [frame for group in groups for frame in sorted(group, key=lambda frame: _natural(frame.name))]
-    known: dict[str, FrameFile] = {}
+    by_name: dict[str, FrameFile] = {}
     for frame in frames:
         if not _NAME.fullmatch(frame.name):
             raise BadConfig(
                 "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
                 f"begin with a dot or space, found {frame.where}"
             )
-        if (other := known.setdefault(frame.name, frame)) is not frame:
+        if (other := by_name.setdefault(frame.name, frame)) is not frame:
             raise BadConfig(f"two frames must not have one name, as their results would: {other.where}, {frame.where}")
     return frames
 

@@ -43,9 +43,9 @@ def draw_overlay(
     picture[room] = _between(_ROOM_GREYS, _depth(range_m.ravel()[room]))[:, None]
     for pixels in bodies:
         depth, label = _depth(range_m.ravel()[pixels]), labels.ravel()[pixels]
-        known = label < PART_COUNT
-        colours = COLOURS[np.where(known, label, 0)] * _between((1, _DARKEST), depth)[:, None]
-        picture[pixels] = np.where(known[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
+        is_part = label < PART_COUNT
+        colours = COLOURS[np.where(is_part, label, 0)] * _between((1, _DARKEST), depth)[:, None]
+        picture[pixels] = np.where(is_part[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
     return picture.reshape(*range_m.shape, 3)
 
 

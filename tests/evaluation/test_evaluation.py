@@ -108,7 +108,7 @@ def test_scores_are_those_of_single_images(
         assert scores.images == plain["images"]
         assert np.array_equal(scores.confusion.counts, plain["counts"])
         assert scores.confidences is not None and scores.borders is not None
-        assert scores.confidences.above(0.5).share == pytest.approx(plain["sure"] / plain["counts"].sum())
+        assert scores.confidences.above(0.5).share_of_pixels == pytest.approx(plain["sure"] / plain["counts"].sum())
         assert scores.confidences.mean() == pytest.approx(plain["confidence"] / plain["counts"].sum())
         assert scores.borders.counts[0].sum() == plain["near"]
         assert scores.borders.counts[0].sum() - scores.borders.counts[0, KINDS.index("right")] == plain["wrong_near"]

@@ -68,6 +68,7 @@ def metres_of(pixels: int, depth_m: float) -> float:
 def test_each_pixel_follows_itself() -> None:
     body = seen(figure())
     assert len(body.pixels) > 20_000
+    assert repr(body) == f"RenderedBody({body.mesh.name!r}, {len(body.pixels)} pixels)"
     np.testing.assert_array_equal(follow(body, body), body.pixels)
 
 
@@ -210,6 +211,7 @@ def test_scores_counted_by_hand() -> None:
 
 def test_a_share_of_nothing_is_null() -> None:
     assert set(TemporalConsistency().to_json().values()) == {None}
+    assert repr(TemporalConsistency()) == "TemporalConsistency(0 points, 0 pixels)"
 
 
 class Walk:
