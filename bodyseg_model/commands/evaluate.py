@@ -95,24 +95,27 @@ def _check(options: Options) -> None:
 
 
 def _open(options: Options) -> list[RangeImages]:
-    """The sets. Raises BadConfig if two of them share a sample, which would then count twice."""
-    sets, held = [], dict[str, str]()
+    """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
+    sets, path_of = [], dict[str, str]()
     for path in options.data:
         images = open_images(path, options.variant, options.split, options.seed, options.noise_mm, options.missing)
         for key in images.keys:
-            if key in held:
-                raise BadConfig(f"a sample counts once: {key} of {path} is also in {held[key]}")
-        held |= dict.fromkeys(images.keys, path)
+            if key in path_of:
+                raise BadConfig(f"a sample counts once: {key} of {path} is also in {path_of[key]}")
+        path_of |= dict.fromkeys(images.keys, path)
         sets.append(images)
     return sets
 
 
 def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
     total = sum(_count(images, options.images) for images in sets)
-    found = Evaluation()
+    found, before = Evaluation(), 0
+
+    def show(done: int, _: int) -> None:
+        progress.update(before + done, total)
+
     with Progress("evaluating", "images") as progress:
         for images in sets:
-            before = sum(scores.images for scores in found.subsets.values())
             found.merge(
                 evaluate(
                     trained.network,
@@ -120,10 +123,11 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     options.images,
                     batch_size=options.batch_size,
                     num_workers=options.num_workers,
-                    progress=lambda done, _, before=before: progress.update(before + done, total),  # type: ignore[misc]
+                    progress=show,
                     watch=None if picture is None else picture.watch,
                 )
             )
+            before += _count(images, options.images)
     return found
 
 

@@ -136,16 +136,16 @@ class _PosedBody:
         if sweep == "occlusion":
             return self._lit(with_baseline(rig, strength))
         if sweep in ("nearer", "farther"):
-            return labelled_image(*self._seen(rig.camera, strength))
+            return labelled_image(*self._render(rig.camera, strength))
         if sweep == "tilt":
-            return labelled_image(*self._seen(rig.camera, rig.stand_off_m, strength))
+            return labelled_image(*self._render(rig.camera, rig.stand_off_m, strength))
         if sweep in ("rig", "rig_resampled"):
             camera = sensor(strength)
-            shown = self._seen(camera, rig.stand_off_m)
-            return labelled_image(*shown) if sweep == "rig" else resampled(*shown, camera, rig)
-        return labelled_image(*self._seen(rig.camera, rig.stand_off_m))
+            rendered = self._render(camera, rig.stand_off_m)
+            return labelled_image(*rendered) if sweep == "rig" else resampled(*rendered, camera, rig)
+        return labelled_image(*self._render(rig.camera, rig.stand_off_m))
 
-    def _seen(
+    def _render(
         self, camera: Camera, distance_m: float, tilt_deg: float = 0.0
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
         """Range image in steps and label image from a camera, without shadows of a projector."""
