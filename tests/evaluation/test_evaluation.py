@@ -19,7 +19,7 @@ from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
 from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, Scores, Seen, evaluate, open_images
+from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, PredictedImage, Scores, evaluate, open_images
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
@@ -108,7 +108,7 @@ def test_scores_are_those_of_single_images(
         assert scores.images == plain["images"]
         assert np.array_equal(scores.confusion.counts, plain["counts"])
         assert scores.confidences is not None and scores.borders is not None
-        assert scores.confidences.above(0.5).share == pytest.approx(plain["sure"] / plain["counts"].sum())
+        assert scores.confidences.above(0.5).share_of_pixels == pytest.approx(plain["sure"] / plain["counts"].sum())
         assert scores.confidences.mean() == pytest.approx(plain["confidence"] / plain["counts"].sum())
         assert scores.borders.counts[0].sum() == plain["near"]
         assert scores.borders.counts[0].sum() - scores.borders.counts[0, KINDS.index("right")] == plain["wrong_near"]
@@ -117,7 +117,7 @@ def test_scores_are_those_of_single_images(
     assert np.array_equal(total.confusion.counts, sum(plain["counts"] for plain in expected.values()))
     assert total.images == len(images) == 8
     assert steps[-1] == (8, 8)
-    assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
+    assert set(found.milliseconds) == {"network", "scores", "loading"} and min(found.milliseconds.values()) > 0
 
 
 def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
@@ -204,10 +204,12 @@ def test_answers_that_are_none_are_refused(figures_set: Path) -> None:
         evaluate(Undecided().eval(), images)
 
 
-def seen_image(subset: str, labels: list[int], predicted: list[int]) -> Seen:
+def seen_image(subset: str, labels: list[int], predicted: list[int]) -> PredictedImage:
     truth, guess = (np.array([row], np.uint8) for row in (labels, predicted))
     body = truth != BACKGROUND
-    return Seen(f"{subset}-{labels[0]}", subset, body.astype(np.float32) * 2, truth, guess, body.astype(np.float32))
+    return PredictedImage(
+        f"{subset}-{labels[0]}", subset, body.astype(np.float32) * 2, truth, guess, body.astype(np.float32)
+    )
 
 
 def test_an_empty_image_counts_as_an_image_and_as_nothing_else() -> None:
@@ -287,7 +289,7 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
     picture = SamplePicture()
     seen: list[tuple[float, str, str]] = []
 
-    def watch(one: Seen, accuracy: float) -> None:
+    def watch(one: PredictedImage, accuracy: float) -> None:
         picture.watch(one, accuracy)
         seen.append((accuracy, one.subset, one.key))
 
