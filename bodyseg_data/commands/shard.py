@@ -21,7 +21,7 @@ from bodyseg_data.core.machine import processors
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.partition.geodesics import Geodesics
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.rendering import RendererName
@@ -47,7 +47,7 @@ class Options:
     azimuths: int = option("how many directions round the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
     rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
-    geodesics: Geodesics = option("how distances along the surface are measured", Packing.geodesics)
+    geodesics: GeodesicMethod = option("how distances along the surface are measured", Packing.geodesics)
     tolerance_mm: float | None = option(
         "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
     )

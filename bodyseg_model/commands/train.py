@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import Artifacts, VariantName, artifacts_of
+from bodyseg_data.artifacts.strengths import Artifacts, parse_artifacts
+from bodyseg_data.artifacts.variants import VariantName, artifacts_for
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
@@ -43,6 +45,7 @@ class Options:
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
+    artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
     recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
@@ -95,20 +98,14 @@ def _silent(metrics: Metrics) -> None:
 
 
 def _artifacts(options: Options) -> Artifacts:
-    usual = Artifacts()
-    has = artifacts_of(options.variant)
-    for name, value, used in (
-        ("noise-mm", options.noise_mm, has.noise),
-        ("missing", options.missing, has.missing_data),
-        ("losses", options.losses, has.missing_data),
-    ):
-        if value is not None and not used:
-            raise BadConfig(f"--{name} is for a variant that has such an artifact, found variant {options.variant!r}")
-    return Artifacts(
-        usual.noise if options.noise_mm is None else Noise(0.0, options.noise_mm),
-        usual.missing_data if options.missing is None else MissingData(options.missing),
-        None if options.losses is None else Losses(options.losses),
-    )
+    given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts")]
+    if options.noise_mm is not None:
+        given.append(Noise(0.0, options.noise_mm))
+    if options.missing is not None:
+        given.append(MissingData(options.missing))
+    if options.losses is not None:
+        given.append(Losses(options.losses))
+    return artifacts_for(options.variant, given)
 
 
 def _network(options: Options) -> Network:

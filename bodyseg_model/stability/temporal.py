@@ -16,7 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.variants import Augmentation, RangeImage, VariantName
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
 from bodyseg_data.bodies.source import BodySource
 from bodyseg_data.bodies.sources import open_source

@@ -183,12 +183,12 @@ def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkey
 
 def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
     images = open_images(str(figures_set), "all", noise_mm=40, missing=0.25)
-    assert {images.image(index).sigma_mm for index in range(8)} == {40}
-    assert {images.image(index).missing_rate for index in range(8)} == {0.25}
+    assert {images.image(index).drawn["sigma_mm"] for index in range(8)} == {40}
+    assert {images.image(index).drawn["missing_rate"] for index in range(8)} == {0.25}
     drawn = open_images(str(figures_set), "all")
-    assert len({drawn.image(index).sigma_mm for index in range(8)}) == 8
+    assert len({drawn.image(index).drawn["sigma_mm"] for index in range(8)}) == 8
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
-        with pytest.raises(BadConfig, match="is for a variant that has any, found variant"):
+        with pytest.raises(BadConfig, match="is for a variant that has (noise|missing_data), found variant"):
             open_images(str(figures_set), variant, **strengths)  # type: ignore[arg-type]
     with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
         open_images(str(figures_set), missing=1.5)
@@ -378,8 +378,10 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
-        (["--variant", "none", "--noise-mm", "5"], "a fixed strength of noise is for a variant that has any"),
+        (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),
         (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
+        (["--artifacts", "{"], "--artifacts must be JSON, found '{'"),
+        (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
         (["--figures", "no/folder/figures"], "--figures cannot be the folder no/folder/figures"),

@@ -12,7 +12,7 @@ from small_rig import SMALL
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.variants import Artifacts
+from bodyseg_data.artifacts.strengths import Artifacts
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.views import ViewGrid

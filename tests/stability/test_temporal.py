@@ -58,7 +58,7 @@ def boxes(*sizes_and_middles: tuple[Triple, Triple]) -> Mesh:
 def seen(mesh: Mesh) -> SeenBody:
     """From the front, by a camera that stands 2.55 m from the origin, wherever the mesh is."""
     camera, _ = RIG.placed(np.zeros(3), View(255, 0))
-    return SeenBody(mesh, camera, RasterRenderer(mesh).see(camera))
+    return SeenBody(mesh, camera, RasterRenderer(mesh).render(camera))
 
 
 def metres_of(pixels: int, depth_m: float) -> float:

@@ -40,7 +40,7 @@ from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
@@ -144,7 +144,7 @@ def judged(
     range_steps = np.where(body, np.uint16(25000), np.uint16(0)) if image is None else image
     info = SampleInfo("folder", "folder", "S", "m", "standing", 215, 0, "test")
     clean = Sample("folder-S-m-d215-a000", range_steps, None, labels, body, info)
-    seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), 10.0, 0.05)
+    seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), {"sigma_mm": 10.0})
     return Judged(clean, seen, np.where(shown, said, np.uint8(BACKGROUND)), 12.0)
 
 
@@ -236,8 +236,8 @@ def test_rules_about_an_image() -> None:
     body = plain() != BACKGROUND
     assert (rule("pose", case._replace(new_pose_deg=30.5)) == body).all()
     assert not rule("pose", case._replace(new_pose_deg=float("nan"))).any()
-    assert (rule("noise", case._replace(shown=replace(case.shown, sigma_mm=60.5))) == body).all()
-    assert not rule("noise", case._replace(shown=replace(case.shown, sigma_mm=None))).any()
+    assert (rule("noise", case._replace(shown=replace(case.shown, drawn={"sigma_mm": 60.5}))) == body).all()
+    assert not rule("noise", case._replace(shown=replace(case.shown, drawn={}))).any()
 
 
 # Poses.

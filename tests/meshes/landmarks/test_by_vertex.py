@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.surface.areas import part_areas
 from shapes import ball
 
 from bodyseg_data.bodies.sources import open_source
@@ -15,7 +16,7 @@ from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PARTS
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks, parse_landmarks
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import part_areas, partition
+from bodyseg_data.meshes.partition.surface_parts import partition
 
 PAIRS = [part.label for part in PARTS if part.side == "right"]
 

@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data.surface.areas import part_areas
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import LANDMARKS, PARTS
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import part_areas, partition
+from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.repair import load_pymeshlab
 
 OPEN: Final = (

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
@@ -193,7 +193,7 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         grazing = viewing_angles(clean.range, camera) > GRAZING_DEG
     everywhere = np.ones(len(where), np.bool_)
-    sigma = shown.sigma_mm or 0.0
+    sigma = shown.drawn.get("sigma_mm", 0.0)
     found: dict[str, NDArray[np.bool_]] = {
         "lost_data": at(measured < LEAST_MEASURED * window_sums(body, NEAR_PX)),
         "out_of_frame": at(edge_distance(body) < FRAME_PX),

@@ -130,7 +130,7 @@ def label(network: Network, range_m: Image, camera: Camera, method: Method) -> L
 
 def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera) -> tuple[Image, Labels]:
     """What a camera sees of a body, and the parts."""
-    seen = renderer.see(placed)
+    seen = renderer.render(placed)
     rows, columns = np.nonzero(seen.face >= 0)
     truth = np.full(seen.face.shape, BACKGROUND, np.uint8)
     truth[rows, columns] = parts.labels_at(mesh, seen.face[rows, columns], surface_points(seen, placed, rows, columns))
