@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from bodyseg_data.loading.loader import Loader, loader
     from bodyseg_data.loading.range_images import Batch, RangeImages
 
+    __version__: str
+
 _HOME: Final = {
     "BodysegError": "core.errors",
     "BACKGROUND": "core.parts",
@@ -54,6 +56,18 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _installed_version()
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def _installed_version() -> str:
+    """The version of the installed package `bodyseg`; "0+unknown" in a checkout that was never installed."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("bodyseg")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"

@@ -1,1 +1,16 @@
 """Scores by which a segmentation of range images into body parts is judged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bodyseg_data
+
+if TYPE_CHECKING:
+    __version__: str
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return bodyseg_data.__version__  # one distribution
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

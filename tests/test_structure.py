@@ -27,6 +27,7 @@ HEAVY = [
     "pymeshlab",
     "pyrender",
     "scipy",
+    "skimage",
     "sklearn",
     "tensorboard",
     "transformers",
@@ -150,6 +151,29 @@ def test_importing_the_package_is_light() -> None:
 @pytest.mark.parametrize(
     "statement",
     [
+        "from bodyseg_data import RangeImages, loader",
+        "from bodyseg_data.commands.cli import main; main(['--help'])",
+        "from bodyseg_data.commands.cli import main; main(['--version'])",
+        "import bodyseg_data.commands.verify, bodyseg_model.commands.train",
+    ],
+)
+def test_the_command_line_is_parsed_by_whom_it_is_for(statement: str) -> None:
+    assert not {"cyclopts", "rich"} & set(loaded_by(statement))
+
+
+def test_a_command_imports_no_other() -> None:
+    script = "import sys; from bodyseg_data.commands.cli import main; main(['verify', '--help']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    commands = {name for name in loaded if name.startswith(("bodyseg_data.commands.", "bodyseg_model."))}
+    own = {f"bodyseg_data.commands.{name}" for name in ("cli", "options", "progress", "verify")}
+    assert commands == own
+    assert not {"torch", *HEAVY} & loaded
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation",
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
         "import bodyseg_data.bodies.sources; bodyseg_data.bodies.sources.open_source('open').bodies()",
@@ -166,7 +190,7 @@ def test_streaming_and_planning_need_no_renderer(statement: str) -> None:
 def test_streaming_installs_no_renderer() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     core = {name.partition(">")[0].partition("=")[0] for name in project["dependencies"]}
-    assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "safetensors", "tqdm"}
+    assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "safetensors", "tqdm", "cyclopts", "rich"}
 
 
 def test_every_dependency_is_pinned_and_explained() -> None:

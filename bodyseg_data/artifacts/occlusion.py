@@ -131,19 +131,11 @@ def shadow_test(rig: Rig) -> ShadowTest:
     return ShadowTest(rig)
 
 
-def reached(
-    projector_range: NDArray[np.uint16],
-    x: Floats,
-    y: Floats,
-    away: Floats,
-    gap: np.float32 = _GAP_STEPS,
-    edge: np.float32 = _EDGE_STEPS,
-) -> NDArray[np.bool_]:
+def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
     """Decide whether light reaches points inside the projector's frame, bool [N].
 
     projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
-    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. gap, edge: those of `ShadowThresholds`.
-    Ranges and thresholds are in steps of `RANGE_STEP_M`.
+    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. Ranges are in steps of `RANGE_STEP_M`.
     """
     texels, along, below = four_texels(projector_range, x, y)
     away = np.minimum(away - _ONE, FARTHEST_STEPS)  # one step off, as the texels are
@@ -153,11 +145,11 @@ def reached(
     # One surface: it is where the interpolated range says.
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= gap
+    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= _GAP_STEPS
 
     # An edge: votes.
-    torn = np.flatnonzero(farthest - nearest >= edge)
-    limit, right, low = (away - edge)[torn], along[torn], below[torn]
+    torn = np.flatnonzero(farthest - nearest >= _EDGE_STEPS)
+    limit, right, low = (away - _EDGE_STEPS)[torn], along[torn], below[torn]
     left, high = _ONE - right, _ONE - low
     votes = [
         weight * (texel[torn] >= limit)

@@ -13,9 +13,9 @@ import sys
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol, get_args
 
-from bodyseg_data.commands.options import parse
+from bodyseg_data.commands.options import command_parser, parse, version_line
 from bodyseg_data.core.errors import BadConfig, BodysegError
 
 Commands = Mapping[str, tuple[str, str]]
@@ -29,6 +29,10 @@ COMMANDS: Final[Commands] = {
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""
+
+Shell = Literal["bash", "zsh", "fish", "powershell"]
+SHELLS: Final[tuple[Shell, ...]] = get_args(Shell)
+"""The shells that `--completion` writes a script for."""
 
 INTERNAL_ERROR: Final = 70  # EX_SOFTWARE of sysexits.h
 
@@ -85,8 +89,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:
-        if signal.getsignal(signal.SIGTERM) is _stop:  # else this process is ending
-            for number, action in before.items():
+        for number, action in before.items():
+            if signal.getsignal(number) is _stop:  # else this process is ending
                 signal.signal(number, action)
 
 
@@ -114,12 +118,36 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
     if name in ("", "-h", "--help"):
         sys.stdout.write(_overview(program, commands))
         return 0
+    if name == "--version":
+        sys.stdout.write(f"{version_line()}\n")
+        return 0
+    if name == "--completion":
+        sys.stdout.write(_completion(program, commands, words))
+        return 0
     if name not in commands:
         raise BadConfig(f"no such command; there are {', '.join(commands)}")
-    module, summary = commands[name]
-    command: Command = importlib.import_module(module)
+    command, summary = _load(commands, name)
     options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)
-    return command.run(options)
+    return 0 if options is None else command.run(options)
+
+
+def _load(commands: Commands, name: str) -> tuple[Command, str]:
+    module, summary = commands[name]
+    return importlib.import_module(module), summary
+
+
+def _completion(program: str, commands: Commands, words: list[str]) -> str:
+    """A script by which a shell completes commands, options, choices and files."""
+    shell = next((shell for shell in SHELLS if words == [shell]), None)
+    if shell is None:
+        raise BadConfig(f"--completion needs one of {', '.join(SHELLS)}, found {' '.join(words) or 'nothing'}")
+    from cyclopts import App
+
+    everything = App(program.strip(), version=version_line)
+    for name in commands:
+        command, summary = _load(commands, name)
+        everything.command(command_parser(command.Options, name, summary, command.EXAMPLE))
+    return everything.generate_completion(shell=shell)
 
 
 def _say(command: str, message: str, status: int) -> int:
@@ -131,4 +159,6 @@ def _say(command: str, message: str, status: int) -> int:
 def _overview(program: str, commands: Commands) -> str:
     width = max(map(len, commands))
     lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items()]
-    return "\n".join([f"usage: {program}COMMAND [--help] ...", "", *lines, ""])
+    usage = [f"{program}COMMAND [--help] ...", f"{program}--version", f"{program}--completion {'|'.join(SHELLS)}"]
+    indent = "\n" + " " * len("Usage: ")
+    return "\n".join([f"Usage: {indent.join(usage[: 3 if program.endswith(' ') else 1])}", "", *lines, ""])

@@ -31,7 +31,7 @@ EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 class Options:
     """What the command takes."""
 
-    folder: str = option("folder or address of a set of shards", positional=True)
+    folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     split: Split | None = option("only this split (default: both)", None)
     out: Path | None = option("write a contact sheet to this PNG file", None)

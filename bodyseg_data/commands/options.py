@@ -2,44 +2,103 @@
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import dataclasses
+import inspect
+import io
+import sys
 import types
 import typing
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+import bodyseg_data
 from bodyseg_data.core.errors import BadConfig
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 Options = TypeVar("Options")
 
 
-def option(text: str, default: Any = dataclasses.MISSING, positional: bool = False, address: bool = False) -> Any:
+def option(
+    text: str,
+    default: Any = dataclasses.MISSING,
+    positional: bool = False,
+    address: bool = False,
+    flag: str | None = None,
+) -> Any:
     """A field of an options class: its help text, its default (none: required), and whether it has no dashes.
 
-    address: whether its text is a path or an address.
+    address: whether its text is a path or an address. flag: its name on the command line, where the field's own name
+    is another, as `lr` for `learning_rate`.
     """
-    return dataclasses.field(default=default, metadata={"help": text, "positional": positional, "address": address})
+    metadata = {"help": text, "positional": positional, "address": address, "flag": flag}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
-def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: str, example: str) -> Options:
-    """Read a command line into `kind`, a dataclass whose fields are made by `option`.
+def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: str, example: str) -> Options | None:
+    """Read a command line into `kind`, a dataclass whose fields are made by `option`; None after printing `--help`.
 
     Fields may be str, int, float, Path, bool (a switch), a Literal, any of them or None, or a tuple of one kind
-    (several values). Raises BadConfig with one line for a bad argument; `--help` prints and exits with status 0.
+    (several values). Raises BadConfig with one line for a bad argument.
     """
-    parser = _Parser(
-        prog=program,
-        description=summary,
-        epilog=f"example:\n  {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    from cyclopts import CycloptsError, MissingArgumentError
+
+    parser = command_parser(kind, program, summary, example)
+    page = io.StringIO()  # written below: rich ends a program whose output nobody reads with a status of its own
+    try:
+        with contextlib.redirect_stdout(page):
+            options: Options | None = parser(
+                list(arguments), result_action="return_value", exit_on_error=False, print_error=False
+            )
+    except CycloptsError as error:
+        wrong = str(error).rstrip(".")
+        if isinstance(error, MissingArgumentError) and error.keyword is None:  # not even its name is there
+            wrong = wrong.replace("requires an argument", "is missing")
+        raise BadConfig(f"{wrong} (see {program} --help)") from None
+    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in page.getvalue().splitlines()))
+    return options
+
+
+def command_parser(kind: type[Any], program: str, summary: str, example: str) -> App:
+    """The parser of one command: called with words, it returns a `kind`.
+
+    cyclopts is imported here and not above: streaming and the list of commands do without, and save its 70 ms.
+    """
+    from cyclopts import App
+    from cyclopts.help import DefaultFormatter, PanelSpec
+    from rich.box import Box
+
     hints = typing.get_type_hints(kind)
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]  # the caller gives a dataclass
-        _add(parser, field, hints[field.name])
-    return kind(**vars(parser.parse_args(list(arguments))))
+    fields = sorted(dataclasses.fields(kind), key=lambda field: not field.metadata["positional"])
+
+    def read(*values: Any, **named: Any) -> Any:
+        return kind(**{field.name: value for field, value in zip(fields, values, strict=False)}, **named)
+
+    # A function stands for the dataclass, none of whose fields could be positional only.
+    read.__signature__ = inspect.Signature([_parameter(field, hints[field.name]) for field in fields])  # type: ignore[attr-defined]
+    columns = DefaultFormatter(panel_spec=PanelSpec(box=Box("    \n" * 8), padding=0))  # without lines around them
+    app = App(
+        program,
+        summary,
+        help_epilogue=f"example:\n  {example}",
+        help_format="plaintext",
+        help_formatter=columns,
+        version=version_line,
+        suppress_keyboard_interrupt=False,
+    )
+    for name in ("--help", "--version"):
+        app[name].show = False
+    app.default(read)
+    return app
+
+
+def version_line() -> str:
+    """What `--version` prints."""
+    return f"bodyseg {bodyseg_data.__version__}"
 
 
 def command_line(program: str, options: Any) -> str:
@@ -57,7 +116,7 @@ def command_line(program: str, options: Any) -> str:
         named = field.metadata["address"] or _kind(hints[field.name])[0] is Path
         texts = [place_name(str(each)) if named else str(each) for each in values]
         if not field.metadata["positional"]:
-            words.append(_flag(field.name))
+            words.append(flag_of(field))
         if hints[field.name] is not bool:
             words += texts
     return " ".join(words)
@@ -68,53 +127,45 @@ def place_name(path: str) -> str:
     return path if "://" in path else Path(path).name
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, without the usage block."""
-
-    def error(self, message: str) -> NoReturn:
-        raise BadConfig(f"{message} (see {self.prog} --help)")
+def flag_of(field: dataclasses.Field[Any]) -> str:
+    """The option on the command line that gives this field."""
+    return "--" + (field.metadata["flag"] or field.name.replace("_", "-"))
 
 
-def _add(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], hint: Any) -> None:
-    required = field.default is dataclasses.MISSING
-    settings: dict[str, Any] = {"help": field.metadata["help"]}
-    if hint is bool:
-        settings["action"] = "store_true"
-    else:
-        kind, many = _kind(hint)
-        if typing.get_origin(kind) is typing.Literal:
-            settings["choices"] = typing.get_args(kind)
-            settings["metavar"] = "|".join(typing.get_args(kind))
-        else:
-            settings["type"] = _path if kind is Path else kind
-            settings["metavar"] = {Path: "PATH", int: "N", float: "X", str: "TEXT"}[kind]
-        if many:
-            settings["nargs"] = "+"
-            settings["action"] = _Tuple
-        if not required:
-            settings["default"] = field.default
-            default: Any = field.default
-            if default not in (None, ()):
-                shown = " ".join(map(str, default)) if many else default
-                settings["help"] += f" (default: {shown})"
-    if field.metadata["positional"]:
-        settings["metavar"] = field.name.upper()
-        parser.add_argument(field.name, **settings)
-    else:
-        if required:
-            settings["required"] = True
-        parser.add_argument(_flag(field.name), dest=field.name, **settings)
+def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
+    from cyclopts import Parameter, convert
+
+    kind, many = _kind(hint)
+    positional, address, default = field.metadata["positional"], field.metadata["address"], field.default
+    if address:
+        kind = Path  # to the shell that completes it, not in what is read
+    shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+    settings = Parameter(
+        name=None if positional else flag_of(field),
+        help=field.metadata["help"],
+        converter=partial(convert, converter=_address if address else _value),
+        consume_multiple=(1, None),
+        allow_repeating=True,  # the last one counts
+        negative=(),
+        show_default=False if default is False or default in (None, ()) else shown,
+    )
+    return inspect.Parameter(
+        field.name,
+        inspect.Parameter.POSITIONAL_ONLY if positional else inspect.Parameter.KEYWORD_ONLY,
+        default=inspect.Parameter.empty if default is dataclasses.MISSING else default,
+        annotation=Annotated[types.GenericAlias(tuple, (kind, ...)) if many else kind, settings],
+    )
 
 
-def _flag(name: str) -> str:
-    """A field's option; an underscore at the end is not part of it, for words that Python keeps to itself: `in_`."""
-    return "--" + name.removesuffix("_").replace("_", "-")
+def _value(kind: Any, text: str) -> Any:
+    """One value. By itself cyclopts would round 2.7 to a whole number, and take an empty path for this folder."""
+    if kind is Path and not text:
+        raise ValueError
+    return kind(text)
 
 
-def _path(text: str) -> Path:
-    if not text:
-        raise argparse.ArgumentTypeError("a path must not be empty")
-    return Path(text)
+def _address(_: Any, text: str) -> str:
+    return text
 
 
 def _kind(hint: Any) -> tuple[Any, bool]:
@@ -124,12 +175,3 @@ def _kind(hint: Any) -> tuple[Any, bool]:
     if typing.get_origin(hint) is tuple:
         return typing.get_args(hint)[0], True
     return hint, False
-
-
-class _Tuple(argparse.Action):
-    """Keeps several values as a tuple, so that options stay frozen."""
-
-    def __call__(
-        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        setattr(namespace, self.dest, tuple(values))

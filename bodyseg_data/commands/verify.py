@@ -20,7 +20,7 @@ EXAMPLE = "bodyseg verify shards"
 class Options:
     """What the command takes."""
 
-    folder: str = option("folder or address of a set of shards", positional=True)
+    folder: str = option("folder or address of a set of shards", positional=True, address=True)
 
 
 def run(options: Options) -> int:

@@ -30,15 +30,15 @@ _START_METHODS: Final = (None, "fork", "spawn", "forkserver")
 class LoaderOptions:
     """How batches are made, which changes none of their bits; see `loader`."""
 
-    workers: int
-    prefetch: int
+    num_workers: int
+    prefetch_factor: int
     metres: bool
     pin_memory: bool
     start_method: StartMethod | None
 
     def __post_init__(self) -> None:
-        whole_number("workers", self.workers, 0)
-        whole_number("prefetch", self.prefetch, 1)
+        whole_number("num_workers", self.num_workers, 0)
+        whole_number("prefetch_factor", self.prefetch_factor, 1)
         flag("metres", self.metres)
         flag("pin_memory", self.pin_memory)
         if self.start_method not in _START_METHODS:
@@ -98,8 +98,8 @@ class Loader:
     def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
         self.images, self.order = images, order
         self._ledger, self._options = ledger, options
-        self._workers = min(options.workers, len(order))
-        self._ahead = max(1, min(self._workers * options.prefetch, len(order)))
+        self._workers = min(options.num_workers, len(order))
+        self._ahead = max(1, min(self._workers * options.prefetch_factor, len(order)))
         self._passes = 0
         self._state: _WorkerState | None = None
 
@@ -196,7 +196,7 @@ def _ask(state: _WorkerState, plan: Pass, number: int) -> None:
 def loader(
     images: RangeImages,
     batch_size: int,
-    workers: int = 0,
+    num_workers: int = 0,
     shuffle: bool | None = None,
     drop_last: bool = False,
     *,
@@ -207,10 +207,10 @@ def loader(
     skip_log: str | Path | None = None,
     metres: bool = True,
     pin_memory: bool = False,
-    prefetch: int = 2,
+    prefetch_factor: int = 2,
     start_method: StartMethod | None = None,
 ) -> Loader:
-    """Batches of `images`, made in `workers` processes (0: in this one); see `Batch` for what a batch holds.
+    """Batches of `images`, made in `num_workers` processes (0: in this one); see `Batch` for what a batch holds.
 
     shuffle: None shuffles the train split and nothing else. drop_last: leave out the last batch if it is not full.
 
@@ -222,8 +222,9 @@ def loader(
     below 1). skip_log: a file to which each is appended as a line of JSON.
 
     metres: False leaves ranges as uint16 in steps of 0.1 mm, half the bytes, for a GPU to convert. pin_memory: deliver
-    in page-locked memory, if CUDA is there. prefetch: batches that each worker makes ahead. start_method: "fork",
-    "spawn" or "forkserver"; None is Python's choice.
+    in page-locked memory, if CUDA is there. prefetch_factor: batches that each worker makes in advance, as in PyTorch:
+    `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where each is made when it is asked for.
+    start_method: "fork", "spawn" or "forkserver"; None is Python's choice.
 
     Raises BadConfig.
     """
@@ -232,4 +233,4 @@ def loader(
     order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))
-    return Loader(images, order, ledger, LoaderOptions(workers, prefetch, metres, pin_memory, start_method))
+    return Loader(images, order, ledger, LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, start_method))

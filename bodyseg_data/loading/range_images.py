@@ -29,9 +29,9 @@ from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.shards.cache.addresses import open_store
-from bodyseg_data.shards.cache.store import keep_shards
+from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import Into
+from bodyseg_data.shards.sample_codec import OutputArrays
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
@@ -107,7 +107,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             raise BadConfig(f"{path} has no sample of split {split!r} that matches {wanted!r}; the set holds {held}")
         self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
         records = [self.manifest.shards[number] for number in np.unique(self._places[:, 0])]
-        self._reader = ShardReader(keep_shards(store, records, cache, cache_bytes), self.manifest)
+        self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -139,7 +139,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
         return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
 
-    def _sample(self, index: int, into: Into | None = None) -> Sample:
+    def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
         """What the variant needs of a stored sample; into: see `decode_sample`."""
         shard, within = self._where(index)
         return self._reader.read(shard, within, self.augmentation.needs_projector, into)

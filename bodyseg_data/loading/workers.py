@@ -71,7 +71,7 @@ class Workers:
 
     def __init__(self, work: Callable[[Any], Any], count: int, start_method: StartMethod | None) -> None:
         if multiprocessing.current_process().daemon:
-            raise BadConfig("a worker process can have no workers of its own: use workers=0 there")
+            raise BadConfig("a worker process can have no workers of its own: use num_workers=0 there")
         context: Any = multiprocessing.get_context(start_method)
         forked = context.get_start_method() == "fork"
         if context.get_start_method() == "forkserver":

@@ -29,7 +29,7 @@ from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler
@@ -67,7 +67,7 @@ class Packing:
     landmarks: Path | None = None
     units: Units = "auto"
     up: UpAxis = "auto"
-    geodesics: Geodesics = "exact"
+    geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:

@@ -48,7 +48,7 @@ class Sampler:
         """Render one view and label it. Raises BadSample."""
         body, key = self._body, sample_key(self._source, self._body, view)
         camera, projector = self._rig.placed(self._mesh.centre, view)
-        seen = self._renderer.see(camera)
+        seen = self._renderer.render(camera)
         pixels = np.flatnonzero(seen.face >= 0)
         faces = seen.face.take(pixels)
         points = _Points(seen, camera, pixels)

@@ -40,14 +40,14 @@ class Options:
     variant: VariantName = option("which artifacts the images have", "all")
     split: Split = option("which split of the sets", "test")
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
-    noise: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
+    noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
     artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
     seed: int = option("of the artifacts' draws, and of which images are taken", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
     batch_size: int = option("images that go through the network together", 16)
-    workers: int = option("processes that load images", 2)
+    num_workers: int = option("processes that load images", 2)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 
@@ -103,7 +103,7 @@ def _open(options: Options) -> list[RangeImages]:
     artifacts = parse_artifacts(options.artifacts, "--artifacts")
     for path in options.data:
         images = open_images(
-            path, options.variant, options.split, options.seed, options.noise, options.missing, artifacts
+            path, options.variant, options.split, options.seed, options.noise_mm, options.missing, artifacts
         )
         for key in images.keys:
             if key in held:
@@ -125,7 +125,7 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     images,
                     options.images,
                     batch_size=options.batch_size,
-                    workers=options.workers,
+                    num_workers=options.num_workers,
                     progress=partial(_show, progress, before, total),
                     watch=None if picture is None else picture.watch,
                 )
@@ -153,7 +153,7 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
         "variant": options.variant,
         "split": options.split,
         "seed": options.seed,
-        "noise_mm": options.noise,
+        "noise_mm": options.noise_mm,
         "missing": options.missing,
     }
 

@@ -15,6 +15,7 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.machine import hardware
+from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
@@ -39,8 +40,8 @@ class Options:
     frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
-    unit: str = option("what one step of a frame is: mm, 0.1mm, cm ...", "mm")
-    rig: str | None = option("frames are from this rig's camera: 'paper' or a TOML file", None)
+    units: str = option("what one step of a frame is: mm, 0.1mm, cm ...", "mm")
+    rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
@@ -58,7 +59,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Label every frame, then write what sums them up."""
-    step_m, background, preview = metres_a_step(options.unit), _background(options), Preview(options.fps)
+    step_m, background, preview = metres_a_step(options.units), _background(options), Preview(options.fps)
     frames = find_frames(options.frames)
     first = frames[0].read()
     camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
@@ -147,7 +148,7 @@ def _remarks(camera: FrameCamera, summary: SequenceSummary, frames: int, out: Pa
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
-        lines.append("nobody was found: are --unit, --near and --far right?")
+        lines.append("nobody was found: are --units, --near and --far right?")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: --focal or --rig says otherwise")
     return lines

@@ -32,8 +32,8 @@ EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shard
 Part = Literal["images", "temporal", "numerical"]
 
 _FORMAT: Final = "bodyseg stability 1"
-_ANSWERS: Final = "answers"
-"""In --out: what is kept of an interrupted run."""
+_CACHED: Final = "cached_results"
+"""In --out: a folder with what was measured before an interruption."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Options:
 
     run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
-    out: Path = option("folder for stability.json, stability.png, and answers to carry on from")
+    out: Path = option("folder for stability.json, stability.png, and cached results to carry on from")
     reference: tuple[Path, ...] = option(
         "runs whose errors are 1 in mCE: FCN-AlexNet trained on none (default: no mCE)", ()
     )
@@ -69,7 +69,7 @@ def run(options: Options) -> int:
     if "images" in options.parts:
         new_chart(1, 1)  # what cannot be drawn should not be found out after hours
     try:
-        (options.out / _ANSWERS).mkdir(parents=True, exist_ok=True)
+        (options.out / _CACHED).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadConfig(f"--out cannot be the folder {options.out}: {error.strerror or error}") from error
     start = time.perf_counter()
@@ -108,7 +108,7 @@ def _images(
     settings = list(dict.fromkeys(setting for name, sweep in sweeps.items() for setting in sweep.settings(name)))
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
-        found = evaluate_conditions(runs, settings, scenes, options.out / _ANSWERS, progress.update)
+        found = evaluate_conditions(runs, settings, scenes, options.out / _CACHED, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,

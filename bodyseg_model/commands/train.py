@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import torch
-
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.losses import Losses
@@ -24,13 +22,12 @@ from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
-from bodyseg_model.networks.pretrained import import_alexnet
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
-from bodyseg_model.training.recipes import PRESETS, recipe_for
+from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
@@ -43,27 +40,27 @@ class Options:
     data: str = option("folder or address of a set of shards; its train split is used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
-    network: Literal["fcn_alexnet", "compact", "segformer", "deeplab"] = option("which network", "compact")
+    network: NetworkName = option("which network", "compact")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
     artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
-    recipe: Literal["fcn_alexnet", "compact"] | None = option("whose recipe (default: the network's own)", None)
+    recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
-    batch: int | None = option("images that go through the network together (default: the recipe's)", None)
+    batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
-    rate: float | None = option("learning rate of the last layer (default: the recipe's)", None)
+    learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
-    pretrained: Path | None = option("start fcn_alexnet from this AlexNet (.onnx or .caffemodel)", None)
+    pretrained: Path | None = option("weights to start from; fcn_alexnet reads AlexNet's, .onnx or .caffemodel", None)
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     compile: bool = option("compile the network for this machine first", False)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
-    workers: int = option("processes that load images", 2)
+    num_workers: int = option("processes that load images", 2)
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
@@ -72,15 +69,15 @@ def run(options: Options) -> int:
     """Train to the end."""
     use_threads(options.threads)
     recipe = recipe_for(
-        options.recipe or (options.network if options.network in PRESETS else "compact"),
+        options.recipe or network_class(options.network).default_recipe,
         steps=options.steps,
-        batch_size=options.batch,
+        batch_size=options.batch_size,
         accumulate=options.accumulate,
-        learning_rate=options.rate,
+        learning_rate=options.learning_rate,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
-    run_options = RunOptions(options.log_every, options.checkpoint_every, options.workers, options.compile)
+    run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.compile)
     images = RangeImages(
         options.data, options.variant, "train", options.seed, artifacts=_artifacts(options), only=options.only
     )
@@ -111,12 +108,10 @@ def _artifacts(options: Options) -> Artifacts:
     return artifacts_for(options.variant, given)
 
 
-def _network(options: Options) -> torch.nn.Module:
+def _network(options: Options) -> Network:
     network = build(options.network, _settings(options.settings), options.seed)
     if options.pretrained is not None:
-        if not isinstance(network, FcnAlexnet):
-            raise BadConfig(f"--pretrained is for fcn_alexnet, not {options.network}")
-        import_alexnet(network, options.pretrained)
+        network.load_pretrained(options.pretrained)
     return network
 
 

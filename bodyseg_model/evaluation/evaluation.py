@@ -13,7 +13,6 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -29,6 +28,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -173,13 +173,13 @@ def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artif
 
 
 def evaluate(
-    network: nn.Module,
+    network: Network,
     images: RangeImages,
     count: int | None = None,
     *,
     extras: Collection[Extra] = EXTRAS,
     batch_size: int = 16,
-    workers: int = 0,
+    num_workers: int = 0,
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[Seen, float], None] | None = None,
 ) -> Evaluation:
@@ -203,7 +203,7 @@ def evaluate(
     device = device_of(network)
     lap = _Stopwatch().lap
     done = 0
-    for batch in _batches(images, wanted, batch_size, workers):
+    for batch in _batches(images, wanted, batch_size, num_workers):
         found.seconds.loading += lap()
         keys = batch["key"][: wanted - done]
         answer = predict(network, batch["range"][: len(keys)].to(device))
@@ -222,10 +222,10 @@ def evaluate(
     return found
 
 
-def _batches(images: RangeImages, wanted: int, batch_size: int, workers: int) -> Iterator[Batch]:
+def _batches(images: RangeImages, wanted: int, batch_size: int, num_workers: int) -> Iterator[Batch]:
     """Batches that hold the first `wanted` images of the permutation, and maybe more."""
     # One process evaluates, whatever torchrun says; and the order is that of the images' epoch, for every split.
-    batches = loader(images, batch_size, workers, shuffle=True, rank=0, world_size=1)
+    batches = loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1)
     for number, batch in enumerate(batches, 1):
         yield batch
         if number * batch_size >= wanted:

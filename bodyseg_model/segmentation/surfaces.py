@@ -1,8 +1,9 @@
-"""Which pixels of a range image lie on one surface: neighbours whose ranges do not jump."""
+"""Connected surfaces of a range image: neighbouring pixels whose ranges do not jump."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,13 @@ JUMP_M: Final = 0.1
 JUMP_SHARE: Final = 0.04
 """Or, beyond 2.5 m, by no more than about this share of them: sensors are coarser the farther they look."""
 
-
 SHADOW_M: Final = 0.15
 """Pixels of a row are neighbours, too, if nothing was measured between them and they are no farther apart than this at
 the nearer one's range: an arm's shadow does not part the trunk that it falls on."""
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray[np.int32]:
@@ -27,29 +31,28 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
     Surfaces are numbered from 0 by their first pixel in reading order. focal_px: of the camera that took the image.
     """
-    # A frame of nothing on the right and below, so that no neighbour is sought in the next row.
-    level = np.pad(_jumps(range_m), ((0, GAP_PIXELS), (0, GAP_PIXELS)), constant_values=np.inf)
-    stride, level = level.shape[1], level.ravel()
-    pixels = np.flatnonzero(level < np.inf)
-    # What follows each other in a row makes runs; what is joined afterwards is runs, which are few.
-    reach = np.maximum(SHADOW_M * focal_px / range_m[range_m > 0], GAP_PIXELS)
-    begins = np.ones(len(pixels), np.bool_)
-    begins[1:] = (
-        (np.diff(pixels // stride) > 0)
-        | (np.abs(np.diff(level[pixels])) > 1)
-        | (np.diff(pixels) > np.maximum(reach[1:], reach[:-1]))
-    )
-    run = np.full(level.size, -1, np.int32)
-    run[pixels] = np.cumsum(begins, dtype=np.int32) - 1
-    shifts = [*range(2, GAP_PIXELS + 1), *range(stride, GAP_PIXELS * stride + 1, stride)]
-    pairs = np.concatenate([_touching(level, run, shift) for shift in shifts])
-    surfaces = np.full(level.size, -1, np.int32)
-    surfaces[pixels] = _joined(int(np.count_nonzero(begins)), pairs)[run[pixels]]
-    return surfaces.reshape(-1, stride)[: range_m.shape[0], : range_m.shape[1]]
+    rows, columns = range_m.shape
+    # With an empty margin on the left and below, neighbours are a fixed step apart in flat memory, and no row runs into
+    # the next.
+    framed = np.zeros((rows + GAP_PIXELS, GAP_PIXELS + columns), np.float32)
+    framed[:rows, GAP_PIXELS:] = range_m
+    stride, level = framed.shape[1], _jumps(framed).ravel()
+    measured = level < np.inf
+    # Pixels that follow each other in a row make runs; what is joined afterwards is runs, which are few.
+    begins = measured.copy()
+    begins[1:] &= ~_near(level, 1)
+    begins[_ends_of_shadows(framed.ravel(), level, stride, focal_px)] = False
+    run = np.cumsum(begins, dtype=np.int32) - np.int32(1)
+    pairs = [*_pairs_in_rows(level, begins), *_pairs_in_columns(level, begins, stride)]
+    joined = np.concatenate([_without_doubles(run[pixels]) for pixels in pairs], axis=1)
+    surface = np.append(_joined(int(np.count_nonzero(begins)), joined), np.int32(-1))
+    run[~measured] = -1
+    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)[:rows, GAP_PIXELS:]
+    return surfaces
 
 
 def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How many jumps away ranges are, inf for 0: two are on one surface if their answers differ by at most one."""
+    """Distances of ranges in jumps, inf for 0: two are on one surface if their answers differ by at most one."""
     far = JUMP_M / JUMP_SHARE
     with np.errstate(divide="ignore"):
         near = np.where(range_m > 0, range_m / JUMP_M, np.inf)
@@ -57,24 +60,70 @@ def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(jumps, np.float32)
 
 
-def _touching(level: NDArray[np.float32], run: NDArray[np.int32], shift: int) -> NDArray[np.int32]:
-    """Pairs of runs [N, 2] that hold pixels `shift` apart on one surface; most doubles are left out."""
+def _near(level: Floats, shift: int) -> Mask:
+    """Compare pixels `shift` apart: True if they are on one surface, bool [N - shift]; level: [N], of `_jumps`."""
     with np.errstate(invalid="ignore"):  # nothing less nothing
-        near = np.flatnonzero(np.abs(level[shift:] - level[:-shift]) <= 1)
-    first, second = run[near], run[near + shift]
-    new = first != second
-    new[1:] &= (first[1:] != first[:-1]) | (second[1:] != second[:-1])
-    return np.stack([first[new], second[new]], axis=1)
+        near: Mask = np.abs(level[shift:] - level[:-shift]) <= 1
+    return near
 
 
-def _joined(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
-    """Which group each of `count` things is in once all `pairs` [N, 2] are joined, int32 [count].
+def _ends_of_shadows(range_m: Floats, level: Floats, stride: int, focal_px: float) -> Indices:
+    """The first pixels to the right of holes that do not part a surface, flat indices."""
+    measured = range_m > 0
+    # Measured pixels begin and end in turns: holes lie between an end and the next beginning.
+    changes = np.flatnonzero(measured[1:] != measured[:-1])
+    before, behind = changes[1:-1:2], changes[2::2] + 1
+    hole = before // stride == behind // stride
+    before, behind = before[hole], behind[hole]
+    widest = np.maximum(SHADOW_M * focal_px / np.minimum(range_m[before], range_m[behind]), GAP_PIXELS)
+    joined: Indices = behind[(behind - before <= widest) & (np.abs(level[behind] - level[before]) <= 1)]
+    return joined
+
+
+def _pairs_in_rows(level: Floats, begins: Mask) -> Iterator[Indices]:
+    """Pixels 2 to `GAP_PIXELS` apart in a row, on one surface and not of one run, [2, N]."""
+    starts = np.flatnonzero(begins)
+    for shift in range(2, GAP_PIXELS + 1):
+        first = (starts[:, None] - np.arange(1, shift + 1)).ravel()
+        with np.errstate(invalid="ignore"):  # nothing less nothing
+            first = first[np.abs(level[first + shift] - level[first]) <= 1]
+        yield np.stack([first, first + shift])
+
+
+def _pairs_in_columns(level: Floats, begins: Mask, stride: int) -> Iterator[Indices]:
+    """Pixels 1 to `GAP_PIXELS` apart in a column and on one surface, [2, N].
+
+    Pixels whose runs are those of the pixels before them are left out, and so are those that single steps join.
+    """
+    steps = _near(level, stride)
+    stairs = steps
+    for shift in range(stride, GAP_PIXELS * stride + 1, stride):
+        if shift == stride:
+            near = steps
+        else:
+            stairs = stairs[:-stride] & steps[shift - stride :]
+            near = _near(level, shift) & ~stairs
+        new = near.copy()
+        new[1:] &= ~near[:-1] | begins[1:-shift] | begins[shift + 1 :]
+        first = np.flatnonzero(new)
+        yield np.stack([first, first + shift])
+
+
+def _without_doubles(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Pairs [2, N] without those that are equal to the one before."""
+    new = np.ones(pairs.shape[1], np.bool_)
+    new[1:] = (pairs[:, 1:] != pairs[:, :-1]).any(axis=0)
+    return pairs[:, new]
+
+
+def _joined(count: int, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The group of each of `count` things once all `pairs` [2, N] are joined, int32 [count].
 
     Groups are numbered by their lowest member. Every round hooks each group's root to the lowest root it touches and
     then lets everything point at its root, so that rounds are few however long the chains.
     """
     root = np.arange(count)
-    lower, upper = pairs[:, 0], pairs[:, 1]
+    lower, upper = pairs
     while len(lower):
         a, b = root[lower], root[upper]
         apart = a != b

@@ -1,44 +1,27 @@
-"""Every network before the images of every setting; answers are kept, so that what was cut short carries on."""
+"""Accuracy of every network on the images of every setting, kept so that what was cut short carries on."""
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-import json
+import math
 from collections.abc import Callable, Sequence
-from functools import cache
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final
+from typing import Any
 
-import numpy as np
 import torch
-from torch import nn
 
-from bodyseg_data.artifacts import losses
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation import scores
+from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
-from bodyseg_model.networks import batch_transforms as crops
-from bodyseg_model.networks import range_input
-from bodyseg_model.networks import registry as networks
-from bodyseg_model.networks.checkpoints import NETWORK, read_bytes, read_json, write_json
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.segmentation import resampling
-from bodyseg_model.stability import scenes as scenes_module
-from bodyseg_model.stability import severities
 from bodyseg_model.stability.groups import Run
 from bodyseg_model.stability.scenes import Picture, Scenes
 from bodyseg_model.stability.severities import Setting
-
-FORMAT: Final = "bodyseg stability answers 1"
 
 Accuracies = dict[str, dict[Setting, float]]
 """Run's name -> setting -> average per-class accuracy."""
 
 
-def accuracy(network: nn.Module, pictures: Sequence[Picture]) -> float:
+def accuracy(network: Network, pictures: Sequence[Picture]) -> float:
     """Average per-class accuracy of a network, in evaluation mode, of one confusion matrix over all pictures.
 
     They are shown one by one, as a sensor gives them: what is cut out of a batch depends on all its bodies. NaN if
@@ -62,64 +45,43 @@ def evaluate_conditions(
 ) -> Accuracies:
     """The accuracy of every network in every setting.
 
-    folder: keeps answers, one JSON file a network; what it knows of the same weights, images and code is not asked
-    again. progress: called with images looked at, images in all, and the setting. Raises BadConfig for a damaged file
-    or a setting that cannot be shown.
+    folder: of a `ResultCache` a network, so that nothing is measured twice. progress: called with images looked at,
+    images in all, and the setting. Raises BadConfig for a setting that cannot be shown, or as `ResultCache`.
     """
     for setting in settings:
         scenes.check(setting)
-    kept = {run.name: _Kept(folder, run) for run in runs}
-    keys = {setting: _key(scenes, setting) for setting in settings}
+    caches = {run.name: _cache(folder, run) for run in runs}
+    found: Accuracies = {run.name: {} for run in runs}
     done, total = 0, len(runs) * len(settings) * len(scenes)
     for setting in settings:  # the outer loop, so that images are made once
-        missing = [run for run in runs if keys[setting] not in kept[run.name].answers]
+        questions = {run.name: _question(scenes, setting, run) for run in runs}
+        for run in runs:
+            known = caches[run.name].get(questions[run.name])
+            if known is not None:
+                found[run.name][setting] = math.nan if known["accuracy"] is None else known["accuracy"]
+        missing = [run for run in runs if setting not in found[run.name]]
         done += (len(runs) - len(missing)) * len(scenes)
         pictures = scenes.pictures(setting) if missing else []
         for run in missing:
-            kept[run.name].add(keys[setting], setting, accuracy(run.trained.network, pictures))
+            value = accuracy(run.trained.network, pictures)
+            caches[run.name].put(questions[run.name], {"accuracy": None if math.isnan(value) else value})
+            found[run.name][setting] = value
             done += len(scenes)
             progress(done, total, setting.name)
+    return found
+
+
+def _cache(folder: Path, run: Run) -> ResultCache:
+    return ResultCache(folder / f"{run.name.replace('/', '+')}.json", network_identity(run.path), __name__)
+
+
+def _question(scenes: Scenes, setting: Setting, run: Run) -> dict[str, Any]:
+    """All that shapes an accuracy beside network and code."""
     return {
-        run.name: {setting: float(kept[run.name].answers[keys[setting]]["accuracy"]) for setting in settings}
-        for run in runs
+        "sweep": setting.sweep,
+        "strength": setting.strength,
+        "images": scenes.images.identity(),
+        "hard": scenes.hard.identity() if setting.sweep == "hard" and scenes.hard is not None else None,
+        "count": len(scenes),
+        "device": device_of(run.trained.network).type,
     }
-
-
-class _Kept:
-    """The answers of one network as it is now, by the code as it is now."""
-
-    def __init__(self, folder: Path, run: Run) -> None:
-        file = run.path / NETWORK if run.path.is_dir() else run.path
-        weights = hashlib.sha256(read_bytes(file)).hexdigest()
-        code = _code(import_module(type(run.trained.network).__module__))
-        self._of = {"weights": weights, "settings": run.trained.card.get("settings"), "code": code}
-        self._file = folder / f"{run.name.replace('/', '+')}.json"
-        self.answers: dict[str, dict[str, Any]] = {}
-        if self._file.exists():
-            content = read_json(self._file)
-            if content.get("format") != FORMAT or not isinstance(content.get("answers"), dict):
-                raise BadConfig(f"{self._file} holds no answers of the format {FORMAT!r}: move it away")
-            if content.get("of") == self._of:
-                self.answers = content["answers"]
-
-    def add(self, key: str, setting: Setting, value: float) -> None:
-        self.answers[key] = {"setting": setting.name, "accuracy": None if np.isnan(value) else value}
-        write_json(self._file, {"format": FORMAT, "of": self._of, "answers": self.answers})
-
-
-def _key(scenes: Scenes, setting: Setting) -> str:
-    """Of all that shapes the images of a setting."""
-    of_hard = scenes.hard is not None and setting.sweep == "hard"
-    sets = [scenes.images.identity(), scenes.hard.identity() if of_hard and scenes.hard is not None else None]
-    return _digest([setting.sweep, setting.strength, len(scenes), sets])
-
-
-@cache
-def _code(network: ModuleType) -> str:
-    """Of the source of a network's module and of all else that shapes an answer."""
-    others = crops, networks, range_input, resampling, scores, losses, severities, scenes_module
-    return _digest([inspect.getsource(module) for module in (network, *others)])
-
-
-def _digest(facts: Any) -> str:
-    return hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=16).hexdigest()

@@ -22,7 +22,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
-from bodyseg_model.segmentation.cameras import SENSORS
+from bodyseg_model.segmentation.cameras import other_sensors
 
 Origin = Literal["stored", "rendered"]
 
@@ -30,7 +30,7 @@ DEPTHS_M: Final = (0.5, 4.5)
 """The interval that a sensor of few bits shares out evenly."""
 
 _SHARES: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-_FOCALS_PX: Final = tuple(sorted((focal for _, focal in SENSORS.values()), reverse=True))
+_FOCALS_PX: Final = tuple(sorted({sensor.camera.focal_px for sensor in other_sensors()}, reverse=True))
 _KNOWN_FOCAL_PX: Final = round(load_rig().camera.focal_px, 1)
 
 

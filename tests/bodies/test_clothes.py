@@ -201,8 +201,8 @@ def test_the_same_bits_in_every_process(coarse: dict[str, Wardrobe], bodies: dic
     assert here.tobytes() == coarse["B"].worn(bodies["deep_squat"]).tobytes()
     script = """
 import hashlib
-from bodyseg_data.bodies import open_source
-from bodyseg_data.bodies.clothes import OUTFITS, Wardrobe
+from bodyseg_data.bodies.clothes.wardrobe import OUTFITS, Wardrobe
+from bodyseg_data.bodies.sources import open_source
 source = open_source("open")
 refs = {ref.pose: ref for ref in source.bodies() if ref.subset == "A"}
 built = {pose: source.build(refs[pose]).mesh for pose in ("standing", "deep_squat")}

@@ -14,6 +14,7 @@ from shapes import ball, figure
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
+from benches.__main__ import main as tools_main  # noqa: E402
 from benches.data.surface.proposal import measure, shuffled  # noqa: E402
 
 from bodyseg_data.bodies.anny.people import SUBJECT_A  # noqa: E402
@@ -326,7 +327,7 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
 def test_the_bench_refuses_what_it_has_no_use_for(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bench", "proposal", *words]) == 2
+    assert tools_main(["bench", "proposal", *words]) == 2
     assert message in capsys.readouterr().err
 
 

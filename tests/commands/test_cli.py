@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import json
 import os
+import shlex
+import signal
 import subprocess
 import sys
 import typing
 from dataclasses import dataclass
-from importlib import util
+from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from benches import __main__ as tools
@@ -18,8 +21,10 @@ from benches import bench
 from folders import ROOT
 from PIL import Image
 
-from bodyseg_data.commands import cli, shard
-from bodyseg_data.commands.options import option, parse
+import bodyseg_data
+import bodyseg_model
+from bodyseg_data.commands import cli, shard, verify
+from bodyseg_data.commands.options import flag_of, option, parse
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS, main
 
@@ -35,7 +40,7 @@ class Everything:
     loud: bool = option("say it loud", False)
 
 
-def parsed(*words: str) -> Everything:
+def parsed(*words: str) -> Everything | None:
     return parse(Everything, words, "bodyseg test", "A test.", "bodyseg test x")
 
 
@@ -60,15 +65,32 @@ def test_a_dataclass_is_the_command_line() -> None:
     assert parsed(*words) == Everything("x", 5, 0.5, "b", (7, 8, 9), Path("here.png"), True)
 
 
+def test_a_later_option_counts_and_a_value_may_follow_an_equals_sign() -> None:
+    assert parsed("x", "--count=5", "--count", "-7", "--sizes", "1", "--sizes", "-2", "3").count == -7
+    assert parsed("--sizes", "1", "--kind=b", "x") == Everything("x", 3, None, "b", (1,))
+    assert parsed("--sizes", "1", "2", "--", "x").sizes == (1, 2)
+    assert parsed("x", "--out=-y").out == Path("-y")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "the following arguments are required: NAME (see bodyseg test --help)"),
-        (["x", "--count", "many"], "argument --count: invalid int value: 'many'"),
-        (["x", "--kind", "c"], "argument --kind: invalid choice: 'c'"),
-        (["x", "--colour", "red"], "unrecognized arguments: --colour red"),
-        (["x", "--lou"], "unrecognized arguments: --lou"),
-        (["x", "--out", ""], "argument --out: a path must not be empty"),
+        ([], "Parameter NAME is missing (see bodyseg test --help)"),
+        (["x", "y"], "['y']"),
+        (["x", "--count"], "--count requires an argument"),
+        (["x", "--sizes"], "--sizes requires at least 1"),
+        (["x", "--count", "many"], 'for --count: unable to convert "many" into int'),
+        (["x", "--count", "2.7"], 'for --count: unable to convert "2.7" into int'),
+        (["x", "--sizes", "1", "1e3"], 'for --sizes: unable to convert "1e3" into int'),
+        (["x", "--share", "none"], 'for --share: unable to convert "none" into float'),
+        (["x", "--kind", "c"], 'Invalid value "c" for --kind. Choose from: "a", "b"'),
+        (["x", "--kind", "A"], 'Invalid value "A" for --kind. Choose from: "a", "b"'),
+        (["x", "--colour", "red"], "Unknown option: --colour."),
+        (["x", "--lou"], "Unknown option: --lou. Did you mean --loud?"),
+        (["x", "--no-loud"], "Unknown option: --no-loud."),
+        (["x", "--name", "x"], "Unknown option: --name."),
+        (["x", "--out", ""], 'for --out: unable to convert "" into Path'),
+        (["x", "--out="], 'for --out: unable to convert "" into Path'),
     ],
 )
 def test_a_bad_argument_is_one_line(words: list[str], message: str) -> None:
@@ -78,28 +100,40 @@ def test_a_bad_argument_is_one_line(words: list[str], message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_help_shows_defaults_and_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        parsed("--help")
-    assert caught.value.code == 0
+def test_help_shows_defaults_choices_and_an_example(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    assert parsed("x", "--help") is None
     text = capsys.readouterr().out
-    assert "how many (default: 3)" in text
-    assert "example:\n  bodyseg test x" in text
+    assert text.isascii()
+    assert "\x1b" not in text
+    assert max(map(len, text.splitlines())) <= 60
+    for line in (
+        "Usage: bodyseg test [OPTIONS] NAME",
+        " *  NAME  a name [required]",
+        " --count INT     how many [default: 3]",
+        " --share FLOAT   a share",
+        " --kind CHOICE   which [choices: a, b] [default: a]",
+        " --sizes INT...  sizes [default: 1 2]",
+        " --out PATH      a file",
+        " --loud          say it loud",
+        "example:",
+        "  bodyseg test x",
+    ):
+        assert line in text.splitlines()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main([name, "--help"])
-    assert caught.value.code == 0
+    assert main([name, "--help"]) == 0
     assert f"example:\n  bodyseg {name} " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", tools.COMMANDS)
 def test_every_tool_of_a_checkout_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        tools.main([name, "--help"])
-    assert caught.value.code == 0
+    assert tools.main([name, "--help"]) == 0
     assert f"example:\n  tools/{name} " in capsys.readouterr().out
 
 
@@ -117,11 +151,62 @@ def test_the_overview_lists_all_commands(capsys: pytest.CaptureFixture[str]) -> 
     assert all(f"  {name}" in text for name in COMMANDS)
 
 
+@pytest.mark.parametrize("words", [["--version"], ["verify", "--version"]])
+def test_the_version_is_that_of_what_is_installed(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 0
+    version = metadata.version("bodyseg")
+    assert capsys.readouterr().out == f"bodyseg {version}\n"
+    assert bodyseg_data.__version__ == bodyseg_model.__version__ == version
+
+
+def test_a_checkout_that_was_never_installed_has_a_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(name: str) -> str:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", none)
+    assert bodyseg_data.__version__ == bodyseg_model.__version__ == "0+unknown"
+    for package in (bodyseg_data, bodyseg_model):
+        with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'versions'"):
+            package.versions  # noqa: B018
+
+
+def completed(script: Path, *words: str) -> list[str]:
+    """What bash offers for the last of `words` behind `bodyseg`."""
+    lines = [f"source {script}", f"COMP_WORDS=(bodyseg {shlex.join(words)})", "COMP_CWORD=$((${#COMP_WORDS[@]} - 1))"]
+    lines += ["_bodyseg", 'printf "%s\n" "${COMPREPLY[@]}"']
+    done = subprocess.run(
+        ["bash", "-c", "\n".join(lines)], capture_output=True, text=True, check=True, cwd=script.parent
+    )
+    return done.stdout.split()
+
+
+def test_bash_completes_commands_options_choices_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--completion", "bash"]) == 0
+    script = tmp_path / "script.bash"
+    script.write_text(capsys.readouterr().out)
+    (tmp_path / "shards").mkdir()
+    assert completed(script, "") == list(COMMANDS)
+    assert completed(script, "verify", "sh") == completed(script, "train", "--data", "s")[1:] == ["shards"]
+    assert completed(script, "train", "--network", "") == ["fcn_alexnet", "compact", "segformer", "deeplab"]
+    for name, (module, _) in COMMANDS.items():
+        fields = dataclasses.fields(importlib.import_module(module).Options)
+        options = {flag_of(field) for field in fields if not field.metadata["positional"]}
+        assert set(completed(script, name, "--")) == options | {"--help", "--version"}
+
+
+@pytest.mark.parametrize("shell", cli.SHELLS[1:])
+def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--completion", shell]) == 0
+    assert "tolerance-mm" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["--completion"], "--completion needs one of bash, zsh, fish, powershell, found nothing"),
+        (["--completion", "bash", "zsh"], "--completion needs one of bash, zsh, fish, powershell, found bash zsh"),
         (["pack"], "bodyseg pack: no such command; there are shard, verify, inspect"),
-        (["shard"], "bodyseg shard: the following arguments are required: --source"),
+        (["shard"], "bodyseg shard: Parameter --source is missing (see bodyseg shard --help)"),
         (["shard", "--source", "open"], "bodyseg shard: --out is missing"),
         (
             ["shard", "--source", "open", "--out", "x", "--views", "55"],
@@ -181,29 +266,47 @@ def test_a_plan_is_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(name: str, words: list[str]) -> int:
+    def fail(options: object) -> int:
         raise ZeroDivisionError("by zero\nindeed")
 
-    monkeypatch.setattr(cli, "_run", fail)
+    monkeypatch.setattr(verify, "run", fail)
     monkeypatch.delenv("BODYSEG_TRACEBACK", raising=False)
-    assert main(["verify"]) == cli.INTERNAL_ERROR
+    assert main(["verify", "x"]) == cli.INTERNAL_ERROR
     line = "bodyseg verify: internal error: ZeroDivisionError: by zero indeed (BODYSEG_TRACEBACK=1 shows where)\n"
     assert capsys.readouterr().err == line
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
-        main(["verify"])
+        main(["verify", "x"])
 
 
 def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def interrupt(name: str, words: list[str]) -> int:
+    def interrupt(options: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_run", interrupt)
-    assert main(["verify"]) == 130
+    monkeypatch.setattr(verify, "run", interrupt)
+    assert main(["verify", "x"]) == 130
     assert capsys.readouterr().err == "bodyseg verify: interrupted\n"
 
 
-@pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a background job of a script, which Ctrl-C is not meant for."""
+
+    def interrupted(options: Any) -> int:
+        signal.raise_signal(number)
+        return 0
+
+    monkeypatch.setattr(verify, "run", interrupted)
+    before = signal.signal(number, signal.SIG_IGN)
+    actions = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    try:
+        assert cli.main(["verify", "shards"]) == 0
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == actions
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help", "verify --help"])
 def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, figures_set: Path) -> None:
     command = f"{sys.executable} -m bodyseg_data {words.format(set=figures_set)}"
     script = f"{command} 2> >(grep -v 'verifying\\|inspecting' >&2) | true; exit ${{PIPESTATUS[0]}}"
@@ -264,11 +367,14 @@ def test_a_picture_that_cannot_be_written_is_one_line(
 def test_every_bench_has_its_module_and_its_figure() -> None:
     assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
     for name, takes in bench.BENCHES.items():
-        measure = getattr(importlib.import_module(f"{takes.package}.{name}"), f"bench_{name}")
+        home = f"benches.{takes.home}"
+        measure = getattr(importlib.import_module(home), f"bench_{name}")
         parameters = inspect.signature(measure).parameters
         assert {"progress", *takes.takes} == set(parameters)
         assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.needs)
-        assert (util.find_spec(f"{takes.package}.{name}_figure") is not None) == takes.figure
+        if takes.figure is not None:
+            figure = importlib.import_module(f"{home.rpartition('.')[0]}.{takes.figure}")
+            assert callable(getattr(figure, f"draw_{name}"))
 
 
 def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,7 +87,11 @@ def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert every["mce"]["mean"] is not None and every["mrr"]["mean"] is not None
     assert figures["networks"]["all-0"]["command"] == "bodyseg train"
     assert (made / "stability.png").stat().st_size > 10_000
-    assert sorted(path.name for path in (made / "answers").iterdir()) == ["all-0.json", "all-1.json", "none-0.json"]
+    assert sorted(path.name for path in (made / "cached_results").glob("[!.]*")) == [
+        "all-0.json",
+        "all-1.json",
+        "none-0.json",
+    ]
 
 
 def test_accuracy_is_that_of_predictions_one_by_one(made: Path, runs: Path, figures_set: Path) -> None:
@@ -112,16 +117,17 @@ def test_an_interrupted_run_carries_on(
     made: Path, runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = shutil.copytree(made, tmp_path / "out")
-    file = out / "answers" / "all-1.json"
+    file = out / "cached_results" / "all-1.json"
     content = json.loads(file.read_text())
-    lost = next(key for key, answer in content["answers"].items() if answer["setting"] == "farther 3.5")
-    wanted = content["answers"].pop(lost)
+    farther = {"sweep": "farther", "strength": 3.5}
+    lost = next(key for key, each in content["results"].items() if farther.items() <= each["question"].items())
+    wanted = content["results"].pop(lost)
     file.write_text(json.dumps(content))
     times = []
     monkeypatch.setattr(examining, "accuracy", lambda *known: times.append(known) or accuracy(*known))
     assert command.run(asked(figures_set, runs, out)) == 0
     assert len(times) == 1
-    assert json.loads(file.read_text())["answers"][lost] == wanted
+    assert json.loads(file.read_text())["results"][lost] == wanted
     before, after = (json.loads((folder / "stability.json").read_text()) for folder in (made, out))
     assert before["groups"] == after["groups"]
 
@@ -134,7 +140,7 @@ def test_another_network_is_asked_again(runs: Path, figures_set: Path, tmp_path:
     save(folder, "none", 5)
     after = evaluate_conditions(load_runs([folder]), settings, scenes_here, tmp_path)
     assert before["all-0"] != after["all-0"]
-    assert len(json.loads((tmp_path / "all-0.json").read_text())["answers"]) == 2
+    assert len(json.loads((tmp_path / "all-0.json").read_text())["results"]) == 2
 
 
 def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -> None:
@@ -146,13 +152,24 @@ def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -
     assert seen == [(3, 12, "clean"), (6, 12, "clean"), (9, 12, "noise 10"), (12, 12, "noise 10")]
 
 
-@pytest.mark.parametrize("text", ['{"format": "another", "answers": {}}', '{"format": "bodyseg stability answers 1"}'])
-def test_answers_of_another_format_are_refused(text: str, runs: Path, figures_set: Path, tmp_path: Path) -> None:
-    (tmp_path / "all-0.json").write_text(text)
-    with pytest.raises(BadConfig, match=r"all-0\.json holds no answers of the format"):
-        evaluate_conditions(
-            load_runs([runs / "all-0"]), [], Scenes(RangeImages(figures_set, "none", "test"), 1), tmp_path
+def test_an_accuracy_of_nothing_measured_is_kept(
+    runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(examining, "accuracy", lambda network, pictures: math.nan)
+    loaded, scenes_here = load_runs([runs / "all-0"]), Scenes(RangeImages(figures_set, "none", "test"), 1)
+    for _ in range(2):
+        assert math.isnan(
+            evaluate_conditions(loaded, [CLEAN["stored"]], scenes_here, tmp_path)["all-0"][CLEAN["stored"]]
         )
+        monkeypatch.setattr(examining, "accuracy", lambda network, pictures: 0.5)
+
+
+@pytest.mark.parametrize("text", ['{"format": "another", "results": {}}', "{"])
+def test_results_of_another_format_are_refused(text: str, runs: Path, figures_set: Path, tmp_path: Path) -> None:
+    (tmp_path / "all-0.json").write_text(text)
+    images = Scenes(RangeImages(figures_set, "none", "test"), 1)
+    with pytest.raises(BadConfig, match=r"all-0\.json (holds no results of the format|is not JSON)"):
+        evaluate_conditions(load_runs([runs / "all-0"]), [CLEAN["stored"]], images, tmp_path)
 
 
 def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import ndimage
+from skimage.segmentation import find_boundaries
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.evaluation.border_distance import BIN_NAMES, EDGES, BorderErrors, distance_bins
@@ -41,6 +42,14 @@ def test_bins_are_those_of_the_exact_distance(seed: int, rows: int, columns: int
     found = distance_bins(labels)
     assert found.dtype == np.uint8
     assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_first_bin_is_a_boundary_of_scikit_image_where_there_is_no_background(seed: int) -> None:
+    labels = np.random.default_rng(seed).integers(0, 4, (16, 12)).astype(np.uint8).repeat(5, axis=0).repeat(4, axis=1)
+    boundary = find_boundaries(labels, connectivity=1, mode="thick")
+    assert 0.2 < boundary.mean() < 0.8
+    assert np.array_equal(distance_bins(labels) == 0, boundary)
 
 
 def test_distances_by_hand() -> None:

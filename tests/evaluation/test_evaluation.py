@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from torch import nn
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig
@@ -26,30 +25,31 @@ from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict
 
 
-class ByRange(nn.Module):
+class ByRange(Network):
     """Takes every pixel by itself: its range in centimetres says which part it is called, and how surely."""
 
     def __init__(self, classes: int = PART_COUNT) -> None:
         super().__init__()
         self.classes = classes
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         place = range_m * 100 % self.classes
         scores = torch.zeros(len(range_m), self.classes, *range_m.shape[2:])
         return scores.scatter(1, place.long(), 10 * (place % 1))
 
 
-def at_once(network: nn.Module, range_m: torch.Tensor) -> Prediction:
+def at_once(network: Network, range_m: torch.Tensor) -> Prediction:
     """Predicts as `ByRange`, more or less, in no time: where little depends on the network."""
     place = range_m[:, 0] * 100 % PART_COUNT
     return Prediction(torch.where(range_m[:, 0] > 0, place.to(torch.uint8), BACKGROUND), place % 1)
 
 
-class Undecided(nn.Module):
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+class Undecided(Network):
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         return range_m.expand(-1, PART_COUNT, -1, -1) * torch.nan
 
 
@@ -68,7 +68,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def plainly(network: nn.Module, images: RangeImages) -> dict[str, Any]:
+def plainly(network: Network, images: RangeImages) -> dict[str, Any]:
     """The counts of every subset, image by image and without anything of `evaluation`."""
     found: dict[str, Any] = {}
     for index in range(len(images)):
@@ -98,7 +98,9 @@ def test_scores_are_those_of_single_images(
 ) -> None:
     images = open_images(str(figures_set), variant)
     steps: list[tuple[int, int]] = []
-    found = evaluate(network, images, batch_size=batch_size, workers=workers, progress=lambda *step: steps.append(step))
+    found = evaluate(
+        network, images, batch_size=batch_size, num_workers=workers, progress=lambda *step: steps.append(step)
+    )
     expected = plainly(network, images)
     assert set(found.subsets) == {"A", "people"}
     for name, scores in found.subsets.items():
@@ -118,7 +120,7 @@ def test_scores_are_those_of_single_images(
     assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
 
 
-def keys_seen(network: nn.Module, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
+def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
     seen: list[str] = []
     evaluate(network, images, count, batch_size=batch_size, extras=(), watch=lambda one, _: seen.append(one.key))
     return seen
@@ -323,7 +325,7 @@ def test_the_command_writes_scores_and_figures(
     figures_set: Path, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "scores.json"
-    words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--workers", 0]
+    words = ["--run", run_folder, "--data", figures_set, "--json", out, "--frames", 2, "--num-workers", 0]
     assert call(*words, "--figures", tmp_path / "figures") == 0
     assert "8 images: average per-class accuracy " in capsys.readouterr().err
     tree = json.loads(out.read_text())
@@ -341,7 +343,7 @@ def test_the_command_writes_scores_and_figures(
     assert set(sizes) == {"parts.png", "confusion.png", "confidence.png", "border_distance.png", "samples.png"}
 
     again = tmp_path / "again.json"
-    assert call(*words[:4], "--json", again, "--frames", 0, "--workers", 0, "--batch-size", 3) == 0
+    assert call(*words[:4], "--json", again, "--frames", 0, "--num-workers", 0, "--batch-size", 3) == 0
     other = json.loads(again.read_text())
     assert other["milliseconds_per_frame"] is None
     assert {name: other[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")} == {
@@ -353,7 +355,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
     figures_set: Path, run_folder: Path, tmp_path: Path, pack_figures: Callable[..., Path], capsys: Any
 ) -> None:
     out = tmp_path / "scores.json"
-    common = ("--run", run_folder, "--json", out, "--frames", 0, "--workers", 0, "--images", 3)
+    common = ("--run", run_folder, "--json", out, "--frames", 0, "--num-workers", 0, "--images", 3)
     halves = [figures_set / "test-00000.tar", figures_set / "test-00001.tar"]
     assert call(*common, "--data", *halves) == 0
     tree = json.loads(out.read_text())
@@ -376,7 +378,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
-        (["--variant", "none", "--noise", "5"], "a strength of noise is for a variant that has noise"),
+        (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),
         (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
         (["--artifacts", "{"], "--artifacts must be JSON, found '{'"),
         (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
@@ -397,7 +399,7 @@ def test_one_line_says_what_is_wrong(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").touch()
-    usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--workers": 0}
+    usual = {"--run": run_folder, "--data": figures_set, "--json": "x.json", "--num-workers": 0}
     usual |= dict(zip(words[::2], words[1::2], strict=True))
     assert call(*(word for pair in usual.items() for word in pair)) == 2
     error = capsys.readouterr().err
@@ -426,7 +428,7 @@ def test_an_interrupted_evaluation_leaves_no_file(
 
     monkeypatch.setattr(evaluation, "predict", interrupt)
     words = ("--run", run_folder, "--data", figures_set, "--json", tmp_path / "x.json")
-    assert call(*words, "--workers", 0, "--batch-size", 2) == 130
+    assert call(*words, "--num-workers", 0, "--batch-size", 2) == 130
     assert list(tmp_path.iterdir()) == []
 
 
@@ -434,7 +436,7 @@ def test_without_a_run_the_network_that_ships_is_judged(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(command, "shipped_network", lambda: command.load_network(run_folder))
-    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--workers", 0) == 0
+    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None
 
 

@@ -15,7 +15,7 @@ SOURCE = {"command": "tools/bench it --views 3", "commit": "0123456789ab", "hard
 
 
 def _test(family: str, bias: float, us: float, wrong: float, form: str = "numpy", scale: float = 1) -> dict[str, Any]:
-    settings = {"slope": 0.0, "projector_scale": scale, "facing_bit": True, "step_mm": 0.1, "stored": "coarse"}
+    settings = {"projector_scale": scale, "facing_bit": True, "stored": "coarse"}
     return {"name": family, "family": family, "bias": bias, "form": form, "us_per_view": us, "wrong_pixels": wrong} | (
         settings
     )

@@ -17,7 +17,7 @@ from bodyseg_data import RangeImages, loader
 def main(out: Path, folder: str, count: int) -> None:
     torch.distributed.init_process_group("gloo")
     rank, world_size = torch.distributed.get_rank(), torch.distributed.get_world_size()
-    batches = loader(RangeImages(folder, "all"), 3, workers=1, shuffle=True)
+    batches = loader(RangeImages(folder, "all"), 3, num_workers=1, shuffle=True)
     keys = []
     for batch in batches:
         keys.append(batch["key"])

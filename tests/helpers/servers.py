@@ -1,212 +1,275 @@
-"""Servers on loopback that behave as badly as networks do: a real nginx, and behind it an upstream that breaks."""
+"""Servers on loopback: one of HTTP that fails in every way that networks do, and one of S3."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
-import os
 import re
-import shutil
+import select
 import socket
-import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import replace
+from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any, Final
+from urllib.parse import parse_qs, unquote, urlsplit
 from urllib.request import Request as UrlRequest
 from urllib.request import urlopen
 
 import pytest
+from replies import Faults, Reply, Request, refusal
 
-_CONFIG = """
-daemon off;
-{user}
-pid {work}/nginx.pid;
-worker_processes 1;
-error_log {work}/error.log;
-events {{ worker_connections 256; }}
-http {{
-    log_format lines '$uri $status $body_bytes_sent "$http_range"';
-    access_log {work}/access.log lines;
-    client_body_temp_path {work}/a; proxy_temp_path {work}/b; fastcgi_temp_path {work}/c;
-    uwsgi_temp_path {work}/d; scgi_temp_path {work}/e;
-    keepalive_requests 10000;
-    limit_req_zone $binary_remote_addr zone=few:64k rate=20r/s;
-    split_clients $request_id $fate {{ 40% bad; * good; }}
-    server {{
-        listen 127.0.0.1:{port};
-        location /good/ {{ alias {root}/; }}
-        location /slow/ {{ alias {root}/; limit_rate {slow}; }}
-        location /crawling/ {{ alias {root}/; limit_rate {crawling}; }}
-        location /rangeless/ {{ alias {root}/; max_ranges 0; }}
-        location /failing/ {{ if ($fate = bad) {{ return 500; }} alias {root}/; }}
-        location /limited/ {{ limit_req zone=few; limit_req_status 429; alias {root}/; }}
-        location /silent/ {{ return 444; }}
-        location /moved/ {{ rewrite ^/moved/(.*)$ /good/$1 redirect; }}
-        location /forbidden/ {{ deny all; }}
-        location /private/ {{ auth_basic "x"; auth_basic_user_file {work}/users; alias {root}/; }}
-        location /signed/ {{ if ($arg_token != "hush-hush") {{ return 403; }} alias {root}/; }}
-        location /packed/ {{ alias {root}/; add_header Content-Encoding gzip; }}
-        location /bucket/ {{
-            if ($fate = bad) {{ return 503; }}
-            proxy_pass http://127.0.0.1:{s3};
-            proxy_set_header Host $http_host;
-        }}
-        location /faulty/ {{ proxy_pass http://127.0.0.1:{upstream}/; proxy_http_version 1.1; proxy_buffering off; }}
-    }}
-}}
-"""
+FATES: Final = "x..xx...x..xxxx....."
+"""Requests of `failing/` and `bucket/` in turn: 40 % fail (x), up to four in a row, the same ones in every run."""
+
+LIMIT_S: Final = 0.05
+"""`limited/` refuses requests that come sooner after the last one it answered."""
+
+USER: Final = "Basic " + base64.b64encode(b"someone:pass-word").decode()
+TOKEN: Final = "hush-hush"
 
 
-@dataclass
-class Request:
-    """A line of nginx's log."""
+class WebServer(ThreadingHTTPServer):
+    """Serves the files of `root` under `good/` and under other locations, each with a fault of its own.
 
-    path: str
-    status: int
-    sent: int
-    range: str
+    s3: port of a server whose `bucket` is seen through this one, with failures.
+    """
 
-    @property
-    def start(self) -> int:
-        """First byte asked for."""
-        match = re.match(r"bytes=(\d+)-", self.range)
-        return int(match[1]) if match else 0
+    daemon_threads = False  # closing waits for them: none is left to a later test
+    request_queue_size = 64
 
-
-@dataclass
-class Reply:
-    """Headers that promise `length` bytes, then `body`, a pause, and the connection is closed."""
-
-    body: bytes
-    length: int
-    content_range: str
-    status: int = 206
-    pause_s: float = 0.0
-
-
-@dataclass
-class Faults:
-    """`act` spoils replies; it gets the reply that would be right, and how often the file was asked for before."""
-
-    act: Callable[[Reply, int], Reply] | None = None
-    asked: dict[str, int] = field(default_factory=dict)
-
-
-@dataclass
-class Nginx:
-    """A running nginx; `log` is read anew each time."""
-
-    port: int
-    work: Path
-    faults: Faults
+    def __init__(self, root: Path, s3: int | None = None) -> None:
+        self.root, self.s3 = root, s3
+        self.shard_bytes = (root / "train-00000.tar").stat().st_size
+        self.faults = Faults()
+        self.errors: list[BaseException] = []
+        self._log: list[Request] = []
+        self._answering = 0
+        self._idle = threading.Condition()
+        self._turn = 0
+        self._last_s = -LIMIT_S
+        self._connections: set[socket.socket] = set()
+        super().__init__(("127.0.0.1", 0), _Handler)
 
     def url(self, location: str) -> str:
-        return f"http://127.0.0.1:{self.port}/{location}"
+        return f"http://127.0.0.1:{self.server_port}/{location}"
 
     def log(self, part: str = "") -> list[Request]:
-        """Requests so far whose path has `part` in it, once nginx has written those that have ended."""
-        time.sleep(0.02)
-        lines = (
-            re.match(r'(\S+) (\d+) (\d+) "(.*)"', line) for line in (self.work / "access.log").read_text().splitlines()
-        )
-        requests = [Request(line[1], int(line[2]), int(line[3]), line[4]) for line in lines if line]
-        return [request for request in requests if part in request.path]
+        """Requests whose path has `part` in it, in the order in which they ended, once none is being answered."""
+        with self._idle:
+            assert self._idle.wait_for(lambda: not self._answering, 10), "a request does not end"
+            return [request for request in self._log if part in request.path]
 
     def forget(self) -> None:
-        """Begin a new log and a new count."""
+        """Begin a new log and new counts, without faults."""
         self.log()
-        os.truncate(self.work / "access.log", 0)
+        self._log.clear()
+        self._turn, self._last_s = 0, -LIMIT_S
         self.faults.act = None
         self.faults.asked.clear()
 
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@contextlib.contextmanager
-def nginx(root: Path, work: Path, s3: int = 9) -> Iterator[Nginx]:
-    """Serve `root` from a fresh nginx that needs no rights and leaves nothing outside `work`.
-
-    A slow location sends three quarters of the first shard in a second, a crawling one a quarter; both send what a
-    second allows at once. s3: port of a server whose `bucket` is seen through it, with failures.
-    """
-    program = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
-    if program is None:
-        pytest.skip("nginx is not installed (Debian's package `nginx-light` will do)")
-    faults = Faults()
-    with _upstream(root, faults) as upstream:
-        port = free_port()
-        user = "user root;" if os.geteuid() == 0 else ""
-        work.mkdir()
-        (work / "users").write_text("someone:{PLAIN}pass-word\n")
-        values = {"user": user, "work": work, "root": root, "port": port, "upstream": upstream, "s3": s3}
-        size = (root / "train-00000.tar").stat().st_size
-        (work / "nginx.conf").write_text(_CONFIG.format(**values, slow=size * 3 // 4, crawling=size // 4))
-        command = [program, "-p", str(work), "-e", str(work / "error.log"), "-c", str(work / "nginx.conf")]
-        server = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    @contextlib.contextmanager
+    def answering(self) -> Iterator[list[Request]]:
+        """Surrounds an answer; the request put into the list is logged as it ends."""
+        with self._idle:
+            self._answering += 1
+        ended: list[Request] = []
         try:
-            _await_port(port, server, work)
-            yield Nginx(port, work, faults)
+            yield ended
         finally:
-            server.terminate()
-            server.wait(10)
+            with self._idle:
+                self._log += ended
+                self._answering -= 1
+                self._idle.notify_all()
 
+    def fails(self) -> bool:
+        """Count a request; True for the 40 % that are to fail."""
+        with self._idle:
+            self._turn += 1
+            return FATES[(self._turn - 1) % len(FATES)] == "x"
 
-def _await_port(port: int, server: subprocess.Popen[bytes], work: Path) -> None:
-    for _ in range(200):
-        if server.poll() is not None:
-            raise RuntimeError(f"nginx ended: {(work / 'error.log').read_text()}")
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-            return
-        time.sleep(0.02)
-    raise RuntimeError("nginx does not answer")
+    def comes_too_soon(self) -> bool:
+        """Count a request; True for those to be refused by `limited/`."""
+        with self._idle:
+            now = time.monotonic()
+            soon = now - self._last_s < LIMIT_S
+            self._last_s = self._last_s if soon else now
+            return soon
 
+    def spoiled(self, name: str, reply: Reply) -> Reply:
+        """The reply as the test's fault makes it; the manifest is always right."""
+        with self._idle:
+            before = self.faults.asked[name]
+            self.faults.asked[name] += 1
+        act = self.faults.act
+        return reply if act is None or name == "manifest.json" else act(reply, before)
 
-@contextlib.contextmanager
-def _upstream(root: Path, faults: Faults) -> Iterator[int]:
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+    def process_request(self, request: Any, client_address: Any) -> None:
+        self._connections.add(request)
+        super().process_request(request, client_address)
 
-        def do_GET(self) -> None:
-            name = self.path.lstrip("/")
-            before = faults.asked.get(name, 0)
-            faults.asked[name] = before + 1
-            data = (root / name).read_bytes()
-            match = re.match(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-            start, stop = (int(match[1]), int(match[2]) + 1) if match else (0, len(data))
-            body = data[start:stop]
-            reply = Reply(body, len(body), f"bytes {start}-{start + len(body) - 1}/{len(data)}", 206 if match else 200)
-            if faults.act is not None and name != "manifest.json":
-                reply = faults.act(reply, before)
-            self.send_response(reply.status)
-            self.send_header("Content-Length", str(reply.length))
-            if reply.status == 206:
-                self.send_header("Content-Range", reply.content_range)
-            self.end_headers()
+    def shutdown_request(self, request: Any) -> None:
+        super().shutdown_request(request)
+        self._connections.discard(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Keep what was raised, for the end of the tests; clients may go away."""
+        error = sys.exception()
+        if error is not None and not isinstance(error, BrokenPipeError | ConnectionResetError):
+            self.errors.append(error)
+
+    def stop(self) -> None:
+        """End all connections and their threads."""
+        self.shutdown()
+        for connection in list(self._connections):
             with contextlib.suppress(OSError):
-                self.wfile.write(reply.body)
-                self.wfile.flush()
-                time.sleep(reply.pause_s)
+                connection.shutdown(socket.SHUT_RDWR)
+        self.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers the requests of one connection."""
+
+    server: WebServer
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True  # else a body waits 40 ms for the acknowledgement of its headers
+
+    def do_GET(self) -> None:
+        path = unquote(urlsplit(self.path).path)
+        location, _, name = path[1:].partition("/")
+        status, self._sent = 444, 0
+        with self.server.answering() as ended:
+            try:
+                reply = self._reply(location, name)
+                if reply is None:
+                    self.close_connection = True
+                else:
+                    status = reply.status
+                    self._send(reply)
+            finally:
+                ended.append(Request(path, status, self._sent, self.headers.get("Range", "")))
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+    def _reply(self, location: str, name: str) -> Reply | None:
+        """The reply of a location; None closes the connection without one."""
+        server = self.server
+        match location:
+            case "good":
+                return self._file(name)
+            case "slow":
+                return replace(self._file(name), step=server.shard_bytes * 3 // 4)
+            case "crawling":
+                return replace(self._file(name), step=server.shard_bytes // 4)
+            case "rangeless":
+                return self._file(name, ranges=False)
+            case "failing":
+                return refusal(500) if server.fails() else self._file(name)
+            case "limited":
+                return refusal(429) if server.comes_too_soon() else self._file(name)
+            case "silent":
+                return None
+            case "moved":
+                return refusal(302, Location=server.url(f"good/{name}"))
+            case "private":
+                known = self.headers.get("Authorization") == USER
+                return self._file(name) if known else refusal(401, WWW_Authenticate='Basic realm="x"')
+            case "signed":
+                known = parse_qs(urlsplit(self.path).query).get("token") == [TOKEN]
+                return self._file(name) if known else refusal(403)
+            case "forbidden":
+                return refusal(403)
+            case "packed":
+                return replace(self._file(name), headers={"Content-Encoding": "gzip"})
+            case "bucket" if server.s3 is not None:
+                return refusal(503) if server.fails() else self._passed_on(server.s3)
+            case "faulty":
+                return server.spoiled(name, self._file(name))
+        return refusal(404)
+
+    def _file(self, name: str, ranges: bool = True) -> Reply:
+        try:
+            data = (self.server.root / name).read_bytes()
+        except (FileNotFoundError, IsADirectoryError):
+            return refusal(404)
+        match = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", "")) if ranges else None
+        if match is None:
+            return Reply(data, len(data), status=200)
+        start = int(match[1])
+        if start >= len(data):
+            return refusal(416, Content_Range=f"bytes */{len(data)}")
+        body = data[start : int(match[2]) + 1 if match[2] else None]
+        return Reply(body, len(body), f"bytes {start}-{start + len(body) - 1}/{len(data)}")
+
+    def _passed_on(self, port: int) -> Reply:
+        """The reply of the S3 server, asked the same."""
+        behind = HTTPConnection("127.0.0.1", port, timeout=30)
+        with contextlib.closing(behind):
+            behind.request(self.command, self.path, headers=dict(self.headers))
+            answer = behind.getresponse()
+            body = answer.read()
+        headers = {name.title(): value for name, value in answer.getheaders()}
+        for name in ("Connection", "Transfer-Encoding", "Date", "Server"):
+            headers.pop(name, None)
+        length = int(headers.pop("Content-Length", len(body)))  # of a HEAD request: what GET would send
+        return Reply(body, length, headers.pop("Content-Range", ""), answer.status, headers=headers)
+
+    def _send(self, reply: Reply) -> None:
+        """Send a reply as far as the client takes it."""
+        self.send_response(reply.status)
+        self.send_header("Content-Length", str(reply.length))
+        if reply.status == 206:
+            self.send_header("Content-Range", reply.content_range)
+        for name, value in reply.headers.items():
+            self.send_header(name, value)
+        try:
+            self.end_headers()
+            if self.command != "HEAD":
+                self._send_body(reply)
+        except OSError:
             self.close_connection = True
 
-        def log_message(self, *_: object) -> None:
-            pass
+    def _send_body(self, reply: Reply) -> None:
+        step = reply.step or len(reply.body) or 1
+        for start in range(0, len(reply.body), step):
+            if start and self._client_leaves_within(1.0):
+                self.close_connection = True
+                return
+            rest = memoryview(reply.body)[start : start + step]
+            while rest:
+                taken = self.connection.send(rest)
+                self._sent += taken
+                rest = rest[taken:]
+        if len(reply.body) != reply.length:
+            self._client_leaves_within(reply.pause_s)
+            self.close_connection = True
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
+    def _client_leaves_within(self, seconds: float) -> bool:
+        """Wait; True as soon as the connection is closed at its other end."""
+        return bool(select.select([self.connection], [], [], seconds)[0])
+
+
+@contextlib.contextmanager
+def web_server(root: Path, s3: int | None = None) -> Iterator[WebServer]:
+    """A running server; it ends with the context. Raises what went wrong in it."""
+    server = WebServer(root, s3)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     try:
-        yield server.server_address[1]
+        yield server
     finally:
-        server.shutdown()
+        server.stop()
         thread.join()
-        server.server_close()
+    if server.errors:
+        raise server.errors[0]
 
 
 @contextlib.contextmanager
@@ -228,3 +291,9 @@ def put(url: str, data: bytes) -> None:
     kind = {"Content-Type": "application/octet-stream"}
     with urlopen(UrlRequest(url, data, kind, method="PUT")):
         pass
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -220,7 +220,7 @@ def test_bad_options_are_refused(figures_set: Path) -> None:
         ({"on_error": "skip", "skip_budget": -1}, "skip_budget must be a number of samples, or a share"),
         ({"on_error": "skip", "skip_budget": 1.5}, "a share from 0 to 1, found 1.5"),
         ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
-        ({"prefetch": 0}, "prefetch must be a whole number of at least 1, found 0"),
+        ({"prefetch_factor": 0}, "prefetch_factor must be a whole number of at least 1, found 0"),
         ({"start_method": "thread"}, "start_method must be fork, spawn, forkserver or None, found 'thread'"),
         ({"rank": 1, "ranks": 1}, "rank must be less than ranks, found 1 of 1"),
     ]

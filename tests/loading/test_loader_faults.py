@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import start_interruptible
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BodysegError, WorkerLost
@@ -261,8 +262,7 @@ def test_errors_leave_nothing_behind(figures_set: Path) -> None:
 
 
 ENDLESS = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell's children ignore it
+import sys
 from bodyseg_data import RangeImages, loader
 two = [loader(RangeImages(sys.argv[1]), 3, 2, start_method=sys.argv[2]) for _ in range(2)]
 passes = [iter(batches) for batches in two]
@@ -287,7 +287,7 @@ while True:
 )
 def test_a_signal_to_the_run_leaves_nothing_behind(figures_set: Path, number: int, start_method: str) -> None:
     command = [sys.executable, "-c", ENDLESS, str(figures_set), start_method]
-    with subprocess.Popen(
+    with start_interruptible(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as run:
         assert run.stdout is not None

@@ -265,8 +265,8 @@ def test_bad_loader_options_are_refused(figures_set: Path) -> None:
     images = RangeImages(figures_set)
     with pytest.raises(BadConfig, match="batch_size must be a whole number of at least 1, found 0"):
         loader(images, 0)
-    with pytest.raises(BadConfig, match="workers must be a whole number of at least 0, found -1"):
-        loader(images, 4, workers=-1)
+    with pytest.raises(BadConfig, match="num_workers must be a whole number of at least 0, found -1"):
+        loader(images, 4, num_workers=-1)
 
 
 def test_an_empty_selection_is_refused(tmp_path: Path, figures_set: Path) -> None:

@@ -28,6 +28,7 @@ import pytest
 from fakes import Figures
 from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
+from processes import start_interruptible
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -415,7 +416,7 @@ COMMAND = "import figure_worker; from bodyseg_data.commands.cli import main; rai
 
 def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
     words = ["shard", "--source", "open", "--views", "4", "--azimuth-span", "360", "--shard-samples", "5"]
-    return subprocess.Popen(
+    return start_interruptible(
         [sys.executable, "-c", COMMAND, *words, "--engine", nodes.engine, "--out", str(out)],
         env=os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)},
         stdout=subprocess.PIPE,

@@ -14,6 +14,7 @@ from typing import cast
 import numpy as np
 import pytest
 from benches.data.surface.broken_bodies import CASES, sound
+from folders import HELPERS, ROOT
 from numpy.typing import NDArray
 from shapes import ball, figure
 
@@ -153,12 +154,13 @@ def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(reduction: R
 
 
 def test_another_process_gives_the_same_bits(reduction: Reduction) -> None:
+    here = Path(__file__).parent
     script = (
+        f"import sys; sys.path[:0] = [{str(HELPERS)!r}, {str(ROOT / 'tools')!r}, {str(here)!r}]\n"
         "from test_mesh_reduction import *; from test_mesh_reduction import _digest\n"
         "print(_digest(reduce(BALL, MARKS, 5e-4, RIG)))"
     )
-    folder = Path(__file__).parent
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=120)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=here, timeout=120)
     assert done.stdout.strip() == _digest(reduction), done.stderr
 
 

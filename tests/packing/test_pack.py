@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from fakes import Figures
+from processes import start_interruptible
 
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -365,7 +366,7 @@ def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     signals: list[signal.Signals], said: str, status: int, tmp_path: Path
 ) -> None:
     command = _shard(tmp_path / "shards", 2)
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = start_interruptible(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 60
     while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
         assert time.monotonic() < deadline

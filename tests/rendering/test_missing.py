@@ -40,7 +40,7 @@ ctypes.util.find_library, ctypes.CDLL.__init__ = found, loaded
 sys.modules.update(dict.fromkeys(packages))
 
 from shapes import ball
-from bodyseg_data.errors import MissingLibrary
+from bodyseg_data.core.errors import MissingLibrary
 try:
     {action}
 except MissingLibrary as error:

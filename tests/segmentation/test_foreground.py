@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from skimage.measure import label
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
@@ -140,6 +141,16 @@ def test_surfaces_are_those_of_a_flood(
     ranges = np.where(draws.random(shape) < missing, 0, 2.45 + spread * draws.normal(0, 0.3, shape))
     ranges = np.maximum(ranges, 0).astype(np.float32)
     np.testing.assert_array_equal(connected_surfaces(ranges, focal_px), slow_surfaces(ranges, focal_px))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_surfaces_of_a_whole_frame_are_regions_of_scikit_image(seed: int) -> None:
+    side = GAP_PIXELS + 1  # blocks as wide as that leave no neighbours across one, and no shadow is wider at 1 px
+    blocks = np.random.default_rng(seed).choice([0, 1, 2, 3], (480 // side, 640 // side), p=(0.3, 0.3, 0.2, 0.2))
+    levels = blocks.repeat(side, axis=0).repeat(side, axis=1)
+    regions = label(levels, background=0, connectivity=1)
+    assert regions.max() > 1000
+    np.testing.assert_array_equal(connected_surfaces(levels.astype(np.float32), 1.0), regions - 1)
 
 
 def test_a_shadow_does_not_part_a_surface_and_a_gap_does() -> None:

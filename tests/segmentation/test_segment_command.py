@@ -136,7 +136,7 @@ def test_a_unit_and_a_rig_may_be_given(tmp_path: Path, network: Places) -> None:
     frame = np.zeros((640, 329), np.uint16)
     frame[100:400, 114:215] = 25000
     save(tmp_path / "a.png", frame)
-    assert run(tmp_path / "a.png", "--unit", "0.1mm", "--rig", "paper", "--out", tmp_path / "out") == 0
+    assert run(tmp_path / "a.png", "--units", "0.1mm", "--rig", "paper", "--out", tmp_path / "out") == 0
     (body,) = report(tmp_path / "out")["each"][0]["bodies"]
     assert (body["pixels"], body["box"]) == (30300, [100, 114, 400, 215])
     assert (body["range_m"], body["turn_deg"], body["scale"]) == (2.5, 0.0, 1.0)
@@ -180,7 +180,7 @@ def test_where_nobody_is_results_are_empty(frame: Any, tmp_path: Path, capsys: p
     facts = report(tmp_path / "out")
     assert facts["people"] == 0 and facts["mean_confidence"] is None
     said = capsys.readouterr().err
-    assert "nobody was found: are --unit, --near and --far right?" in said
+    assert "nobody was found: are --units, --near and --far right?" in said
     assert "camera assumed: Kinect v1, by the frames' size: --focal or --rig says otherwise" in said
 
 
@@ -215,7 +215,7 @@ def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--unit", "inch"], "a unit must be a length"),
+        (["--units", "inch"], "a unit must be a length"),
         (["--fps", "0"], "a preview shows 0.1 to 50 frames per second, found 0"),
         (["--confidence", "70"], "a confidence must be 0 to 1, found 70"),
         (
@@ -230,7 +230,7 @@ def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.Ca
         (["--centre", "3"], "--centre takes two numbers"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
         (["--run", "nowhere"], "a network is a run's folder or a .safetensors file, found nowhere"),
-        (["--background", "none"], "argument --background: invalid choice: 'none'"),
+        (["--background", "none"], 'Invalid value "none" for --background'),
     ],
 )
 def test_bad_options_are_one_line(
@@ -253,9 +253,7 @@ def test_an_out_that_cannot_be_written_is_named(
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        run("--help")
-    assert ended.value.code == 0
+    assert run("--help") == 0
     assert segment.EXAMPLE in capsys.readouterr().out
 
 

@@ -18,13 +18,13 @@ from typing import Any
 import pytest
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary
+from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.stores.store import LocalFolder, open_file
+from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file
 from bodyseg_data.shards.tar import ShardReader
 
 fsspec = pytest.importorskip("fsspec")
@@ -91,8 +91,12 @@ def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pa
         ("nosuch://host/shards", {}, "nosuch://host/shards: Protocol not known: nosuch"),
         ("file://data/shards", {}, "a file:// address has a path from the root on, like file:///data/shards, found"),
         ("http://[::1/shards", {}, "not an address: Invalid IPv6 URL"),
-        ("shards", {"storage_options": {"key": "x"}}, "storage_options and patience are for remote sets, found them"),
-        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and patience are for remote sets, found them"),
+        (
+            "shards",
+            {"storage_options": {"key": "x"}},
+            "storage_options and retry_policy are for remote sets, found them",
+        ),
+        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and retry_policy are for remote sets, found them"),
     ],
 )
 def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, Any], message: str) -> None:
@@ -106,9 +110,14 @@ def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Pat
     for wrong in (-1, 1.5, True, "10"):
         with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
-    for wrong_patience in ({"tries": 0}, {"tries": 1.5}, {"total_s": 0}, {"stall_s": float("nan")}, {"total_s": "5"}):
-        with pytest.raises(BadConfig, match="Patience: (tries|total_s|stall_s) must be a "):
-            RetryPolicy(**wrong_patience)
+    for name, wrong in (("tries", 0), ("tries", 1.5), ("progress_bytes", 0), ("progress_bytes", True)):
+        with pytest.raises(BadConfig, match=f"RetryPolicy: {name} must be a whole number of at least 1, found {wrong}"):
+            RetryPolicy(**{name: wrong})
+    for name, wrong in (("total_s", 0), ("stall_s", float("nan")), ("total_s", "5")):
+        with pytest.raises(
+            BadConfig, match=f"RetryPolicy: {name} must be a positive number of seconds, found {wrong!r}"
+        ):
+            RetryPolicy(**{name: wrong})
 
 
 @pytest.mark.parametrize("missing", ["fsspec", "aiohttp"])
@@ -149,17 +158,29 @@ def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path
         assert store.size("train-00000.tar") == len(whole)
         with open_file(store, "train-00000.tar") as file:
             assert file.read(1000) + file.read() + file.read() == whole
-        assert store.whole("nothing.json", 10) is None
-        assert store.whole("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
+        assert store.read_file("nothing.json", 10) is None
+        assert store.read_file("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
+
+
+class Stricter:
+    """A store that takes a file of 1 kB for one of 256 MiB."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._store, name)
+
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        assert limit == 1 << 28
+        return self._store.read_file(name, 1000)
 
 
 @pytest.mark.parametrize("remote", [False, True])
-def test_a_manifest_larger_than_any_is_not_read(
-    remote: bool, memory: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bodyseg_data.shards.manifest._LARGEST_MANIFEST", 1000)
-    with pytest.raises(Exception, match=r"manifest.json.*at most 1000 bytes are read, found more"):
-        read_manifest(open_store(memory)[0] if remote else figures_set)
+def test_a_manifest_larger_than_any_is_not_read(remote: bool, memory: str, figures_set: Path) -> None:
+    store = open_store(memory if remote else str(figures_set))[0]
+    with pytest.raises((BadShard, Unreachable), match=r"manifest.json.*at most 1000 bytes are read, found more"):
+        read_manifest(Stricter(store))
 
 
 def test_the_cache_is_where_the_system_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -240,14 +261,20 @@ def test_threads_that_want_one_shard_fetch_it_once(tmp_path: Path) -> None:
     assert cache.read(record(7), 1020, 100) == b"\7" * 4
 
 
-def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(tmp_path: Path) -> None:
-    class Late(ShardCache):
-        def _open_part(self, wanted: ShardRecord) -> int | None:
-            assert fill(ShardCache(tmp_path, 4096), wanted)  # another process, just now
-            return super()._open_part(wanted)
+def test_a_shard_finished_between_the_look_and_the_claim_is_not_fetched_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_now = os.open
 
-    with Late(tmp_path, 4096).claim(record(3)) as handle:
+    def open_late(*arguments: Any) -> int:
+        monkeypatch.setattr(os, "open", open_now)
+        assert fill(ShardCache(tmp_path, 4096), record(3))  # another process, just now
+        return os.open(*arguments)
+
+    monkeypatch.setattr(os, "open", open_late)
+    with ShardCache(tmp_path, 4096).claim(record(3)) as handle:
         assert handle is None
+    assert os.open is open_now, "the part was opened"
     assert [path.name for path in tmp_path.glob("*.*")] == [f"{record(3).sha256}.tar"], "no empty part takes room"
 
 
@@ -267,7 +294,7 @@ def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
         return found
 
     monkeypatch.setattr(hashlib, "file_digest", slowly)
-    assert store.doubt(record(3).name), "what was read was wrong"
+    assert store.prepare_reread(record(3).name), "what was read was wrong"
     assert cache.read(record(3), 1020, 100) == b"\3" * 4
 
 
@@ -297,7 +324,7 @@ def manifest(figures_set: Path) -> Manifest:
 def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
     where: str, memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def fail(*_: object, **__: object) -> None:
@@ -323,7 +350,7 @@ def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, figures_set
     if mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")
     try:
-        store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+        store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
         with pytest.warns(RuntimeWarning, match="No space left on device"):
             read = ShardReader(store, manifest).read(0, 0)
         assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
@@ -350,9 +377,9 @@ def test_two_sets_never_mix_though_their_shards_have_the_same_names(
     first, second = manifest.shards[:2]
     files.copy(f"/sets/figures/{second.name}", f"/sets/figures/{first.name}")
     changed = replace(manifest, shards=(replace(second, name=first.name),))
-    store = keep_shards(open_store(memory)[0], changed.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], changed.shards, tmp_path, None)
     assert ShardReader(store, changed).read(0, 0).key == second.keys[0]
-    assert ShardReader(keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None), manifest).read(0, 0)
+    assert ShardReader(with_cache(open_store(memory)[0], manifest.shards, tmp_path, None), manifest).read(0, 0)
 
 
 def test_a_manifest_at_odds_with_itself_empties_nobodys_cache(memory: str, manifest: Manifest, tmp_path: Path) -> None:
@@ -360,7 +387,7 @@ def test_a_manifest_at_odds_with_itself_empties_nobodys_cache(memory: str, manif
     (held,) = tmp_path.glob("*.tar")
     first = manifest.shards[0]
     odd = replace(manifest, shards=(replace(first, crc32=(1, *first.crc32[1:])),))
-    store = keep_shards(open_store(memory)[0], odd.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], odd.shards, tmp_path, None)
     assert isinstance(store, CachedStore)
     with pytest.raises(BadShard, match="altered: CRC-32 00000001 expected"):
         ShardReader(store, odd).read(0, 0)

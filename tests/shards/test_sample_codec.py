@@ -5,7 +5,7 @@ import io
 import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -24,7 +24,7 @@ from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels
-from bodyseg_data.shards.codecs.png import decode_png, encode_png
+from bodyseg_data.shards.codecs.png import decode_png, encode_png, read_chunks, read_header
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
 from bodyseg_data.shards.sample_codec import CODECS, CodecName, check_codec, decode_sample, encode_sample
 
@@ -336,6 +336,30 @@ def test_a_png_that_claims_a_huge_image_is_refused_before_it_is_opened() -> None
         decode_png(bytes(data))
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: b"GIF89a" + data, "a PNG must begin with its signature"),
+        (lambda data: data[:-1], "a PNG must be whole, found it cut off after [0-9]+ bytes"),
+        (lambda data: data[:8], "a PNG must be whole, found it cut off after 8 bytes"),
+        (lambda data: data[:8] + data[33:], "a PNG must begin with its size"),
+        (lambda data: data[:8] + b"\0\0\0\0" + data[12:16] + data[29:], "a PNG must begin with its size"),
+        (lambda data: data[:33] + data[8:], "it holds IHDR, IDAT and IEND alone, found b'IHDR IHDR IDAT IEND'"),
+        (lambda data: data + b"more", "nothing follows its end, found 4 bytes"),
+    ],
+)
+def test_a_png_is_header_pixels_and_end_and_nothing_else(change: Callable[[bytes], bytes], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^not a readable PNG: {message}$"):
+        decode_png(change(encode_png(np.zeros((4, 4), np.uint16))))
+
+
+def test_chunks_of_a_png_have_their_checksums() -> None:
+    chunks = read_chunks(encode_png(np.zeros((4, 5), np.uint16)))
+    assert [chunk.name for chunk in chunks] == [b"IHDR", b"IDAT", b"IEND"]
+    assert all(chunk.checksum == chunk.stored_checksum for chunk in chunks)
+    assert read_header(chunks[0]) == (4, 5, 16, 0)
+
+
 def test_threads_may_decode_at_once() -> None:
     sample = ramp_sample()
     members = encode_sample(sample)
@@ -410,10 +434,10 @@ def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_any
     with computed_by(choice):
         for sample in (first, second, first):  # whatever the one before has left behind
             stored = encode_sample(sample)
-            into = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
-            decoded = decode_sample(sample.key, stored, into=into)
-            assert decoded.range is into[0]
-            assert decoded.labels is into[1]
+            out = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
+            decoded = decode_sample(sample.key, stored, out=out)
+            assert decoded.range is out[0]
+            assert decoded.labels is out[1]
             assert same(replace(decoded, occupancy=None), decode_sample(sample.key, stored))
             assert decoded.occupancy is not None
             assert decoded.occupancy.texels is not None
@@ -434,7 +458,7 @@ def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
     shape = sample.range.shape
     wrong = np.zeros((2, 2), np.uint16), np.zeros(shape, np.uint8)
     striped = np.zeros((shape[0], 2 * shape[1]), np.uint16)[:, ::2], np.zeros(shape, np.uint8)
-    for into in (wrong, striped):
-        assert same(replace(decode_sample(sample.key, stored, into=into), occupancy=None), sample)
-        assert not into[0].any()
-        assert not into[1].any()
+    for out in (wrong, striped):
+        assert same(replace(decode_sample(sample.key, stored, out=out), occupancy=None), sample)
+        assert not out[0].any()
+        assert not out[1].any()

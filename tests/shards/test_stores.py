@@ -1,4 +1,4 @@
-"""Sets behind a real nginx and an S3-compatible server, which fail in every way that networks do."""
+"""Sets behind an HTTP and an S3-compatible server, which fail in every way that networks do."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from typing import Any
 
 import pytest
 import torch
-from servers import Nginx, Reply, free_port, nginx, s3_server
+from replies import Reply, refusal
+from servers import WebServer, free_port, s3_server, web_server
 from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadShard, Unreachable
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.manifest import Manifest, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder
@@ -31,27 +32,32 @@ QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
 
 
 @pytest.fixture(scope="module")
-def server(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nginx]:
+def server(figures_set: Path) -> Iterator[WebServer]:
     pytest.importorskip("aiohttp")
-    with nginx(figures_set, tmp_path_factory.mktemp("nginx") / "work") as running:
+    with web_server(figures_set) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def s3(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nginx]:
-    """An S3-compatible server behind an nginx that answers two requests in five with 503."""
+def bucket(figures_set: Path) -> Iterator[WebServer]:
+    """An S3-compatible server behind one that answers two requests in five with 503."""
     pytest.importorskip("s3fs")
-    work = tmp_path_factory.mktemp("s3") / "work"
-    with s3_server(figures_set, "bucket", "shards") as port, nginx(figures_set, work, port) as running:
+    with s3_server(figures_set, "bucket", "shards") as port, web_server(figures_set, port) as running:
         yield running
 
 
-def s3_options(s3: Nginx) -> dict[str, Any]:
+@pytest.fixture
+def s3(bucket: WebServer) -> WebServer:
+    bucket.forget()
+    return bucket
+
+
+def s3_options(s3: WebServer) -> dict[str, Any]:
     return {"key": "AKID-EXAMPLE", "secret": "very-secret", "endpoint_url": s3.url("").rstrip("/")}
 
 
 @pytest.fixture
-def web(server: Nginx) -> Nginx:
+def web(server: WebServer) -> WebServer:
     server.forget()
     return server
 
@@ -75,13 +81,13 @@ def expected(figures_set: Path) -> list[tuple[str, bytes, bytes]]:
 def cached(
     url: str, manifest: Manifest, cache: Path, limit: int = 10**9, retry_policy: RetryPolicy = QUICK
 ) -> CachedStore:
-    store = keep_shards(RemoteFolder(url, {}, retry_policy), manifest.shards, cache, limit)
+    store = with_cache(RemoteFolder(url, {}, retry_policy), manifest.shards, cache, limit)
     assert isinstance(store, CachedStore)
     return store
 
 
 def test_shards_are_fetched_once_and_then_read_from_the_cache(
-    web: Nginx, manifest: Manifest, tmp_path: Path, expected: Any
+    web: WebServer, manifest: Manifest, tmp_path: Path, expected: Any
 ) -> None:
     for _ in range(2):
         assert bits(RangeImages(web.url("good/"), "noise", cache=tmp_path / "cache")) == expected
@@ -92,7 +98,7 @@ def test_shards_are_fetched_once_and_then_read_from_the_cache(
     assert sorted(map(len, held.values())) == sorted(shard.size for shard in manifest.shards)
 
 
-def test_without_a_cache_samples_are_read_by_range(web: Nginx, manifest: Manifest, expected: Any) -> None:
+def test_without_a_cache_samples_are_read_by_range(web: WebServer, manifest: Manifest, expected: Any) -> None:
     assert bits(RangeImages(web.url("good"), "noise", cache_bytes=0)) == expected
     assert [line.sent for line in web.log(".tar")] == [length for shard in manifest.shards for length in shard.lengths]
 
@@ -110,7 +116,7 @@ def stored(figures_set: Path, manifest: Manifest) -> list[bytes]:
 
 @pytest.mark.parametrize("location", ["failing", "limited", "moved", "slow"])
 def test_trouble_that_passes_does_not_show(
-    location: str, web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+    location: str, web: WebServer, manifest: Manifest, tmp_path: Path, stored: list[bytes]
 ) -> None:
     if location in ("slow", "limited"):
         manifest = replace(manifest, shards=manifest.shards[:2])
@@ -118,6 +124,11 @@ def test_trouble_that_passes_does_not_show(
     assert read == stored[: len(read)]
     assert len(list(tmp_path.glob("*.tar"))) == len(manifest.shards)
     assert not list(tmp_path.glob("*.part"))
+    if location == "slow":
+        burst = manifest.shards[0].size * 3 // 4
+        assert sorted(line.start for line in web.log(".tar")) == [0, 0, burst, burst], "what stalls is taken up again"
+    if location == "moved":
+        assert {line.status for line in web.log()} == {302, 206}
     errors = {"failing": 500, "limited": 429}.get(location)
     if errors is not None:
         read = contents(RemoteFolder(web.url(location), {}, QUICK), manifest)
@@ -170,16 +181,18 @@ def stalled(reply: Reply, before: int) -> Reply:
 def test_replies_that_break_do_not_show(
     act: Any,
     direct: bool,
-    web: Nginx,
+    web: WebServer,
     manifest: Manifest,
     tmp_path: Path,
     figures_set: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bodyseg_data.shards.stores.remote._PROGRESS_BYTES", 10_000)  # the shards are small
     web.faults.act = act
     url = web.url("faulty")
-    reader = ShardReader(RemoteFolder(url, {}, QUICK) if direct else cached(url, manifest, tmp_path), manifest)
+    retry_policy = replace(QUICK, progress_bytes=10_000)  # the shards are small
+    store = (
+        RemoteFolder(url, {}, retry_policy) if direct else cached(url, manifest, tmp_path, retry_policy=retry_policy)
+    )
+    reader = ShardReader(store, manifest)
     local = ShardReader(figures_set, manifest)
     for shard, record in enumerate(manifest.shards[:2]):
         for index in range(len(record)):
@@ -193,7 +206,7 @@ def test_replies_that_break_do_not_show(
 
 
 def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
-    web: Nginx, manifest: Manifest, tmp_path: Path
+    web: WebServer, manifest: Manifest, tmp_path: Path
 ) -> None:
     web.faults.act = stalled
     shard = manifest.shards[0]
@@ -205,7 +218,7 @@ def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
 
 
 def test_a_server_without_ranges_corrupts_nothing(
-    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+    web: WebServer, manifest: Manifest, tmp_path: Path, stored: list[bytes]
 ) -> None:
     store = cached(web.url("rangeless"), manifest, tmp_path)
     shard = manifest.shards[0]
@@ -218,7 +231,7 @@ def test_a_server_without_ranges_corrupts_nothing(
 
 
 def test_a_part_of_another_object_is_found_out(
-    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+    web: WebServer, manifest: Manifest, tmp_path: Path, stored: list[bytes]
 ) -> None:
     """As when the shard was changed on the server between a cut and the resumption."""
     store = cached(web.url("good"), manifest, tmp_path)
@@ -232,7 +245,7 @@ def test_a_part_of_another_object_is_found_out(
 
 @pytest.mark.parametrize("direct", [False, True])
 def test_bytes_altered_on_the_server_are_an_error_that_says_all(
-    direct: bool, web: Nginx, manifest: Manifest, tmp_path: Path
+    direct: bool, web: WebServer, manifest: Manifest, tmp_path: Path
 ) -> None:
     def always(reply: Reply, before: int) -> Reply:
         body = bytearray(reply.body)
@@ -252,7 +265,7 @@ def test_bytes_altered_on_the_server_are_an_error_that_says_all(
 
 
 def test_one_sample_altered_on_the_server_spoils_no_other(
-    web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+    web: WebServer, manifest: Manifest, tmp_path: Path, stored: list[bytes]
 ) -> None:
     shard = manifest.shards[0]
     place = shard.offsets[2] + 700
@@ -288,21 +301,21 @@ def test_one_sample_altered_on_the_server_spoils_no_other(
         ("packed", r"manifest.json: the server sends it packed \(gzip\), though asked not to"),
     ],
 )
-def test_what_cannot_be_had_is_one_clear_line(location: str, message: str, web: Nginx, tmp_path: Path) -> None:
+def test_what_cannot_be_had_is_one_clear_line(location: str, message: str, web: WebServer, tmp_path: Path) -> None:
     with pytest.raises((Unreachable, BadShard), match=f"^{web.url(location)}.?{message}$"):
         RangeImages(web.url(location), retry_policy=RetryPolicy(tries=3, first_wait_s=0.001), cache=tmp_path)
     assert (len(web.log()) > 1) == (location == "silent"), "only trouble that may pass is tried again"
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: Nginx, tmp_path: Path) -> None:
+def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: WebServer, tmp_path: Path) -> None:
     web.faults.act = lambda reply, before: replace(reply, status=404)
     images = RangeImages(web.url("faulty"), cache=tmp_path, retry_policy=QUICK)
     with pytest.raises(Unreachable, match=r"^http://127.0.0.1:\d+/faulty/train-0000\d.tar: 404 Not Found$"):
         list(loader(images, 8, workers))
 
 
-def test_a_row_of_failures_is_bounded_in_number_and_time(web: Nginx, manifest: Manifest) -> None:
+def test_a_row_of_failures_is_bounded_in_number_and_time(web: WebServer, manifest: Manifest) -> None:
     web.faults.act = lambda reply, before: replace(reply, status=500)
     for retry_policy, least, most in (
         (RetryPolicy(tries=4, first_wait_s=0.001), 4, 4),
@@ -314,6 +327,14 @@ def test_a_row_of_failures_is_bounded_in_number_and_time(web: Nginx, manifest: M
         assert least <= web.faults.asked["train-00000.tar"] <= most
 
 
+def test_a_server_that_asks_for_more_time_than_there_is_is_given_up_at_once(web: WebServer) -> None:
+    retry_policy = RetryPolicy(tries=3, first_wait_s=0.001, total_s=0.5)
+    for headers, attempts in (({}, 3), ({"Retry_After": "1"}, 1)):
+        web.faults.act = lambda reply, before, headers=headers: refusal(429, **headers)
+        with pytest.raises(Unreachable, match=rf"train-00000.tar: 429 Too Many Requests \({attempts} attempts\)$"):
+            RemoteFolder(web.url("faulty"), {}, retry_policy).read("train-00000.tar", 0, 512)
+
+
 def test_nobody_listening_is_one_clear_line(tmp_path: Path) -> None:
     url = f"http://127.0.0.1:{free_port()}/shards"
     with pytest.raises(
@@ -322,7 +343,7 @@ def test_nobody_listening_is_one_clear_line(tmp_path: Path) -> None:
         RangeImages(url, cache=tmp_path, retry_policy=RetryPolicy(tries=2, first_wait_s=0.001))
 
 
-def test_secrets_are_used_and_never_shown(web: Nginx, tmp_path: Path) -> None:
+def test_secrets_are_used_and_never_shown(web: WebServer, tmp_path: Path) -> None:
     host = web.url("").removeprefix("http://")
     for url, options in (
         (f"http://someone:pass-word@{host}private", {}),
@@ -341,8 +362,16 @@ def test_secrets_are_used_and_never_shown(web: Nginx, tmp_path: Path) -> None:
         assert not any(secret in text for secret in ("word", "hush", "tush", "Basic", "someone", "token"))
 
 
+def test_options_of_the_filesystem_and_of_requests_are_told_apart(web: WebServer, tmp_path: Path) -> None:
+    own = {"use_listings_cache": True, "block_size": 4096, "encoded": True}
+    retry_policy = RetryPolicy(tries=2, first_wait_s=0.001)
+    RangeImages(web.url("moved"), cache=tmp_path, storage_options=own).clean(0)
+    with pytest.raises(Unreachable, match="manifest.json: 302 Found$"):
+        RangeImages(web.url("moved"), storage_options={**own, "allow_redirects": False}, retry_policy=retry_policy)
+
+
 def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
-    web: Nginx, figures_set: Path, tmp_path: Path
+    web: WebServer, figures_set: Path, tmp_path: Path
 ) -> None:
     for choice in ("", "train-*.tar", "test-00001.tar", "manifest.json"):
         ours, theirs = RangeImages(web.url(f"good/{choice}"), cache=tmp_path), RangeImages(figures_set / choice)
@@ -353,7 +382,7 @@ def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_workers_read_remote_sets_however_they_are_started(
-    method: str, web: Nginx, manifest: Manifest, tmp_path: Path, expected: Any
+    method: str, web: WebServer, manifest: Manifest, tmp_path: Path, expected: Any
 ) -> None:
     images = RangeImages(web.url("good"), "noise", cache=tmp_path, retry_policy=QUICK)
     images.image(0)  # the parent has a connection of its own
@@ -367,7 +396,7 @@ def test_workers_read_remote_sets_however_they_are_started(
     assert len(web.log(".tar")) == len(manifest.shards), "each shard is fetched once, whoever needs it"
 
 
-def test_forked_workers_read_by_range_while_their_parent_does(web: Nginx, expected: Any) -> None:
+def test_forked_workers_read_by_range_while_their_parent_does(web: WebServer, expected: Any) -> None:
     images = RangeImages(web.url("good"), "noise", cache_bytes=0, retry_policy=QUICK)
     keys = []
     for batch in loader(images, 4, 2):
@@ -379,12 +408,12 @@ def test_forked_workers_read_by_range_while_their_parent_does(web: Nginx, expect
 READER = """
 import sys
 from pathlib import Path
-from bodyseg_data.addresses import open_store
-from bodyseg_data.cached_store import keep_shards
-from bodyseg_data.manifest import read_manifest
+from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.cache.store import with_cache
+from bodyseg_data.shards.manifest import read_manifest
 store, _ = open_store(sys.argv[1])
 manifest = read_manifest(store)
-kept = keep_shards(store, manifest.shards, sys.argv[2], None)
+kept = with_cache(store, manifest.shards, sys.argv[2], None)
 for shard in manifest.shards[: int(sys.argv[3])]:
     assert len(kept.read(shard.name, 0, 512)) == 512
 """
@@ -394,13 +423,13 @@ def start(url: str, cache: Path, shards: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", READER, url, str(cache), str(shards)])
 
 
-def test_two_processes_fetch_each_shard_once(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+def test_two_processes_fetch_each_shard_once(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
     readers = [start(web.url("slow"), tmp_path / "cache", 2) for _ in range(2)]
     assert [reader.wait(30) for reader in readers] == [0, 0]
     assert sorted(line.sent for line in web.log(".tar")) == sorted(shard.size for shard in manifest.shards[:2])
 
 
-def test_a_killed_download_is_carried_on(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+def test_a_killed_download_is_carried_on(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
     shard = manifest.shards[0]
     part = tmp_path / f"{shard.sha256}.{shard.size}.part"
     reader = start(web.url("crawling"), tmp_path, 1)
@@ -411,7 +440,7 @@ def test_a_killed_download_is_carried_on(web: Nginx, manifest: Manifest, tmp_pat
     reader.wait(10)
     have = part.stat().st_size
     assert shard.size // 4 <= have < shard.size
-    time.sleep(0.1)  # until nginx has seen it and logged what it sent
+    assert len(web.log(".tar")) == 1, "the server has seen it"
     cached(web.url("good"), manifest, tmp_path).read(shard.name, 0, 512)
     before, after = web.log(".tar")
     assert (after.start, after.sent) == (have, shard.size - have)
@@ -419,7 +448,9 @@ def test_a_killed_download_is_carried_on(web: Nginx, manifest: Manifest, tmp_pat
     assert [path.name for path in tmp_path.glob(f"{shard.sha256}*")] == [f"{shard.sha256}.tar"]
 
 
-def test_what_has_no_room_is_read_by_range(web: Nginx, manifest: Manifest, tmp_path: Path, stored: list[bytes]) -> None:
+def test_what_has_no_room_is_read_by_range(
+    web: WebServer, manifest: Manifest, tmp_path: Path, stored: list[bytes]
+) -> None:
     limit = sum(shard.size for shard in manifest.shards[:2]) + 1000
     store = cached(web.url("good"), manifest, tmp_path, limit)
     for _ in range(2):
@@ -431,7 +462,7 @@ def test_what_has_no_room_is_read_by_range(web: Nginx, manifest: Manifest, tmp_p
     assert len(web.log(".tar")) == 2 + 2 * others
 
 
-def test_a_spoiled_cache_is_mended(web: Nginx, manifest: Manifest, tmp_path: Path) -> None:
+def test_a_spoiled_cache_is_mended(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
     store = cached(web.url("good"), manifest, tmp_path)
     reader = ShardReader(store, manifest)
     reader.read(0, 0)
@@ -443,7 +474,7 @@ def test_a_spoiled_cache_is_mended(web: Nginx, manifest: Manifest, tmp_path: Pat
         assert path.read_bytes() == whole
 
 
-def test_a_reader_is_pickled_without_connections_but_with_its_options(web: Nginx, manifest: Manifest) -> None:
+def test_a_reader_is_pickled_without_connections_but_with_its_options(web: WebServer, manifest: Manifest) -> None:
     options = {"headers": {"Authorization": "Basic c29tZW9uZTpwYXNzLXdvcmQ="}}
     reader = ShardReader(RemoteFolder(web.url("private"), options, QUICK), manifest)
     first = reader.read(0, 0)
@@ -452,7 +483,11 @@ def test_a_reader_is_pickled_without_connections_but_with_its_options(web: Nginx
 
 
 def test_commands_take_addresses(
-    web: Nginx, manifest: Manifest, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    web: WebServer,
+    manifest: Manifest,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert main(["verify", web.url("good/")]) == 0
@@ -471,8 +506,9 @@ def test_commands_take_addresses(
     assert "train-00000.tar: -: offset 0: cannot be read: http://127.0.0.1" in capsys.readouterr().out
 
 
-def test_a_set_in_a_bucket_is_read_like_any_other(s3: Nginx, tmp_path: Path, manifest: Manifest, expected: Any) -> None:
-    s3.forget()
+def test_a_set_in_a_bucket_is_read_like_any_other(
+    s3: WebServer, tmp_path: Path, manifest: Manifest, expected: Any
+) -> None:
     for limit in (None, 0):
         images = RangeImages(
             "s3://bucket/shards/",
@@ -489,7 +525,7 @@ def test_a_set_in_a_bucket_is_read_like_any_other(s3: Nginx, tmp_path: Path, man
     assert sum(line.status == 503 for line in s3.log()) > 2
 
 
-def test_workers_read_buckets(s3: Nginx, tmp_path: Path, expected: Any) -> None:
+def test_workers_read_buckets(s3: WebServer, tmp_path: Path, expected: Any) -> None:
     options, retry_policy = s3_options(s3), replace(QUICK, stall_s=10)
     images = RangeImages(
         "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, retry_policy=retry_policy
@@ -508,7 +544,7 @@ def test_workers_read_buckets(s3: Nginx, tmp_path: Path, expected: Any) -> None:
     ],
 )
 def test_what_a_bucket_refuses_is_one_clear_line(
-    url: str, options: dict[str, Any], message: str, s3: Nginx, tmp_path: Path
+    url: str, options: dict[str, Any], message: str, s3: WebServer, tmp_path: Path
 ) -> None:
     with pytest.raises((Unreachable, BadShard), match=message) as caught:
         RangeImages(url, cache=tmp_path, storage_options={**s3_options(s3), **options}, retry_policy=QUICK)
@@ -516,7 +552,7 @@ def test_what_a_bucket_refuses_is_one_clear_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_webdataset_pipeline_reads_addresses(web: Nginx, tmp_path: Path, expected: Any) -> None:
+def test_a_webdataset_pipeline_reads_addresses(web: WebServer, tmp_path: Path, expected: Any) -> None:
     pytest.importorskip("webdataset")
     images = RangeImages(web.url("good"), "noise", cache=tmp_path)
     assert [sample["key"] for sample in images.webdataset()] == [image[0] for image in expected]

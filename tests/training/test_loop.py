@@ -79,6 +79,7 @@ def train(
         **options,
     )
     made.run(resume, said.append, {"commit": "none"})
+    assert repr(made) == f"Training('compact', {RunFolder(out)!r}, step {recipe.steps} of {recipe.steps})"
     return said
 
 
@@ -184,13 +185,13 @@ def test_a_killed_training_carries_on(figures_set: Path, tmp_path: Path) -> None
         words = ["train", "--data", str(figures_set), "--out", str(out), "--settings", json.dumps(TINY), "--steps", "6"]
         return [
             *words,
-            "--batch",
+            "--batch-size",
             "2",
-            "--workers",
+            "--num-workers",
             "1",
             "--log-every",
             "1",
-            "--keep-every",
+            "--checkpoint-every",
             "1",
             "--threads",
             "1",
@@ -214,7 +215,8 @@ def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monk
     """Two processes with half of each batch give the weights of one with all of it, but for rounding."""
     settings = {"width": 1 / 16}
     words = ["train", "--data", str(figures_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
-    words += ["--steps", "2", "--batch", "2", "--accumulate", "2", "--workers", "0", "--device", "cpu", "--seed", "4"]
+    words += ["--steps", "2", "--batch-size", "2", "--accumulate", "2", "--num-workers", "0"]
+    words += ["--device", "cpu", "--seed", "4"]
     worker = HELPERS / "train_worker.py"
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(worker)]
     done = subprocess.run(
@@ -281,7 +283,7 @@ def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -
 
 def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
     images = RangeImages(figures_set, "all", "train")
-    with pytest.raises(BadConfig, match="a batch of 2 images cannot be shared out evenly to 3 processes"):
+    with pytest.raises(BadConfig, match="batch_size must be a multiple of the 3 processes, found 2"):
         Training(
             build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), ProcessGroup(0, 3, torch.device("cpu"))
         )
@@ -302,7 +304,7 @@ def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
     ("words", "message"),
     [
         (["--steps", "0"], "steps must be at least 1, found 0"),
-        (["--rate", "nan"], "rate must be from 1e-09 to 10, found nan"),
+        (["--lr", "nan"], "learning_rate must be from 1e-09 to 10, found nan"),
         (["--settings", "{"], "--settings must be JSON"),
         (["--settings", "[]"], "--settings must be a JSON object"),
         (["--artifacts", "[]"], "--artifacts must be strengths by artifact"),
@@ -310,7 +312,7 @@ def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
         (["--losses", "0.2", "--artifacts", '{"losses": {}}'], "an artifact may be given once, found losses twice"),
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--device", "cuda:77"], "cannot compute on the device 'cuda:77'"),
-        (["--pretrained", "x.onnx"], "--pretrained is for fcn_alexnet, not compact"),
+        (["--pretrained", "x.onnx"], "Compact cannot start from pretrained weights, found x.onnx"),
         (["--log-every", "0"], "log_every must be a whole number of at least 1, found 0"),
         (["--network", "unet"], "--network"),
     ],
@@ -328,7 +330,7 @@ def test_tensorboard_gets_the_figures(figures_set: Path, tmp_path: Path) -> None
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     words = ["--data", str(figures_set), "--out", str(tmp_path), "--settings", json.dumps(TINY), "--steps", "2"]
-    assert main(["train", *words, "--batch", "2", "--workers", "0", "--log-every", "1"]) == 0
+    assert main(["train", *words, "--batch-size", "2", "--num-workers", "0", "--log-every", "1"]) == 0
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]

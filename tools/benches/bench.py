@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from bodyseg_data.commands.options import option
+from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
@@ -51,7 +51,7 @@ BENCHES: Final = {
     "proposal": Bench("data.surface.proposal", also=("mit",)),
     "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),
     "codec": Bench("data.codec.bench", "figure", "samples in all, 60"),
-    "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", also=("workers",)),
+    "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", also=("num_workers",)),
     "variants": Bench(
         "model.variants.bench", "figure", needs=("data", "runs"), also=("seeds", "steps", "images", "alone")
     ),
@@ -91,8 +91,8 @@ class Options:
     figure: Path | None = option("also draw what was measured to this PNG file", None)
     views: int | None = option(f"how much to measure on ({_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
-    workers: tuple[int, ...] | None = option("for loader: numbers of worker processes to measure with (0 2)", None)
-    data: str | None = option(f"for {_takers('data')}: folder or address of the set", None)
+    num_workers: tuple[int, ...] | None = option("for loader: numbers of worker processes to measure with (0 2)", None)
+    data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of the trainings, VARIANT-SEED each, where missing ones are made; for architectures and "
         "ablation: folder of the trainings, NAME-SEED each; for the others: trained networks",
@@ -101,11 +101,16 @@ class Options:
     seeds: int | None = option("for variants: trainings of each variant (3)", None)
     steps: int | None = option("for variants: steps of each training (those there, else the recipe's)", None)
     images: int | None = option("test images (variants 500, architectures and ablation 200, failures 1000)", None)
-    hard: str | None = option(f"for {_takers('hard')}: a set of the source hard to test on as well", None)
-    clothes: tuple[str, ...] | None = option("for ablation: two sets alike, of dressed bodies and of bare ones", None)
+    hard: str | None = option(f"for {_takers('hard')}: a set of the source hard to test on as well", None, address=True)
+    clothes: tuple[str, ...] | None = option(
+        "for ablation: two sets alike, of dressed bodies and of bare ones", None, address=True
+    )
     forest: int | None = option("for architectures: training images of a forest to compare with (0: none)", None)
     alone: bool = option("for variants: also sweep noise and missing data without the other artifacts", False)
     scores: tuple[Path, ...] | None = option("for network: results of bodyseg evaluate on `all` to take over", None)
+
+
+_FLAGS: Final = {field.name: flag_of(field) for field in fields(Options)}
 
 
 def run(options: Options) -> int:
@@ -113,8 +118,8 @@ def run(options: Options) -> int:
     _check(options)
     bench = BENCHES[options.what]
     given = {name: value for name in bench.takes if _is_given(value := getattr(options, name))}
-    shown = [f"--{name} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
-    shown += [f"--{name} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
+    shown = [f"{_FLAGS[name]} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
+    shown += [f"{_FLAGS[name]} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
     module = importlib.import_module(f"benches.{bench.home}")
     with Progress("measuring", "steps") as progress:
@@ -159,7 +164,7 @@ def _check(options: Options) -> None:
             continue
         if name == "views" and not bench.home.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
-        raise BadConfig(f"--{name} is for bench {_takers(name)}, found it with bench {options.what}")
+        raise BadConfig(f"{_FLAGS[name]} is for bench {_takers(name)}, found it with bench {options.what}")
     for name in bench.needs:
         if not _is_given(getattr(options, name)):
-            raise BadConfig(f"bench {options.what} needs --{name}")
+            raise BadConfig(f"bench {options.what} needs {_FLAGS[name]}")

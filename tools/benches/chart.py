@@ -26,7 +26,7 @@ _ALL = "charts.json"
 class Options:
     """What the command takes."""
 
-    in_: Path = option("folder of the benches' figures, BENCH.json each")
+    in_: Path = option("folder of the benches' figures, BENCH.json each", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
     page: Path | None = option("also fill the template PATH.in with numbers of --in, and write it to this file", None)
 
@@ -57,21 +57,22 @@ def run(options: Options) -> int:
         sys.stderr.write(f"chart {name} is left out: {why}\n")
     if not drawn:
         return 2
-    _write(options.out, drawn, {"charts": told, "left_out": sorted(left_out)})
+    summary = {"charts": told, "left_out": sorted(left_out)}
+    _write(options.out, drawn, summary)
     sys.stderr.write(f"wrote {len(drawn)} charts into {options.out}\n")
-    if options.page is not None:  # last: it may quote charts.json
-        _fill_page(options.page, options.in_)
+    if options.page is not None:
+        _fill_page(options.page, options.in_, summary)
         sys.stderr.write(f"wrote {options.page}\n")
     return 0
 
 
-def _fill_page(page: Path, figures: Path) -> None:
+def _fill_page(page: Path, figures: Path, summary: dict[str, Any]) -> None:
     template = page.with_name(page.name + ".in")
     try:
         text = template.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BadConfig(f"--page needs a template of UTF-8 text: {template}: {error}") from error
-    write_result(page, render_page(text, figures).encode())
+    write_result(page, render_page(text, figures, {"charts": summary}).encode())
 
 
 def _write(out: Path, drawn: dict[str, Picture], told: dict[str, Any]) -> None:

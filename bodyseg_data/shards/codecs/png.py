@@ -1,20 +1,75 @@
-"""Plain 16-bit and 8-bit PNG by Pillow, for shards that any image tool opens."""
+"""Codec of 8-bit and 16-bit PNG by Pillow, for shards readable by any image tool, and a reader of PNG chunks."""
 
 from __future__ import annotations
 
 import io
-from typing import Any, Final
+import struct
+import zlib
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
 
-_MAGIC: Final = b"\x89PNG\r\n\x1a\n"
+SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+
+_HEADER_BYTES: Final = 25  # of the chunk IHDR: length, name, 13 bytes, checksum
+
+
+class Chunk(NamedTuple):
+    """A chunk of a PNG. name: four letters. whole: its bytes in the file: length, name, content and checksum."""
+
+    name: bytes
+    whole: bytes
+
+    @property
+    def stored_checksum(self) -> int:
+        """CRC-32 stored in the file."""
+        return int.from_bytes(self.whole[-4:], "big")
+
+    @property
+    def checksum(self) -> int:
+        """CRC-32 computed from name and content."""
+        return zlib.crc32(memoryview(self.whole)[4:-4])
+
+
+class Header(NamedTuple):
+    """Header of a PNG: size in pixels, bits of a sample, and colour type (0 is greyscale)."""
+
+    rows: int
+    columns: int
+    bits: int
+    colour: int
+
+
+def read_chunks(data: bytes) -> list[Chunk]:
+    """Split a PNG into chunks up to its end, IEND (W3C, "Portable Network Graphics", 5.3), without testing checksums.
+
+    Raises ValueError for a file that is truncated or no PNG.
+    """
+    if not data.startswith(SIGNATURE):
+        raise ValueError("a PNG must begin with its signature")
+    chunks: list[Chunk] = []
+    end = len(SIGNATURE)
+    while not chunks or chunks[-1].name != b"IEND":
+        start, end = end, end + 12 + int.from_bytes(data[end : end + 4], "big")
+        if end > len(data):
+            raise ValueError(f"a PNG must be whole, found it cut off after {len(data)} bytes")
+        chunks.append(Chunk(data[start + 4 : start + 8], data[start:end]))
+    return chunks
+
+
+def read_header(chunk: Chunk) -> Header:
+    """Parse the header, a PNG's first chunk. Raises ValueError for another chunk."""
+    if chunk.name != b"IHDR" or len(chunk.whole) != _HEADER_BYTES:
+        raise ValueError("a PNG must begin with its size")
+    columns, rows, bits, colour = struct.unpack_from(">IIBB", chunk.whole, 8)
+    return Header(rows, columns, bits, colour)
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """A uint8 or uint16 image [H, W] as a PNG; 16-bit greyscale is lossless in Pillow."""
+    """Encode a uint8 or uint16 image [H, W] as PNG; 16-bit greyscale is lossless in Pillow."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -23,16 +78,23 @@ def encode_png(image: NDArray[Any]) -> bytes:
 
 
 def decode_png(data: bytes) -> NDArray[Any]:
-    """The inverse. Raises ValueError, saying what is wrong, for anything but a greyscale PNG of at most `MAX_SIDE`."""
+    """Decode a greyscale PNG to uint8 or uint16 [H, W]. Raises ValueError for other files and sides over `MAX_SIDE`."""
     from PIL import Image
 
-    # Asked before opening: Pillow allocates, and warns, by what a file claims, also in chunks besides the pixels.
-    chunks = _chunks(data)
-    if chunks[:1] != [b"IHDR"] or chunks[-1:] != [b"IEND"] or set(chunks[1:-1]) != {b"IDAT"}:
-        raise ValueError(f"not a readable PNG: it holds IHDR, IDAT and IEND alone, found {b' '.join(chunks[:9])!r}")
-    columns, rows = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
-        raise ValueError(f"not a readable PNG: an image side is 1 to {MAX_SIDE} pixels, found {rows} x {columns}")
+    # Checked before opening: Pillow allocates memory, and warns, by the sizes in the header and in other chunks.
+    try:
+        chunks = read_chunks(data)
+        header = read_header(chunks[0])
+    except ValueError as error:
+        raise ValueError(f"not a readable PNG: {error}") from error
+    names = [chunk.name for chunk in chunks]
+    if set(names[1:-1]) != {b"IDAT"}:
+        raise ValueError(f"not a readable PNG: it holds IHDR, IDAT and IEND alone, found {b' '.join(names[:9])!r}")
+    if spare := len(data) - len(SIGNATURE) - sum(len(chunk.whole) for chunk in chunks):
+        raise ValueError(f"not a readable PNG: nothing follows its end, found {spare} bytes")
+    if not (1 <= header.rows <= MAX_SIDE and 1 <= header.columns <= MAX_SIDE):
+        found = f"{header.rows} x {header.columns}"
+        raise ValueError(f"not a readable PNG: an image side is 1 to {MAX_SIDE} pixels, found {found}")
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             if picture.mode not in ("L", "I;16"):
@@ -40,12 +102,3 @@ def decode_png(data: bytes) -> NDArray[Any]:
             return np.asarray(picture).copy()
     except (OSError, SyntaxError) as error:
         raise ValueError(f"not a readable PNG: {error}") from error
-
-
-def _chunks(data: bytes) -> list[bytes]:
-    """The names of a PNG's chunks, as far as they follow each other."""
-    names, place = [], len(_MAGIC)
-    while data.startswith(_MAGIC) and place + 12 <= len(data):
-        names.append(data[place + 4 : place + 8])
-        place += 12 + int.from_bytes(data[place : place + 4], "big")
-    return names

@@ -91,16 +91,16 @@ def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
 
 
 def test_the_example_is_a_command_line() -> None:
-    options = parse(Options, EXAMPLE.split()[2:], "tools/chart", "", EXAMPLE)
+    options = parse(Options, EXAMPLE.split()[1:], "tools/chart", "", EXAMPLE)
     assert options == Options(in_=Path("docs/results"), out=Path("charts"))
 
 
-def test_the_page_is_filled_last(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_figures_of(results, "codec")
     monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     page = tmp_path / "index.md"
-    page.with_name("index.md.in").write_text("{{codec.json command text}} {{charts/charts.json left_out.0 text}}")
-    assert run(Options(in_=results, out=results / "charts", page=page)) == 0
+    page.with_name("index.md.in").write_text("{{ codec.command }} {{ charts.left_out[0] }}")
+    assert run(Options(in_=results, out=tmp_path / "out", page=page)) == 0
     assert page.read_text() == f"{SOURCE['command']} loader"
 
 

@@ -34,9 +34,9 @@ def test_a_front_by_hand() -> None:
     assert [point.name for point in front(found, LESS, MORE)] == ["p0"]
 
 
-def test_what_nothing_beats_stays_in_its_order_and_equals_stay_together() -> None:
-    rows = [{"a": a, "b": b} for a, b in ((1, 5), (2, 2), (2, 3), (5, 1), (6, 1), (2, 2))]
-    assert unbeaten(rows, lambda row: (row["a"], row["b"])) == [rows[0], rows[1], rows[3], rows[5]]
+def test_what_nothing_beats_comes_by_rising_costs_and_equals_stay_together() -> None:
+    rows = [{"a": a, "b": b} for a, b in ((5, 1), (2, 2), (2, 3), (6, 1), (1, 5), (2, 2))]
+    assert unbeaten(rows, lambda row: (row["a"], row["b"])) == [rows[4], rows[1], rows[5], rows[0]]
     assert unbeaten([3, 1, 2], lambda number: (number,)) == [1]
 
 

@@ -29,8 +29,10 @@ def test_the_numbers_of_the_page_are_those_of_the_json() -> None:
 
 def test_no_number_of_ours_is_typed_by_hand() -> None:
     """What stands in the template itself are words, the paper's numbers and sizes of things that are no results."""
-    typed = re.sub(r"\{\{.+?\}\}", "", TEMPLATE.read_text(encoding="utf-8"))
+    template, place = TEMPLATE.read_text(encoding="utf-8"), r"\{\{.+?\}\}|\{%.+?%\}"
+    typed = re.sub(place, "", template)
     assert not re.findall(r"\d\.\d+ ?(?:ms|%|points|times)", typed.replace("81.3 %", ""))
+    assert not re.findall(r"\d\.\d", " ".join(re.findall(place, template))), "nor hidden in an expression"
 
 
 @pytest.mark.parametrize("picture", pictures())

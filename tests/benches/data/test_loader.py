@@ -175,9 +175,9 @@ def test_a_batch_that_is_used_again_too_soon_is_seen(figures_set: Path) -> None:
 
 
 def test_only_a_bench_that_loads_takes_workers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "render", "--workers", "2"]) == 2
-    assert "--workers is for bench loader, found it with bench render" in capsys.readouterr().err
-    assert main(["bench", "loader", "--views", "18", "--workers", "0", "4"]) == 2
+    assert main(["bench", "render", "--num-workers", "2"]) == 2
+    assert "--num-workers is for bench loader, found it with bench render" in capsys.readouterr().err
+    assert main(["bench", "loader", "--views", "18", "--num-workers", "0", "4"]) == 2
     assert "at least 320 samples are needed with 4 workers, found 18" in capsys.readouterr().err
 
 
@@ -241,8 +241,8 @@ def test_limits_say_whether_they_hold() -> None:
         (100, (0, 2), "at least 160 samples are needed with 2 workers, found 108"),
         (0, (0,), "at least 80 samples are needed with 0 workers, found 0"),
         (1080, (0, 16), "at least 1280 samples are needed with 16 workers, found 1080"),
-        (1080, (2, 2), "--workers takes different numbers of at least 0, found 2 2"),
-        (1080, (-1,), "--workers takes different numbers of at least 0, found -1"),
+        (1080, (2, 2), "--num-workers takes different numbers of at least 0, found 2 2"),
+        (1080, (-1,), "--num-workers takes different numbers of at least 0, found -1"),
     ],
 )
 def test_too_little_to_measure_is_refused(views: int, workers: tuple[int, ...], message: str) -> None:

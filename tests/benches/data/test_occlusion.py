@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.charts.fronts import unbeaten
 from benches.data.occlusion import bench
-from benches.data.occlusion.baselines import DEFAULT, methods, nearest, plane, votes
+from benches.data.occlusion.baselines import DEFAULT, METHODS, nearest, plane, votes
 from benches.data.occlusion.bench import bench_occlusion
 from benches.data.occlusion.figure import draw_occlusion
 from benches.data.occlusion.stored import Storage, exact_masks, facing_bytes
 from benches.data.occlusion.tallies import SCENES
-from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, projector_scaled, with_baseline
+from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, with_baseline
 from PIL import Image
 from shapes import figure
 
@@ -28,6 +29,8 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+
 
 @pytest.fixture(scope="module")
 def seen() -> ExactView:
@@ -36,52 +39,49 @@ def seen() -> ExactView:
     parts = partition(mesh, landmarks)
     ref = BodyRef("A", "A", mesh.name, "standing", "train")
     body = Body(mesh, landmarks)
-    return exact_view(load_rig(), EmbreeRenderer(mesh), body, ref, View(255, 20), parts=parts, scales=(0.5, 1))
+    return exact_view(load_rig(), EmbreeRenderer(mesh), body, ref, View(255, 20), parts=parts, scales=(1,))
 
 
 @pytest.fixture(scope="module")
 def storage(seen: ExactView) -> Storage:
-    return Storage(seen, {scale: ShadowTest(projector_scaled(load_rig(), scale)) for scale in (0.5, 1)})
+    return Storage(seen, {1: ShadowTest(load_rig())})
 
 
-def test_every_method_is_tried_once() -> None:
-    tried = methods()
-    assert tried[0] == DEFAULT
-    assert len(set(tried)) == len(tried) > 200
-    for family in {method.family for method in tried}:
-        for facing_bit in (True, False):
-            scales = {m.projector_scale for m in tried if (m.family, m.facing_bit) == (family, facing_bit)}
-            assert scales == {0.5, 1, 2, 3}
+def test_every_method_is_tried_once_the_default_first() -> None:
+    assert METHODS[0] == DEFAULT and len(set(METHODS)) == len(METHODS)
+
+
+def test_what_no_other_beats_in_the_figures_that_are_kept_is_still_measured() -> None:
+    rows = json.loads((RESULTS / "occlusion.json").read_text())["methods"]
+    maps = [row for row in rows if row["family"] != "exact mask"]
+    measured = {(method.family, method.bias_mm, method.projector_scale, method.facing_bit) for method in METHODS}
+    for row in unbeaten(maps, lambda row: (row["us_per_view"], row["wrong_pixels"])):
+        assert (row["family"], row["bias"], row["projector_scale"], row["facing_bit"]) in measured
+    assert {row["family"] for row in maps} == {method.family for method in METHODS}
 
 
 def test_what_is_stored_gives_the_mask_of_the_whole_image(storage: Storage) -> None:
     view, fewer = storage.view, 0
-    for method in methods():
+    for method in METHODS:
         if method.projector_scale in storage.tests:
             test, whole, stored = storage.tests[method.projector_scale], storage.whole(method), storage.of(method)
             expected = method.lit(test, (view.range, whole.image, view.facing))
             np.testing.assert_array_equal(
-                method.lit(test, (view.range, stored.image, view.facing)), expected, method.name
+                method.lit(test, (view.range, stored.image, view.facing)), expected, method.family
             )
             assert (method.stored == "whole") == (stored is whole)
             if method.stored == "coarse":
                 fewer += 1
                 assert len(np.unique(stored.image)) < len(np.unique(whole.image)) / 2
-    assert fewer > 20
+    assert fewer == 6
 
 
-def test_less_is_stored_for_a_larger_bias_and_for_coarser_ranges(storage: Storage) -> None:
+def test_less_is_stored_for_a_larger_bias_and_as_roundly_as_answers_permit(storage: Storage) -> None:
     shading = replace(DEFAULT, stored="shading")
-    biases = [storage.of(replace(shading, bias_mm=bias)).cost()[0] for bias in (2.0, 6.0, 20.0)]
+    biases = [storage.of(replace(shading, bias_mm=bias)).cost[0] for bias in (2.0, 6.0, 20.0)]
     assert biases[0] > biases[1] > biases[2]
-    kinds = [storage.of(replace(DEFAULT, stored=stored)).cost()[0] for stored in ("whole", "shading", "coarse")]
+    kinds = [storage.of(replace(DEFAULT, stored=stored)).cost[0] for stored in ("whole", "shading", "coarse")]
     assert kinds[0] > kinds[1] > 2 * kinds[2]
-    for step_mm in (1.0, 8.0):
-        rounded = storage.of(replace(shading, step_mm=step_mm)).image
-        kept = rounded > 0
-        assert kept.any() and (rounded % (step_mm * 10) == 0).all()
-        assert np.abs(rounded[kept].astype(int) - storage.view.projector_range[1][kept]).max() <= step_mm * 5
-        assert storage.of(replace(shading, step_mm=step_mm)).cost()[0] < kinds[1]
 
 
 def test_the_default_is_the_shadow_test_on_what_shards_hold(storage: Storage) -> None:
@@ -103,13 +103,8 @@ def test_scenes_are_what_they_say(seen: ExactView) -> None:
     assert thin_labels <= {19, 20, 21, 22, 29, 30, 31, 32}
 
 
-def test_rigs_of_other_images_and_baselines() -> None:
+def test_rigs_of_other_baselines() -> None:
     rig = load_rig()
-    for factor in (1, 2, 3):
-        assert projector_scaled(rig, factor) == rig.with_projector_scale(factor)
-    half = projector_scaled(rig, 0.5).projector
-    assert (half.rows, half.columns) == (320, 165)
-    assert half.focal_px == rig.projector.focal_px / 2
     for baseline_m in (0.3, 0.75, 1.5):
         other = with_baseline(rig, baseline_m)
         assert other.baseline_m == pytest.approx(baseline_m)
@@ -124,11 +119,9 @@ def test_a_slope_is_no_shadow_to_those_who_know_it() -> None:
     x, y = draws.uniform(1, 13, 200).astype(np.float32), draws.uniform(1, 10, 200).astype(np.float32)
     on_it = (20_000 + 90 * x - 40 * y).astype(np.float32)
     assert plane(0.2)(image, x, y, on_it).all()
-    assert nearest(0.2, slope=0.5)(image, x, y, on_it).all()
-    assert votes(0.2, slope=1.0)(image, x, y, on_it).all()
-    assert not nearest(0.2)(image, x, y, on_it).all()
+    assert not nearest(0.2)(image, x, y, on_it).all() and not votes(0.2)(image, x, y, on_it).all()
     behind = on_it + np.float32(300)
-    for rule in (plane(0.2), nearest(0.2, slope=0.5), votes(0.2, slope=1.0), nearest(0.2)):
+    for rule in (plane(0.2), nearest(0.2), votes(0.2)):
         assert not rule(image, x, y, behind).any()
         assert rule(np.zeros_like(image), x, y, behind).all()
 
@@ -143,15 +136,7 @@ def test_the_exact_mask_is_stored_in_few_bytes(seen: ExactView) -> None:
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
     pytest.importorskip("anny")
-    biases = {"nearest texel": (10, 20), "votes of four texels": (20,), DEFAULT.family: (DEFAULT.bias_mm,)}
-    chosen = [
-        method
-        for method in methods()
-        if method.step_mm == 0.1 and not method.note and method.bias_mm in biases.get(method.family, (10,))
-        if method.projector_scale >= 1 and (method.facing_bit or method.projector_scale == 1)
-    ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench, "methods", lambda: chosen)
         patch.setattr(bench, "GROUPS", (GROUPS[0], GROUPS[1], GROUPS[4]))
         seen: list[tuple[int, int]] = []
         measured = bench_occlusion(2, lambda done, total: seen.append((done, total)))

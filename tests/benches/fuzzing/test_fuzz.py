@@ -268,7 +268,7 @@ def refuse(event, arguments):
 
 sys.addaudithook(refuse)
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.cli import main
+from bodyseg_data.commands.cli import main
 
 for variant in ("none", "occ", "noise", "md", "all"):
     for batch in loader(RangeImages(sys.argv[1], variant), 8):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.ablation import bench as ablation
+from benches.model.ablation import conditions as ablation_exams
 from benches.model.ablation import costs as ablation_costs
 from benches.model.ablation.bench import bench_ablation
 from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, coarse_conditions, hard_condition, stepped
@@ -44,8 +45,8 @@ def trained(data: Path, out: Path, arguments: tuple[str, ...]) -> None:
         words[place] = json.dumps({**SETTINGS, **json.loads(words[place])})
     else:
         words += ["--settings", json.dumps(SETTINGS)]
-    words += ["--data", str(data), "--out", str(out), "--steps", str(STEPS), "--batch", "2"]
-    assert train.run(parse(train.Options, [*words, "--workers", "0", "--device", "cpu"], "train", "", "")) == 0
+    words += ["--data", str(data), "--out", str(out), "--steps", str(STEPS), "--batch-size", "2"]
+    assert train.run(parse(train.Options, [*words, "--num-workers", "0", "--device", "cpu"], "train", "", "")) == 0
 
 
 def as_if_trained(data: Path, like: Path, out: Path, thing: AblationRow, weights: int) -> None:
@@ -160,6 +161,9 @@ def test_a_second_run_asks_nothing_again(
     assert seen[-1] == (11 * 8 + 8 * 2 + 4,) * 2 and [done for done, _ in seen] == list(range(1, len(seen) + 1))
     with pytest.raises(AssertionError, match="nothing is left"):  # these images have not been shown
         bench_ablation(str(figures_set), runs, IMAGES + 1)
+    kept = json.loads((runs[0] / "all-0" / variants_scores.FILE).read_text())["results"].values()
+    code = {ablation_exams.__name__, variants_scores.__name__}  # that which makes an exam's images, and that which asks
+    assert len(kept) == 11 + 8 and all(set(each["modules"]) == code for each in kept)
 
 
 def test_missing_trainings_are_named_as_the_command_takes_them(
@@ -170,7 +174,7 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
         f"{name}-0" for name in TRAINED
     }
     assert missing["one_distance-0"] == (
-        "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch 2 --only '*-d255-*'"
+        "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch-size 2 --only '*-d255-*'"
     )
     for thing in ROWS:
         if thing.arguments is not None:

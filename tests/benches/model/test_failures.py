@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -42,13 +43,12 @@ from PIL import Image
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 from bodyseg_model.networks.checkpoints import Trained
 
 Labels = NDArray[np.uint8]
@@ -80,6 +80,12 @@ def test_window_sums_against_a_search() -> None:
     for row in range(17):
         for column in range(11):
             assert found[row, column] == mask[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5].sum()
+
+
+def test_scikit_image_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "skimage.transform", None)
+    with pytest.raises(MissingLibrary, match=r"needs the package 'scikit-image': pip install 'bodyseg\[bench\]' \("):
+        window_sums(np.ones((3, 3), np.bool_), 1)
 
 
 def test_distance_to_the_edges_that_a_body_touches() -> None:
@@ -115,7 +121,7 @@ def test_an_edge_in_depth_is_no_slope() -> None:
 
 def test_which_parts_adjoin() -> None:
     assert (ADJOINING == ADJOINING.T).all() and ADJOINING.diagonal().all()
-    mirror = MIRRORED_PARTS[:PART_COUNT].long().numpy()
+    mirror = [part.mirror for part in PARTS]
     assert (ADJOINING[np.ix_(mirror, mirror)] == ADJOINING).all()
     source = open_source("open")
     body = source.build(next(body for body in source.bodies() if body.mesh == "person-120"))

@@ -179,7 +179,6 @@ def test_scales_that_cannot_be(changes: dict[str, int], message: str) -> None:
 def test_there_must_be_images_and_the_library(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = RangeImages(figures_set, "all", "train")
     with pytest.raises(BadConfig, match="a forest of 17 training images needs as many, found 16"):
-        pytest.importorskip("sklearn")
         fit_forest(images, ForestScale(images=17))
 
     def absent(name: str) -> Any:

@@ -17,7 +17,7 @@ from benches.model.variants.bench import bench_variants
 from benches.model.variants.claims import claims
 from benches.model.variants.figure import draw_variants
 from benches.model.variants.runs import Run, common_plan, runs_in, train
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Evaluator, Setting, Sweep
 from PIL import Image
 
 from bodyseg_data import RangeImages
@@ -27,6 +27,7 @@ from bodyseg_data.artifacts.strengths import Artifacts
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import train as train_command
+from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
@@ -48,7 +49,7 @@ def trained_by_command(data: Path, out: Path, variant: str) -> None:
         steps=STEPS,
         batch_size=2,
         settings=SETTINGS,
-        workers=0,
+        num_workers=0,
         device="cpu",  # type: ignore[arg-type]
     )
     assert train_command.run(options) == 0
@@ -66,7 +67,7 @@ def small() -> Iterator[None]:
         for sweeps in (SWEEPS, SWEEPS_ALONE):
             for name, sweep in sweeps.items():
                 patch.setitem(sweeps, name, short(sweep, 0, *(s for s in sweep.strengths if s in (40, 0.5))))
-        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, workers=0))
+        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, num_workers=0))
         yield
 
 
@@ -150,34 +151,30 @@ def test_a_second_run_trains_and_asks_nothing_again(
         bench_variants(str(figures_set), (folder,), seeds=1, images=IMAGES + 1)
 
 
-def test_kept_scores_go_with_network_and_code(
-    measured: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_scores_are_of_one_network(
+    figures_set: Path, measured: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = shutil.copytree(measured[0] / "all-0", tmp_path / "all-0")
-    network = load_network(folder).network
-    assert len(variants_scores._Kept(folder, network).scores) == 9
-    for number in (1, 2):
-        with monkeypatch.context() as patch:
-            patch.setattr(variants_scores, "_code_digest", lambda module, number=number: f"other code {number}")
-            kept = variants_scores._Kept(folder, network)
-            assert not kept.scores
-            kept.add("key", {"images": number})
-            assert variants_scores._Kept(folder, network).scores == {"key": {"images": number}}
-    shutil.copy(measured[0] / "md-0" / "network.safetensors", folder)
-    assert not variants_scores._Kept(folder, network).scores
-    (folder / "sweep.json").write_text('{"format": "another"}')
-    with pytest.raises(BadConfig, match=r"sweep\.json holds no scores of the format 'bodyseg sweep 1': move it away"):
-        variants_scores._Kept(folder, network)
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        variants_scores, "evaluate", lambda *given, **named: asked.append(named) or evaluate(*given, **named)
+    )
 
+    def scores(setting: Setting, extras: bool = False) -> Any:
+        evaluator = Evaluator(str(figures_set), IMAGES)
+        return evaluator.scores(folder, load_network(folder).network, setting, extras)
 
-def test_code_is_what_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def meaning(text: str) -> str:
-        monkeypatch.setattr(variants_scores.inspect, "getsource", lambda module: text)
-        return variants_scores._meaning(variants_scores)
-
-    plain = meaning("def f(x):\n    return x + 1\n")
-    assert plain == meaning('"""A module."""\n\n\ndef f(x):\n    """Adds."""\n    return x + 1  # one\n')
-    assert plain != meaning("def f(x):\n    return x + 2\n")
+    before = scores(TABLE["noise"])
+    assert not asked and scores(TABLE["noise"]) == before
+    more = scores(TABLE["noise"], extras=True)
+    assert len(asked) == 1 and more["average_per_class_accuracy"] == before["average_per_class_accuracy"]
+    for name in ("network.safetensors", "network.json"):
+        shutil.copy(measured[0] / "none-0" / name, folder)
+    after = scores(TABLE["noise"])
+    assert len(asked) == 2 and after != before
+    assert after == Evaluator(str(figures_set), IMAGES).scores(
+        measured[0] / "none-0", load_network(folder).network, TABLE["noise"], False
+    )
 
 
 def test_a_training_that_was_cut_goes_on(
@@ -388,7 +385,7 @@ def test_the_command_writes_what_was_measured(
         (["variants", "--views", "3"], "--views is for bench occlusion, borders, reduction"),
         (["codec", "--alone"], "--alone is for bench variants, found it with bench codec"),
         (["codec", "--runs", "x"], "--runs is for bench variants, network, sensors, architectures"),
-        (["codec", "--workers", "1"], "--workers is for bench loader, found it with bench codec"),
+        (["codec", "--num-workers", "1"], "--num-workers is for bench loader, found it with bench codec"),
     ],
 )
 def test_options_go_with_their_bench(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotati
 from bodyseg_data.bodies.clothes.outfits import OUTFITS
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
+from bodyseg_data.bodies.sources.open_bodies import BareBodies, Figure, MadeBodies, OpenBodies
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.views import ViewGrid
@@ -311,7 +311,7 @@ def test_the_fingerprint_sees_persons_poses_outfits_and_heights(source: OpenBodi
 def test_the_bare_source_takes_off_what_b_and_c_wear(source: OpenBodies) -> None:
     bare = open_source("bare")
     assert bare.name == "bare"
-    assert isinstance(bare, OpenBodies)
+    assert isinstance(bare, BareBodies)
     assert list(bare.bodies()) == list(source.bodies())
     for ref in (source.bodies()[0], *(next(b for b in source.bodies() if b.subject == who) for who in "BC")):
         assert bare.figure(ref) == replace(source.figure(ref), outfit=None)

@@ -125,10 +125,11 @@ def _shadow_label(row: Field) -> str:
 
 def _shadow_name(row: Field) -> str:
     """With all settings, so that no two ways have one name."""
-    slope, step, scale = (row[key].number() for key in ("slope", "step_mm", "projector_scale"))
     bit = "facing bit" if row["facing_bit"].flag() else "no facing bit"
-    more = f"×{scale:g}, {bit}, slope {slope:g}, steps of {step:g} mm, stored: {row['stored'].text()}"
-    return f"{row['name'].text()}, {row['bias'].number():g} mm, {more}, {row['form'].text()}"
+    words = [row["name"].text(), f"{row['bias'].number():g} mm", f"×{row['projector_scale'].number():g}", bit]
+    former = (("slope", "slope {:g}"), ("step_mm", "steps of {:g} mm"))  # settings that were measured once
+    words += [setting.format(value.number()) for key, setting in former if (value := row.get(key)) is not None]
+    return ", ".join([*words, f"stored: {row['stored'].text()}", row["form"].text()])
 
 
 def _partition(figures: Field) -> tuple[Panel, ...]:
@@ -217,18 +218,9 @@ def _networks(figures: Field) -> tuple[Panel, ...]:
             time, accuracy, family = row.get(key), row["accuracy_all"], row["family"].text()
             if time is not None:
                 mean, spread = accuracy["mean"].number(), accuracy.get("sd")
-                group, label = _FAMILIES.get(family, family), row["label"].text()
-                points.append(
-                    Point(
-                        name,
-                        time.number(above=0),
-                        mean,
-                        label,
-                        group,
-                        named=True,
-                        y_sd=None if spread is None else spread.number(),
-                    )
-                )
+                group, sd = _FAMILIES.get(family, family), None if spread is None else spread.number()
+                x, label = time.number(above=0), row["label"].text()
+                points.append(Point(name, x, mean, label, group, named=True, y_sd=sd))
         if points:
             default = defaults[0] if defaults[0] in {point.name for point in points} else None
             panels.append(Panel(device, tuple(points), default))

@@ -49,12 +49,19 @@ class Shortfall:
 
 
 def unbeaten(things: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
-    """Those that no other beats, in the order given. costs: of one thing, as many of each, all better if smaller.
+    """Those that no other beats, by rising costs. costs: of one thing, as many of each, all better if smaller.
 
-    One beats another if it is nowhere worse and somewhere better; so of several with the same costs stay all or none.
+    Of several with the same costs, all stay or none.
     """
-    priced = [(thing, costs(thing)) for thing in things]
-    return [thing for thing, mine in priced if not any(_beats(other, mine) for _, other in priced)]
+    priced = [(thing, tuple(costs(thing))) for thing in things]
+    kept = [(mine, thing) for thing, mine in priced if not any(beats(other, mine) for _, other in priced)]
+    return [thing for _, thing in sorted(kept, key=lambda pair: pair[0])]
+
+
+def beats(costs: Sequence[float], others: Sequence[float]) -> bool:
+    """Whether costs are nowhere larger than others, as many and in the same order, and somewhere smaller."""
+    pairs = [*zip(costs, others, strict=True)]
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
 def front(points: Sequence[Point], x: Axis, y: Axis) -> tuple[Point, ...]:
@@ -68,14 +75,9 @@ def shortfalls(point: Point, points: Sequence[Point], x: Axis, y: Axis) -> tuple
     found = [
         Shortfall(one, _share(x.gain(one.x, point.x), point.x), _share(y.gain(one.y, point.y), point.y))
         for one in front(points, x, y)
-        if _beats(_costs(one, x, y), _costs(point, x, y))
+        if beats(_costs(one, x, y), _costs(point, x, y))
     ]
     return tuple(sorted(found, key=lambda fall: -(fall.x_share + fall.y_share)))
-
-
-def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
-    pairs = [*zip(one, other, strict=True)]
-    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
 def _costs(point: Point, x: Axis, y: Axis) -> tuple[float, float]:

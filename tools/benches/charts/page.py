@@ -1,129 +1,119 @@
-"""A page of results whose every number is read out of the JSON beside it, so that page and figures cannot part.
+"""The page of results: a Jinja2 template whose every number is read out of the JSON beside it.
 
-A template is Markdown with places like these:
+A variable is a JSON file of the folder without its `.json`, so page and figures cannot part:
 
-    {{network.json networks.compact.cpu_ms .1}}         a number with one decimal
-    {{compact.json average_per_class_accuracy %1}}      a share in per cent with one decimal
-    {{loader.json bytes_per_sample.ours_all 0}}         a whole number, thousands apart
-    {{network.json command text}}                       as it is
-    {{network.json times[task=scores][threads=2].ms .1}}    of a list, the first entry that has these values
-    {{loader.json samples_per_second.ours_all.2 / samples_per_second.memory.2 .2}}    one number over another
-    {{stability.json tables.images table}}              a list of records, as a table with their names for a head
-    {{motion.json tables.arithmetic[network=all] table}}    those of them that have this value
-    {{failures.json sets.test.causes table cause share_of_wrong:%1}}    the same of some columns, in formats
-    {{sources}}                                         a table of all files read: command, commit, hardware
+    {{ network.networks.compact.cpu_ms | number(1) }}           a number with one decimal, thousands apart
+    {{ compact.average_per_class_accuracy | percent(1) }}       a share in per cent with one decimal
+    {{ network.command }}                                       text as it is
+    {{ (network.times | find(task="scores", threads=2)).ms | number }}      the first record that has these values
+    {{ stability.tables.images | table }}                       records as a table, with their names for a head
+    {{ charts.left_out[0] }}                                    what `bodyseg chart` writes into charts.json
+    {{ sources }}                                               a table of all files read: command, commit, hardware
+
+All else is Jinja2's own: `a / b`, `| length`, `{% for %}`. A number without a format is refused.
 """
 
 from __future__ import annotations
 
-import json
-import re
-from functools import lru_cache
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, Final
 
+from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
+
+from benches.charts.fields import read_fields
 from bodyseg_data.core.errors import BadConfig
 
-_PLACE: Final = re.compile(r"\{\{(.+?)\}\}")
-_STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[([^=\[\]]+)=([^\[\]]*)\]")
 _SOURCES: Final = "sources"
+_TEMPLATE: Final = "<template>"  # the name that Jinja2 gives to one from a string
 _ORIGIN: Final = ("command", "commit", "hardware")
 
 
-def render_page(template: str, folder: Path) -> str:
-    """The template with every place filled from the JSON files of `folder`.
+def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = None) -> str:
+    """The template, filled from the JSON files of `folder` and from `values`: further variables by name.
 
-    Raises BadConfig, naming the place, for a file that is not there or no JSON, a value that it does not have, or one
-    that does not fit its format.
+    Raises BadConfig, with the line of the template, for what is no Jinja2, a file that is not there or no JSON, a value
+    that it does not have, or one that does not fit its format.
     """
-    files = lru_cache(maxsize=None)(lambda name: _read(folder / name))
-    sources = sources_of(template)
-
-    def fill(place: re.Match[str]) -> str:
-        return _origins(sources, files) if place[1] == _SOURCES else _fill(place[1], files)
-
-    return _PLACE.sub(fill, template)
+    given = dict(values or {})
+    names = _variables(template)
+    files = {name: read_fields(folder / f"{name}.json").value for name in sorted(names - {_SOURCES, *given})}
+    sources = {_SOURCES: _origins(files)} if _SOURCES in names else {}
+    try:
+        return _environment().from_string(template).render(files | given | sources)
+    except (TemplateError, AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise BadConfig(f"line {_line(error)} of the template cannot be filled: {error}") from error
 
 
 def sources_of(template: str) -> list[str]:
-    """The JSON files that a template reads, each once, in alphabetical order."""
-    return sorted({place[1].split()[0] for place in _PLACE.finditer(template)} - {_SOURCES})
+    """The JSON files that a template reads, each once, in alphabetical order. Raises BadConfig if it is no template."""
+    return [f"{name}.json" for name in sorted(_variables(template) - {_SOURCES})]
 
 
-def _fill(place: str, files: Any) -> str:
-    name, _, rest = place.strip().partition(" ")
-    path, _, how = rest.strip().rpartition(" ")
+def _variables(template: str) -> set[str]:
     try:
-        if " table " in rest:
-            path, _, columns = rest.partition(" table ")
-            return _columns(_find(files(name), path.strip()), columns.split())
-        if " / " in path:
-            value, over = (_find(files(name), each.strip()) for each in path.split(" / ", 1))
-            return _shown(value / over, how)
-        if path:
-            return _shown(_find(files(name), path, every=how == "table"), how)
-    except (LookupError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise BadConfig(f"{{{{{place}}}}} cannot be filled: {type(error).__name__}: {error}") from error
-    raise BadConfig(f"a place must be a file, a path and a format, or two paths with / between, found {{{{{place}}}}}")
+        return meta.find_undeclared_variables(_environment().parse(template))
+    except TemplateSyntaxError as error:
+        raise BadConfig(f"line {error.lineno} of the template is no Jinja2: {error.message}") from error
 
 
-def _find(content: Any, path: str, every: bool = False) -> Any:
-    """What stands at a path; every: all entries that its last condition holds for, not the first."""
-    at = 0
-    while at < len(path):
-        step = _STEP.match(path, at)
-        if step is None:
-            raise ValueError(f"{path!r} is no path from its character {at + 1} on")
-        at = step.end()
-        key, name, value = step.groups()
-        if key is not None:
-            content = content[int(key)] if isinstance(content, list) else content[key]
-        else:
-            found = [each for each in content if str(each[name]) == value]
-            if not found:
-                raise LookupError(f"no entry has {name} = {value}")
-            content = found if path[at : at + 1] == "[" or (every and at == len(path)) else found[0]
-    return content
+def _environment() -> Environment:
+    environment = Environment(
+        undefined=StrictUndefined, finalize=_finished, trim_blocks=True, keep_trailing_newline=True, autoescape=False
+    )
+    environment.globals.clear()  # a file may be called as one of them
+    environment.filters |= {"number": _number, "percent": _percent, "find": _find, "table": _table}
+    return environment
 
 
-def _columns(records: Any, wanted: list[str]) -> str:
-    """Some columns of records, each `name` or `name:format`; an empty cell where there is no value."""
-    named = [(name, how or "text") for name, _, how in (each.partition(":") for each in wanted)]
-    rows = [["" if row[name] is None else _shown(row[name], how) for name, how in named] for row in records]
-    return _table([name.replace("_", " ") + (", %" if how[0] == "%" else "") for name, how in named], rows)
+def _finished(value: Any) -> Any:
+    """Let text through; what is undefined raises when it is written."""
+    if isinstance(value, str | Undefined):
+        return value
+    raise TypeError(f"{value!r} is no text and has no format")
 
 
-def _shown(value: Any, how: str) -> str:
-    if how == "text":
-        if not isinstance(value, str | int | float):
-            raise TypeError(f"{value!r} is neither text nor a number")
-        return str(value)
-    if how == "table":
-        return _table([*value[0]], [[str(cell) for cell in row.values()] for row in value])
-    percent, decimals = how.startswith("%"), int(how.lstrip("%."))
+def _number(value: Any, decimals: int = 0) -> str:
+    return f"{_checked(value):,.{decimals}f}".replace(",", " ")
+
+
+def _percent(value: Any, decimals: int = 0) -> str:
+    return _number(_checked(value) * 100, decimals)
+
+
+def _checked(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
-    return f"{value * 100 if percent else value:,.{decimals}f}".replace(",", " ")
+        raise TypeError(f"{value} is no number")  # to write what is undefined raises, and says what it is
+    return value
 
 
-def _origins(sources: list[str], files: Any) -> str:
+def _find(records: Iterable[Mapping[str, Any]], **values: Any) -> Mapping[str, Any]:
+    for record in records:
+        if all(record.get(name) == value for name, value in values.items()):
+            return record
+    raise LookupError(f"no entry has {', '.join(f'{name} = {value}' for name, value in values.items())}")
+
+
+def _table(records: Iterable[Mapping[str, Any]]) -> str:
+    rows = [*records]
+    if not rows:
+        raise LookupError("a table needs an entry")
+    head = [*rows[0]]
+    lines = [head, ["---"] * len(head), *([str(cell) for cell in row.values()] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _origins(files: Mapping[str, Any]) -> str:
     rows = []
-    for name in sources:
-        found = [files(name).get(what) for what in _ORIGIN]
+    for name, content in files.items():
+        found = [content.get(what) for what in _ORIGIN]
         if not all(found):
-            raise BadConfig(f"{name} must say its {', '.join(_ORIGIN)} to stand on the page, found {found}")
-        rows.append([f"[{name}]({name})", f"`{found[0]}`", *map(str, found[1:])])
-    return _table(["file", *_ORIGIN], rows)
+            raise BadConfig(f"{name}.json must say its {', '.join(_ORIGIN)} to stand on the page, found {found}")
+        rows.append({"file": f"[{name}.json]({name}.json)", **dict(zip(_ORIGIN, found, strict=True))})
+    return _table(row | {"command": f"`{row['command']}`"} for row in rows)
 
 
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
-
-
-def _read(file: Path) -> Any:
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadConfig(f"the page needs {file}, which is not there") from None
-    except (OSError, ValueError) as error:
-        raise BadConfig(f"{file} must be JSON: {error}") from error
+def _line(error: Exception) -> int:
+    """Where the template failed: Jinja2 puts its lines into the traceback."""
+    return next(step.lineno or 0 for step in reversed(extract_tb(error.__traceback__)) if step.filename == _TEMPLATE)

@@ -162,7 +162,9 @@ def campaign(target: str, seed: int, numbers: range, kernels: str = "auto") -> d
     """`feed` in a process whose memory is limited; one that dies or hangs is a fault, with its last words."""
     words = [target, str(seed), str(numbers.start), str(numbers.stop)]
     command = [sys.executable, "-c", "from benches.fuzzing.fuzzing import child; child()", *words]
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, VARIABLE: kernels}, check=False)
+    path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, VARIABLE: kernels, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         return {"inputs": len(numbers), "outcome": "", "faults": [f"status {done.returncode}: {done.stderr[-600:]}"]}
     figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

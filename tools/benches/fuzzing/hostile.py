@@ -17,12 +17,12 @@ import zstandard
 from numpy.random import Generator
 
 from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
+from bodyseg_data.shards.codecs.png import SIGNATURE, read_chunks
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _BYTES: Final = (0, 1, 2, 0x20, 0x7F, 0x80, 0xFE, 0xFF)
 _SIDES: Final = (0, 1, 2, 3, 7, 8, 255, 256, 4096, 8191, 8192, 8193, 32767, 32768, 65535)
 _PNG_KINDS: Final = ((1, 2, 4, 8, 16, 3), (0, 2, 3, 4, 6, 1), (0, 9), (0,), (0, 1))  # as a header lists them
-_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _BOMB: Final = 1 << 24
 _VALUES: Final[tuple[Any, ...]] = (
     *(None, True, False, 0, -1, 1, 3.5, 1e308, float("nan"), float("inf"), -float("inf"), 1 << 31, 1 << 63, 1 << 64),
@@ -150,7 +150,7 @@ def hostile_png(valid: bytes, generator: Generator) -> bytes:
         case 7:
             return _foreign_pngs()[int(generator.integers(len(_foreign_pngs())))]
         case _:
-            return _PNG_START + generator.bytes(int(generator.integers(100)))
+            return SIGNATURE + generator.bytes(int(generator.integers(100)))
 
 
 def _extra_chunk(generator: Generator) -> tuple[bytes, bytes]:
@@ -177,19 +177,15 @@ def _bomb() -> bytes:
 
 
 def _chunks(png: bytes) -> list[tuple[bytes, bytes]]:
-    found, at = [], len(_PNG_START)
-    while at < len(png):
-        length = int.from_bytes(png[at : at + 4], "big")
-        found.append((png[at + 4 : at + 8], png[at + 8 : at + 8 + length]))
-        at += 12 + length
-    return found
+    """Name and content of every chunk."""
+    return [(chunk.name, chunk.whole[8:-4]) for chunk in read_chunks(png)]
 
 
 def _png(chunks: list[tuple[bytes, bytes]]) -> bytes:
     whole = [
         len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big") for name, data in chunks
     ]
-    return _PNG_START + b"".join(whole)
+    return SIGNATURE + b"".join(whole)
 
 
 @lru_cache(maxsize=1)

@@ -89,7 +89,7 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     return {
         "default": DEFAULT,
         "codecs": rows,
-        "front": _front(rows),
+        "front": unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"])),
         "projector": rounding.row(),
         "png_sets": sizes.row(),
         "views": views,
@@ -137,7 +137,7 @@ def _computed_by(choice: str) -> Iterator[None]:
 def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
-        rounds = 1 if "19" in rival.name or "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
+        rounds = 1 if "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
         encode_s, data = _timed(lambda image=image, background=background: rival.encode(image, background), 1)  # type: ignore[misc]
         decode_s, decoded = _timed(lambda data=data: rival.decode(data), rounds)  # type: ignore[misc]
         if not np.array_equal(decoded, image):
@@ -177,11 +177,6 @@ def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
     whole = {name: round(sum(row[name] for row in rows.values()), 4) for name in ("bytes", "encode_ms", "decode_ms")}
     without = sum(row["decode_ms"] for kind, row in rows.items() if kind != "projector")
     return whole | {"decode_ms_without_projector": round(without, 4), "images": rows}
-
-
-def _front(rows: dict[str, Any]) -> list[str]:
-    best = unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"]))
-    return sorted(best, key=lambda name: rows[name]["bytes"])
 
 
 class _Sizes:

@@ -14,7 +14,6 @@ _BELOW: Final = (
     "bsi, compiled",
     "bsi, NumPy",
     "two-way zigzag, bytes, zstd 1",
-    "two-way, bytes, zstd 9",
     "Blosc2: bytes, zstd 5",
 )
 """Whose names go below, for others stand beside them."""

@@ -57,7 +57,7 @@ def rivals() -> dict[str, Baseline]:
 
 
 def bench_loader(
-    views: int = 1080, workers: Sequence[int] = (0, 2), progress: Progress = lambda done, total: None
+    views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = lambda done, total: None
 ) -> dict[str, Any]:
     """Samples a second of every contender with each number of workers, medians of seven rounds, and bytes a sample.
 
@@ -66,23 +66,23 @@ def bench_loader(
     BadConfig if there are too few samples for so many workers.
     """
     meshes = -(-views // _VIEWS_A_BODY)
-    check_counts(meshes * _VIEWS_A_BODY, _BATCH, workers)
+    check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)
     packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
     load = round(os.getloadavg()[0], 2)
     with TemporaryDirectory(prefix="bodyseg-loader-") as folder:
         with open_engine(PROCESSES, None, packing) as on:
             pack(packing, Path(folder) / "ours", on.executor, on.workers)
-        found = measure(Path(folder) / "ours", Path(folder), workers, progress=progress)
+        found = measure(Path(folder) / "ours", Path(folder), num_workers, progress=progress)
     return {**found, "load_before": load}
 
 
-def check_counts(samples: int, batch: int, workers: Sequence[int]) -> None:
+def check_counts(samples: int, batch: int, num_workers: Sequence[int]) -> None:
     """Raise BadConfig unless each worker has at least four batches a pass, one of them before the clock starts."""
-    if not workers or min(workers) < 0 or len(set(workers)) < len(workers):
-        raise BadConfig(f"--workers takes different numbers of at least 0, found {' '.join(map(str, workers))}")
-    least = 4 * batch * max(1, *workers)
+    if not num_workers or min(num_workers) < 0 or len(set(num_workers)) < len(num_workers):
+        raise BadConfig(f"--num-workers takes different numbers of at least 0, found {' '.join(map(str, num_workers))}")
+    least = 4 * batch * max(1, *num_workers)
     if samples < least:
-        raise BadConfig(f"at least {least} samples are needed with {max(workers)} workers, found {samples}")
+        raise BadConfig(f"at least {least} samples are needed with {max(num_workers)} workers, found {samples}")
 
 
 def measure(

@@ -1,4 +1,4 @@
-"""`bench occlusion`: every way to make the projector's shadow, against exact shadow rays.
+"""`bench occlusion`: ways to make the projector's shadow, against exact shadow rays.
 
 Exact means: a ray from the point that the camera sees, before any rounding, to the projector meets nothing.
 """
@@ -9,7 +9,8 @@ import statistics
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from benches.data.occlusion.baselines import DEFAULT, methods
+from benches.charts.fronts import beats
+from benches.data.occlusion.baselines import DEFAULT, METHODS
 from benches.data.occlusion.stored import Storage, facing_bytes
 from benches.data.occlusion.tallies import SCENES, Compiled, Masks, Seen, Tally, WhereWrong, time_all
 from benches.data.occlusion.views import (
@@ -20,7 +21,6 @@ from benches.data.occlusion.views import (
     Group,
     bodies_of,
     exact_views,
-    projector_scaled,
     with_baseline,
 )
 from bodyseg_data.artifacts.occlusion import ShadowTest
@@ -45,7 +45,7 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     """
     if views < 1:
         raise BadConfig(f"at least one view must be measured, found {views}")
-    tallies = [Tally(method) for method in methods()]
+    tallies = [Tally(method) for method in METHODS]
     compiled, where, masks = Compiled(), WhereWrong(), Masks()
     facing: list[int] = []
     total = sum(_count(group, views) for group in GROUPS)
@@ -70,8 +70,8 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
         "facing_bit_bytes": bit,
     }
     beaten = {
-        "dominated_by": [_setting(row) for row in rows if _dominates(row, default)],
-        "numpy_dominated_by": [_setting(row) for row in plain.values() if _dominates(row, plain[DEFAULT])],
+        "dominated_by": [_setting(row) for row in rows if beats(_costs(row), _costs(default))],
+        "numpy_dominated_by": [_setting(row) for row in plain.values() if beats(_costs(row), _costs(plain[DEFAULT]))],
     }
     return {
         "default": default | constants | beaten,
@@ -83,7 +83,6 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
         "bodies": {group.name: list(group.poses) for group in GROUPS},
         "units": {
             "bias": "mm",
-            "slope": "texels whose slope is added to the bias",
             "wrong_pixels": "share of foreground pixels inside the projector's view",
             "bytes": "mean over timed views of the projector image and, where asked, the facing bit in the labels",
             "stored": "of the projector image: all, what can shade, or that rounded as far as no answer changes",
@@ -99,13 +98,13 @@ def _count(group: Group, views: int) -> int:
     return max(1, round(views * group.share))
 
 
-def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[float, ShadowTest]]]:
+def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[int, ShadowTest]]]:
     """Every group's views, numbered from 0, with the shadow tests of its rig by scale."""
-    tests: dict[float, dict[float, ShadowTest]] = {}
+    tests: dict[float, dict[int, ShadowTest]] = {}
     for group in GROUPS:
         rig = with_baseline(load_rig(), group.baseline_m)
         if group.baseline_m not in tests:
-            tests[group.baseline_m] = {scale: ShadowTest(projector_scaled(rig, scale)) for scale in SCALES}
+            tests[group.baseline_m] = {scale: ShadowTest(rig.with_projector_scale(scale)) for scale in SCALES}
         bodies, count = bodies_of(group.source, group.poses), _count(group, views)
         labelled = group.baseline_m == GROUPS[0].baseline_m
         made = exact_views(rig, bodies, count, source=group.source, scales=SCALES, labelled=labelled)
@@ -113,14 +112,10 @@ def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[float, 
             yield group, number, view, tests[group.baseline_m]
 
 
-def _dominates(row: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether a method is nowhere worse in error, time and bytes, and somewhere better."""
-    ours, theirs = [row[cost] for cost in _COSTS], [other[cost] for cost in _COSTS]
-    return ours != theirs and all(a <= b for a, b in zip(ours, theirs, strict=True))
-
-
 def _setting(row: dict[str, Any]) -> dict[str, Any]:
     """What tells a method from all others, and its costs."""
-    return {
-        key: row[key] for key in ("name", "bias", "projector_scale", "facing_bit", "step_mm", "stored", "form", *_COSTS)
-    }
+    return {key: row[key] for key in ("name", "bias", "projector_scale", "facing_bit", "stored", "form", *_COSTS)}
+
+
+def _costs(row: dict[str, Any]) -> list[float]:
+    return [row[cost] for cost in _COSTS]

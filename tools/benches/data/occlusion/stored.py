@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -31,22 +32,18 @@ Cost = tuple[int, float]
 """Bytes, and seconds of processor to decode them: the least of four times."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class StoredImage:
-    """One projector image: what the reader gets, uint16 [Hp, Wp] in steps, and the whole numbers that hold it."""
+    """One projector image, uint16 [Hp, Wp], in steps."""
 
     image: NDArray[np.uint16]
-    whole_numbers: NDArray[np.uint16]
-    _cost: Cost | None = None
 
+    @cached_property
     def cost(self) -> Cost:
         """Of the codec's two ways to hold ranges, which are meant for projector and camera, the smaller one's."""
-        if self._cost is None:
-            as_runs = coded(_NOTHING, _UNLABELLED, self.whole_numbers)
-            labels = np.where(self.whole_numbers > 0, 0, BACKGROUND).astype(np.uint8)
-            as_slopes = coded(self.whole_numbers, labels, _NOTHING)
-            self._cost = min(as_runs, as_slopes)
-        return self._cost
+        as_runs = coded(_NOTHING, _UNLABELLED, self.image)
+        labels = np.where(self.image > 0, 0, BACKGROUND).astype(np.uint8)
+        return min(as_runs, coded(self.image, labels, _NOTHING))
 
 
 def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
@@ -57,47 +54,36 @@ def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDAr
 
 @dataclass
 class Storage:
-    """The projector images of one view, as methods read them; methods that read the same share it."""
+    """The projector images of one view, as methods read them."""
 
     view: ExactView
-    tests: dict[float, ShadowTest]
-    _images: dict[tuple[Any, ...], StoredImage] = field(default_factory=dict)
-    _points: dict[tuple[float, bool], tuple[Floats, Floats, Floats]] = field(default_factory=dict)
+    tests: dict[int, ShadowTest]
+    _whole: dict[int, StoredImage] = field(default_factory=dict)
+    _stored: dict[Method, StoredImage] = field(default_factory=dict)
+    _points: dict[tuple[int, bool], tuple[Floats, Floats, Floats]] = field(default_factory=dict)
 
     def whole(self, method: Method) -> StoredImage:
-        """All texels, to the method's precision. What is stored of them gives the same mask."""
-        key = method.projector_scale, method.step_mm
-        if key not in self._images:
-            step = np.uint16(round(method.step_mm / 1000 / RANGE_STEP_M))
-            exact = self.view.projector_range[method.projector_scale]
-            numbers = exact if step == 1 else np.maximum((exact + step // 2) // step, exact > 0)
-            self._images[key] = StoredImage(numbers * step, numbers)
-        return self._images[key]
+        """All texels. What is stored of them gives the same mask."""
+        scale = method.projector_scale
+        return self._whole.setdefault(scale, StoredImage(self.view.projector_range[scale]))
 
     def of(self, method: Method) -> StoredImage:
         """What a sample holds for a method."""
-        key: tuple[Any, ...] = method.projector_scale, method.step_mm, method.stored
-        key += method.facing_bit, method.bias_mm, method.texels, method.compares, method.note
-        if key not in self._images:
-            self._images[key] = self._stored(method)
-        return self._images[key]
-
-    def _stored(self, method: Method) -> StoredImage:
-        if method == DEFAULT:
-            image = self.view.sample.occluder_range()
-            return StoredImage(image, image)
-        whole = self.whole(method)
         if method.stored == "whole":
-            return whole
-        points, gap = self._asked(method), np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
-        if method.stored == "coarse" and method.compares:
-            image = coarse_comparisons(whole.image, *points, gap, method.texels)
-            return StoredImage(image, image)
-        kept = shading_texels(whole.image, *points, gap, method.texels)
-        if method.stored == "coarse":
-            image = coarsened(whole.image * kept, *points)
-            return StoredImage(image, image)
-        return StoredImage(whole.image * kept, whole.whole_numbers * kept)
+            return self.whole(method)
+        if method not in self._stored:
+            self._stored[method] = StoredImage(self._needed(method))
+        return self._stored[method]
+
+    def _needed(self, method: Method) -> NDArray[np.uint16]:
+        if method == DEFAULT:
+            return self.view.sample.occluder_range()
+        image, points = self.view.projector_range[method.projector_scale], self._asked(method)
+        gap = np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
+        if method.compares:
+            return coarse_comparisons(image, *points, gap, method.texels)
+        occluder = image * shading_texels(image, *points, gap, method.texels)
+        return coarsened(occluder, *points) if method.stored == "coarse" else occluder
 
     def _asked(self, method: Method) -> tuple[Floats, Floats, Floats]:
         key = method.projector_scale, method.facing_bit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from typing import Any, Final
@@ -12,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data.occlusion.baselines import DEFAULT, Images, Method, compare, nearest
+from benches.data.occlusion.baselines import DEFAULT, METHODS, NEAREST, Images, Method
 from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks, least_seconds
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
 from bodyseg_data.artifacts.occlusion import ShadowTest
@@ -31,12 +30,8 @@ _MASKS: Final[dict[str, Callable[[ExactView], NDArray[np.bool_]]]] = {
 SCENES: Final = (*(group.name for group in GROUPS), *_MASKS)
 _ROUNDS: Final = 4
 _RUNS: Final = 4
-_COMPILED_SCALES: Final = (1, 2, 3)
-
 
 Mask = Callable[[ShadowTest, Images], NDArray[np.bool_]]
-NEAREST: Final = compare("nearest texel", 20.0, nearest)
-"""The default's closest rival."""
 
 
 class Seen:
@@ -77,7 +72,7 @@ class Tally:
     def note_cost(self, storage: Storage, test_s: float) -> None:
         """Note the bytes and times of a view, and whether what is stored gives the mask of the whole image."""
         stored = storage.of(self.method)
-        size, decode_s = stored.cost()
+        size, decode_s = stored.cost
         masks = [self._lit(storage, image) for image in (stored, storage.whole(self.method))]
         self._differing += int(np.count_nonzero(masks[0] != masks[1]))
         self._times.append((test_s, decode_s))
@@ -93,13 +88,11 @@ class Tally:
         false_lit, false_dark, pixels = (int(count) for count in self._errors[ORDINARY])
         tests, decodings = zip(*self._times, strict=True)
         return {
-            "name": method.name,
+            "name": method.family,
             "family": method.family,
             "bias": method.bias_mm,
-            "slope": method.slope,
             "projector_scale": method.projector_scale,
             "facing_bit": method.facing_bit,
-            "step_mm": method.step_mm,
             "stored": method.stored,
             "form": "numpy",
             "wrong_pixels": share(false_lit + false_dark, pixels),
@@ -142,13 +135,14 @@ class Compiled:
             from benches.data.occlusion import compiled_nearest as occlusion_compiled_nearest
             from bodyseg_data.artifacts import occlusion_compiled
 
-            for scale in _COMPILED_SCALES:
-                self._forms[replace(DEFAULT, projector_scale=scale)] = lambda test, images: occlusion_compiled.lit(
-                    test, *images
-                )
-                self._forms[replace(NEAREST, projector_scale=scale)] = lambda test, images: (
-                    occlusion_compiled_nearest.lit(test, images, NEAREST.bias_mm)
-                )
+            forms: dict[tuple[str, float], Mask] = {
+                (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion_compiled.lit(test, *images),
+                (NEAREST.family, NEAREST.bias_mm): partial(occlusion_compiled_nearest.lit, bias_mm=NEAREST.bias_mm),
+            }
+            for method in METHODS:
+                form = forms.get((method.family, method.bias_mm))
+                if form is not None and method.facing_bit:
+                    self._forms[method] = form
         self._times: dict[Method, list[tuple[float, float, float]]] = {method: [] for method in self._forms}
         self._differing = dict.fromkeys(self._forms, 0)
 
@@ -160,7 +154,7 @@ class Compiled:
             self._differing[method] += int((lit(test, images) != method.lit(test, images)).sum())
             forms = [partial(form, test, images) for form in (lit, method.lit)]
             fast, plain = (least_seconds(form, _ROUNDS * _RUNS) for form in forms)
-            self._times[method].append((fast, plain, stored.cost()[1]))
+            self._times[method].append((fast, plain, stored.cost[1]))
 
     def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:
         """What the bench writes; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
@@ -202,7 +196,7 @@ class Masks:
     def method(self) -> dict[str, Any]:
         """The mask as an image of its own, as a row among the methods."""
         cost = self.row()[MASK_IMAGE]
-        unasked = dict.fromkeys(("bias", "slope", "projector_scale", "step_mm", "stored"))
+        unasked = dict.fromkeys(("bias", "projector_scale", "stored"))
         none = dict.fromkeys(("wrong_pixels", "false_lit", "false_shadow", "worst_view"), 0.0)
         name = f"exact mask, stored as {MASK_IMAGE}"
         return {"name": name, "family": "exact mask", "form": "numpy", "facing_bit": False, **unasked, **none, **cost}

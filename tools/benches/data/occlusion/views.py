@@ -23,7 +23,7 @@ from bodyseg_data.rendering.embree import EmbreeRenderer
 
 Mask = NDArray[np.bool_]
 
-SCALES: Final = (0.5, 1, 2, 3)
+SCALES: Final = (1, 2, 3)
 """How many times as many pixels a side as the rig's own the projector's image has."""
 
 POSES: Final = (
@@ -99,7 +99,7 @@ class ExactView:
     ref: BodyRef
     view: View
     sample: Sample
-    projector_range: dict[float, NDArray[np.uint16]]
+    projector_range: dict[int, NDArray[np.uint16]]
     inside: Mask
     lit: Mask
     grazing: Mask
@@ -117,18 +117,9 @@ class ExactView:
         """Whether the surface seen faces the projector."""
         return self.sample.faces_projector
 
-    def images(self, scale: float) -> tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]:
+    def images(self, scale: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]:
         """What `ShadowTest.lit` takes, with the whole projector image."""
         return self.range, self.projector_range[scale], self.facing
-
-
-def projector_scaled(rig: Rig, factor: float) -> Rig:
-    """The same rig with a projector-view image of `factor` times as many pixels a side, rounded up."""
-    device = rig.projector
-    rows, columns = math.ceil(device.rows * factor), math.ceil(device.columns * factor)
-    centre = device.centre_px[0] * factor, device.centre_px[1] * factor
-    finer = replace(device, rows=rows, columns=columns, focal_px=device.focal_px * factor, centre_px=centre)
-    return replace(rig, projector=finer)
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
@@ -147,7 +138,7 @@ def exact_view(
     *,
     parts: Partition | None = None,
     source: str = "open",
-    scales: Sequence[float] = (1, 2),
+    scales: Sequence[int] = (1, 2),
 ) -> ExactView:
     """One view of a body, with projector images at `scales`; without parts, all of it is one."""
     mesh = body.mesh
@@ -156,7 +147,7 @@ def exact_view(
         parts = Partition(labels, nowhere, find_borders(mesh, labels, nowhere))
     sample = Sampler(renderer, rig, mesh, parts, source, ref).take(view)
     camera, projector = rig.placed(mesh.centre, view)
-    seen = renderer.see(camera)
+    seen = renderer.render(camera)
     rows, columns = np.nonzero(seen.face >= 0)
     points = surface_points(seen, camera, rows, columns)
     pixels, away = projector.project(points)
@@ -175,8 +166,8 @@ def exact_view(
 
     images, by_thin = {}, np.zeros(len(points), np.bool_)
     for scale in scales:
-        finer = replace(projector, camera=projector_scaled(rig, scale).projector)
-        surface = renderer.see(finer)
+        finer = replace(projector, camera=rig.with_projector_scale(scale).projector)
+        surface = renderer.render(finer)
         images[scale] = steps(surface.range, sample.key)
         if scale == max(scales):
             thin_faces: Mask = np.isin(parts.labels, _THIN)[mesh.faces[:, 0]]
@@ -218,7 +209,7 @@ def exact_views(
     count: int,
     *,
     source: str = "open",
-    scales: Sequence[float] = (1,),
+    scales: Sequence[int] = (1,),
     labelled: bool = False,
 ) -> Iterator[ExactView]:
     """`count` views of `bodies` of a source, all round and at three distances; labelled: whether parts are wanted."""

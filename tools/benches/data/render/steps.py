@@ -86,7 +86,7 @@ class _Scene:
     def by_pixel(self, view: View, renderer: EmbreeRenderer, whole_projector: bool = True) -> Images:
         """Each pixel's part and facing from its own point."""
         camera, projector = self.rig.placed(self.mesh.centre, view)
-        seen = renderer.see(camera)
+        seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
         faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
@@ -95,7 +95,7 @@ class _Scene:
         facing[rows, columns] = faces_towards(self.mesh, faces, points, projector.position)
         camera_range = steps(seen.range, view.name)
         if whole_projector:
-            projector_range = steps(renderer.see(projector).range, view.name)
+            projector_range = steps(renderer.render(projector).range, view.name)
         else:
             test = shadow_test(self.rig)
             projector_range = occluder_range(
@@ -122,7 +122,7 @@ class _Step:
 
 
 def _differences(level: int) -> Callable[[Images], int]:
-    codec = predicted("two-way", "bytes", "zstd", level)
+    codec = predicted("two-way", level)
     return lambda images: sum(len(codec.encode(image, background)) for image, background in images)
 
 
@@ -196,9 +196,9 @@ class _Timed:
     renderer: Renderer
     clock: _Clock
 
-    def see(self, camera: PlacedCamera) -> Surface:
+    def render(self, camera: PlacedCamera) -> Surface:
         with self.clock.on("camera"):
-            return self.renderer.see(camera)
+            return self.renderer.render(camera)
 
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         with self.clock.on("projector"):

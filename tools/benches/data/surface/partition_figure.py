@@ -51,7 +51,7 @@ def draw_partition(figures: dict[str, Any], path: Path) -> None:
 
 def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:
     points = {name: (row["partition_ms"], max(row["wrong_surface"], _NOTHING)) for name, row in methods.items()}
-    front = sorted(unbeaten(points.values(), lambda point: point))
+    front = unbeaten(points.values(), lambda point: point)
     axis.plot(*zip(*front, strict=True), color="black", linewidth=1, linestyle="--", zorder=1)
     for name, (x, y) in points.items():
         big = name == default

@@ -33,7 +33,7 @@ def draw_reduction(figures: dict[str, Any], path: Path) -> None:
         by_size = sorted(rows, key=lambda row: float(row["triangles"]))
         axes[0].plot([row["triangles"] for row in by_size], [_error(row) for row in by_size], label=label, **style)
         axes[1].scatter([_error(row) for row in rows], [row["views_per_second"] for row in rows], **_dots(name))
-        front = _front(rows)
+        front = unbeaten(rows, lambda row: (_error(row), -row["views_per_second"]))
         axes[1].plot(
             [_error(row) for row in front],
             [row["views_per_second"] for row in front],
@@ -60,11 +60,6 @@ def _default(kind: dict[str, Any], tolerance_mm: float, least: int) -> dict[str,
         return whole
     reduced: dict[str, Any] = next(row for row in kind["tolerances"] if row["tolerance_mm"] == tolerance_mm)
     return reduced
-
-
-def _front(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows that none beats in both error and speed, by error."""
-    return sorted(unbeaten(rows, lambda row: (_error(row), -row["views_per_second"])), key=_error)
 
 
 def _dots(name: str) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from torch import nn
 
 from benches.model.ablation.conditions import (
     CONDITIONS,
@@ -41,6 +40,7 @@ from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"
@@ -63,7 +63,7 @@ def bench_ablation(
     data: the set that was trained on. runs: folders of trainings, NAME-SEED. images: test images of each kind. hard: a
     set of hard poses to ask about as well. clothes: two sets of the same views, of dressed bodies and of bare ones, to
     ask about trainings on either. Trains nothing: "missing" names the command of every training that is not there.
-    Scores are kept in each run's sweep.json.
+    Scores are kept in each run's cached_results.json.
 
     Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
     `clothes`, or a wrong number; otherwise as `evaluate`.
@@ -136,7 +136,7 @@ def _asked(
 ) -> dict[str, Marks]:
     """Thing -> exam -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
-    networks: dict[Path, nn.Module] = {}
+    networks: dict[Path, Network] = {}
     marks: dict[str, Marks] = {}
     for done, (thing, condition, run) in enumerate(jobs, start=1):
         if run.path not in networks:

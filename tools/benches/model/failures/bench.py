@@ -47,7 +47,7 @@ def bench_failures(
     data: the set; its training split is what the network is taken to have been trained on. runs: the network is in the
     first of them; without, it is the one that ships. images: how many test images, the first ones of the permutation,
     as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no image or no
-    network; otherwise as `RangeImages`.
+    network, MissingLibrary without scikit-image; otherwise as `RangeImages`.
     """
     wanted = whole_number("the number of images", images, 1)
     network = load_network(runs[0] if runs else SHIPPED).network

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 
 About = Literal["a place", "a mistake", "an image"]
 
@@ -145,7 +145,7 @@ def _adjoining() -> NDArray[np.bool_]:
     for name, others in _JOINED.items():
         for other in others:
             pair = [labels[name], labels[other]]
-            for one, two in (pair, MIRRORED_PARTS[pair].tolist()):
+            for one, two in (pair, MIRRORED_LABELS[pair].tolist()):
                 found[one, two] = found[two, one] = True
     return found
 
@@ -224,12 +224,19 @@ def parts_within(labels: NDArray[np.uint8], reach: int) -> NDArray[np.uint64]:
     return seen
 
 
-def window_sums(mask: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
-    """How many pixels of a mask lie within `reach` rows and columns of each pixel, int64 [H, W]."""
-    sums = mask.astype(np.int64)
-    for _ in range(2):
-        sums = np.pad(sums, ((reach + 1, reach), (0, 0))).cumsum(axis=0)
-        sums = (sums[2 * reach + 1 :] - sums[: -2 * reach - 1]).T
+def window_sums(mask: NDArray[np.bool_], reach: int) -> NDArray[np.int32]:
+    """Count a mask's pixels within `reach` rows and columns of each pixel, int32 [H, W].
+
+    By a summed-area table (Crow 1984). Raises MissingLibrary without scikit-image.
+    """
+    try:
+        from skimage.transform import integral_image
+    except ImportError as error:
+        message = f"bench failures needs the package 'scikit-image': pip install 'bodyseg[bench]' ({error})"
+        raise MissingLibrary(message) from error
+    table = integral_image(np.pad(mask, (reach + 1, reach)), dtype=np.int32)
+    side = 2 * reach + 1
+    sums: NDArray[np.int32] = table[side:, side:] - table[:-side, side:] - table[side:, :-side] + table[:-side, :-side]
     return sums
 
 

@@ -19,13 +19,13 @@ import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 
 FAR_M: Final = np.float32(10.0)
@@ -136,7 +136,7 @@ class Trees(NamedTuple):
     roots: NDArray[np.int32]
 
 
-class DepthForest(nn.Module):
+class DepthForest(Network):
     """Range image -> logarithms of the parts' probabilities, so that what asks networks can ask it, too.
 
     window: see `smoothed`.
@@ -152,7 +152,7 @@ class DepthForest(nn.Module):
         leaves = self.trees.leaves
         return 2 * (len(self.trees.nodes) - len(leaves)) + leaves.size
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Logarithms of probabilities, float32 [B, 33, H, W], of range images in metres, float32 [B, 1, H, W].
 
         Only what was measured is looked at; elsewhere they are 0. Raises BadConfig for any other shape, MissingLibrary
@@ -219,9 +219,10 @@ def fit_forest(
     progress: called with images read and images to read. Raises BadConfig for fewer images than the scale asks for,
     MissingLibrary without scikit-learn.
     """
-    ensemble, scale = _ensemble(), scale or ForestScale()
+    scale = scale or ForestScale()
     if len(images) < scale.images:
         raise BadConfig(f"a forest of {scale.images} training images needs as many, found {len(images)}")
+    ensemble = _ensemble()
     offsets = draw_offsets(scale, seed)
     features = np.empty((scale.images * scale.pixels, scale.candidates), np.float32)
     labels = np.empty(len(features), np.uint8)

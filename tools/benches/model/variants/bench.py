@@ -42,7 +42,8 @@ def bench_variants(
     """Train what is missing in the folder `runs`, then judge every network by the same `images` test images of `data`.
 
     Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
-    the preset's. Scores are kept in each run's sweep.json. alone: sweep noise and missing data by themselves, too.
+    the preset's. Scores are kept in each run's cached_results.json. alone: sweep noise and missing data by themselves,
+    too.
 
     Raises BadConfig for more than one folder, wrong numbers, or trainings that differ in more than variant and seed;
     otherwise as training and evaluating do.

@@ -8,32 +8,19 @@ with occlusions gains most, which it only can where test images have them.
 
 from __future__ import annotations
 
-import ast
-import hashlib
-import inspect
-import json
-import sys
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
-from torch import nn
-
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation import evaluation, scores
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.networks import batch_transforms as crops
-from bodyseg_model.networks import range_input
-from bodyseg_model.networks import registry as networks
-from bodyseg_model.networks.checkpoints import read_bytes, read_json, write_json
+from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import device_of
 
-FORMAT: Final = "bodyseg sweep 1"
-FILE: Final = "sweep.json"
+FILE: Final = "cached_results.json"
 """In a run's folder."""
 
 SIGMAS_MM: Final = (0, 10, 20, 30, 40, 50, 60, 80, 100)
@@ -96,6 +83,7 @@ class Evaluator:
     def __init__(self, data: str, images: int) -> None:
         self._data, self._count = data, images
         self._opened: tuple[Setting, RangeImages] | None = None
+        self._caches: dict[tuple[Path, str], ResultCache] = {}
 
     def images(self, setting: Setting) -> RangeImages:
         """The test images of a setting; the last ones stay open."""
@@ -103,64 +91,32 @@ class Evaluator:
             self._opened = setting, setting.open(self._data)
         return self._opened[1]
 
-    def scores(self, folder: Path, network: nn.Module, setting: Setting, extras: bool) -> dict[str, Any]:
+    def scores(self, folder: Path, network: Network, setting: Setting, extras: bool) -> dict[str, Any]:
         """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
 
-        extras: count confidences and distances to borders as well. Raises BadConfig for a file of kept scores that
-        cannot be read or written; otherwise as `evaluate`.
+        extras: count confidences and distances to borders as well. Raises as `ResultCache` and `evaluate`.
         """
-        kept = _Kept(folder, network)
         images = self.images(setting)
-        key = _digest({"images": images.identity(), "count": self._count, "batch": _BATCH, "extras": extras})
-        found = kept.scores.get(key)
+        question = {
+            "setting": setting.name,
+            "images": images.identity(),
+            "count": self._count,
+            "batch": _BATCH,
+            "extras": extras,
+            "device": device_of(network).type,
+        }
+        cache = self._cache(folder, type(setting).__module__)
+        found = cache.get(question)
         if found is None:
             chosen = EXTRAS if extras else ()
             answer = report(evaluate(network, images, self._count, extras=chosen, batch_size=_BATCH))
-            found = {"setting": setting.name}
-            found |= {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
-            kept.add(key, found)
+            found = {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
+            cache.put(question, found)
         return found
 
-
-class _Kept:
-    """The scores in a run's folder that belong to its network as it is now, and to the code as it is now."""
-
-    def __init__(self, folder: Path, network: nn.Module) -> None:
-        self._file = folder / FILE
-        weights = hashlib.sha256(read_bytes(folder / "network.safetensors")).hexdigest()
-        card = read_json(folder / "network.json")
-        self._of = {
-            "network": weights,
-            "settings": card.get("settings"),
-            "code": _code_digest(type(network).__module__),
-        }
-        self.scores: dict[str, dict[str, Any]] = {}
-        if self._file.exists():
-            content = read_json(self._file)
-            if content.get("format") != FORMAT or not isinstance(content.get("scores"), dict):
-                raise BadConfig(f"{self._file} holds no scores of the format {FORMAT!r}: move it away")
-            if content.get("of") == self._of:
-                self.scores = content["scores"]
-
-    def add(self, key: str, found: dict[str, Any]) -> None:
-        self.scores[key] = found
-        write_json(self._file, {"format": FORMAT, "of": self._of, "scores": self.scores})
-
-
-def _digest(facts: Any) -> str:
-    return hashlib.blake2b(json.dumps(facts, sort_keys=True).encode(), digest_size=16).hexdigest()
-
-
-@cache
-def _code_digest(module: str) -> str:
-    """Of the code of a network's module and all else that shapes scores, comments and docstrings aside."""
-    others = networks, crops, range_input, evaluation, scores
-    return _digest([_meaning(code) for code in (sys.modules[module], *others)])
-
-
-def _meaning(module: ModuleType) -> str:
-    tree = ast.parse(inspect.getsource(module))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body = node.body[1:]
-    return ast.dump(tree)
+    def _cache(self, folder: Path, settings: str) -> ResultCache:
+        """Of a run's folder. settings: the module that makes the images."""
+        key = folder, settings
+        if key not in self._caches:
+            self._caches[key] = ResultCache(folder / FILE, network_identity(folder), __name__, settings)
+        return self._caches[key]

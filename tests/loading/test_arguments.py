@@ -67,7 +67,7 @@ def test_a_program_may_change_its_folder(figures_set: Path, tmp_path: Path, meth
         "    os.chdir(sys.argv[1])\n"
         "    images = RangeImages(sys.argv[2], 'none', split='test')\n"
         "    os.chdir('/')\n"
-        f"    batches = loader(images, 4, workers=1, start_method={method!r})\n"
+        f"    batches = loader(images, 4, num_workers=1, start_method={method!r})\n"
         "    print(images.path, sum(len(batch['key']) for batch in batches) == len(images))\n"
     )
     command = [sys.executable, str(script), str(figures_set.parent), figures_set.name]
@@ -129,13 +129,13 @@ def test_an_epoch_of_nothing_is_refused(images: RangeImages) -> None:
     ):
         loader(images, size, drop_last=True)
     with pytest.raises(BadConfig, match=r"do not fill one batch of \d+ on each of 2 ranks; use a smaller batch_size$"):
-        loader(images, len(images) // 2 + 1, drop_last=True, rank=0, ranks=2)
+        loader(images, len(images) // 2 + 1, drop_last=True, rank=0, world_size=2)
     assert len(loader(images, len(images), drop_last=True)) == 1
 
 
 def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> None:
-    """A batch, prefetch or crew larger than the set costs what the set costs."""
-    batches = loader(images, 10**30, workers=10**30, prefetch=10**30, start_method="fork")
+    """A batch, prefetch factor or number of workers larger than the set costs what the set costs."""
+    batches = loader(images, 10**30, num_workers=10**30, prefetch_factor=10**30, start_method="fork")
     passed = list(batches)
     assert [len(batch["key"]) for batch in passed] == [len(images)]
     state = batches._state
@@ -146,7 +146,7 @@ def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> 
 @pytest.mark.parametrize(("samples", "size", "ranks"), [(7, 3, 2), (7, 10, 2), (5, 5, 5), (9, 2, 4)])
 def test_the_largest_batch(samples: int, size: int, ranks: int, images: RangeImages) -> None:
     images._places = images._places[:samples]
-    orders = [BatchOrder(images, size, rank=rank, ranks=ranks) for rank in range(ranks)]
+    orders = [BatchOrder(images, size, rank=rank, world_size=ranks) for rank in range(ranks)]
     assert max(len(batch) for order in orders for batch in order) <= orders[0].largest <= size
 
 
@@ -159,7 +159,7 @@ def test_workers_that_cannot_start(images: RangeImages, monkeypatch: pytest.Monk
     with pytest.raises(
         WorkerLost, match="^worker 0 of 2 could not be started: Too many open files; use fewer workers$"
     ):
-        list(loader(images, 4, workers=2, start_method="fork"))
+        list(loader(images, 4, num_workers=2, start_method="fork"))
     assert _open_files() == before
 
 
@@ -168,7 +168,7 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
     script.write_text(
         "import sys\n"
         "from bodyseg_data import RangeImages, loader\n"
-        "list(loader(RangeImages(sys.argv[1], 'none'), 4, workers=1, start_method='spawn'))\n"
+        "list(loader(RangeImages(sys.argv[1], 'none'), 4, num_workers=1, start_method='spawn'))\n"
     )
     done = subprocess.run([sys.executable, str(script), str(figures_set)], capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
