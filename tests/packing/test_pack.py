@@ -215,7 +215,7 @@ def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: P
         pack_figures(tmp_path / "unfinished", meshes=3)
     (tmp_path / "tars").mkdir()
     (tmp_path / "tars" / "mine.tar").touch()
-    with pytest.raises(BadConfig, match="holds tars that no packing here knows of"):
+    with pytest.raises(BadConfig, match="holds tars of no packing: choose another folder"):
         pack_figures(tmp_path / "tars")
     (tmp_path / "file").touch()
     with pytest.raises(BadConfig, match="is a file"):
