@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fakes import Figures
+from fakes import FiguresEntry
 from folders import SHARED_DATA
 
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 
@@ -31,13 +32,9 @@ def pack_figures() -> Callable[..., Path]:
 
     def pack(out: Path, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
-        packing._source.cache_clear()
-        try:
-            with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
-                patch.setattr(packing, "open_source", lambda *where: Figures())
-                packing.pack(packing.Packing("open", **wanted), out, executor, 1)
-        finally:
-            packing._source.cache_clear()
+        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
+            patch.setitem(SOURCES, "open", FiguresEntry())
+            packing.pack(packing.Packing("open", **wanted), out, executor, 1)
         return out
 
     return pack

@@ -262,7 +262,7 @@ def test_errors_leave_nothing_behind(figures_set: Path) -> None:
 
 
 ENDLESS = """
-import sys
+import multiprocessing, sys
 from bodyseg_data import RangeImages, loader
 two = [loader(RangeImages(sys.argv[1]), 3, 2, start_method=sys.argv[2]) for _ in range(2)]
 passes = [iter(batches) for batches in two]
@@ -274,7 +274,7 @@ while True:
             passes[number] = iter(batches)
     if len(passes) == 2:
         passes.append(None)
-        workers = [process.pid for batches in two for process in batches._crew.makers._processes]
+        workers = [process.pid for process in multiprocessing.active_children()]
         print(*workers, flush=True)
     if sys.argv[3:] == ["leave"]:
         sys.exit(0)
