@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,13 @@ def mit_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def pack_figures() -> Callable[..., Path]:
-    """Pack the plain figures of `fakes` into a folder, in this process."""
+    """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
 
-    def pack(out: Path, **options: Any) -> Path:
+    def pack(out: Path, executor: Executor | None = None, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
-        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
+        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
             patch.setitem(SOURCES, "open", FiguresEntry())
-            packing.pack(packing.Packing("open", **wanted), out, executor, 1)
+            packing.pack(packing.Packing("open", **wanted), out, executor or thread, 1)
         return out
 
     return pack
