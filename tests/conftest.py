@@ -8,6 +8,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
 import pytest
 from fakes import FiguresEntry
 from folders import SHARED_DATA
