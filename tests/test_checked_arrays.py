@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import types
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ import torch
 from checked_arrays import BrokenPromise, Promise, check_module, checked, promises
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.noise import add_noise
 from bodyseg_data.core.parts import colour_labels
-from bodyseg_data.core.sample import steps
 from bodyseg_data.rendering.renderer import Surface
 
 
@@ -58,32 +59,45 @@ def test_a_broken_promise_is_seen(image: NDArray[np.uint16], lines: NDArray[np.f
 
 
 def test_fields_of_dataclasses_and_methods_are_checked() -> None:
+    """Only of objects that the project makes: `make` stands for a function of it."""
+
     @dataclass(frozen=True)
     class Seen:
         """labels: uint8 [H, W]."""
 
-        labels: object
+        labels: Any
 
-        def doubled(self) -> object:
+        def doubled(self) -> Any:
             """Twice the labels, uint8 [H, W]."""
             return np.zeros((1, 1), np.uint16)
 
     module = types.ModuleType(Seen.__module__)
-    module.Seen = Seen  # type: ignore[attr-defined]
+    module.__dict__["Seen"] = Seen
     check_module(module)
-    assert Seen(None).labels is None
-    with pytest.raises(BrokenPromise, match=r"Seen: labels must be uint8 \[H, W\], found int64 \(1,\)"):
-        Seen(torch.zeros(1, dtype=torch.int64))
+    project: dict[str, Any] = {"Seen": Seen, "replace": replace, "__name__": "bodyseg_data.made_up"}
+    exec("make = lambda labels: Seen(labels)\nchange = lambda seen, labels: replace(seen, labels=labels)", project)
+    good, wrong = torch.zeros(2, 3, dtype=torch.uint8), torch.zeros(1, dtype=torch.int64)
+    assert project["make"](None).labels is None and project["make"](good).labels is good
+    assert Seen(wrong).labels is wrong
+    for made in (lambda: project["make"](wrong), lambda: project["change"](Seen(good), wrong)):
+        with pytest.raises(BrokenPromise, match=r"Seen: labels must be uint8 \[H, W\], found int64 \(1,\)"):
+            made()
     with pytest.raises(BrokenPromise, match=r"Seen.doubled returns what must be uint8 \[H, W\], found uint16"):
-        Seen(torch.zeros(2, 3, dtype=torch.uint8)).doubled()
+        Seen(good).doubled()
 
 
 def test_the_projects_own_promises_are_checked() -> None:
     """What tests import is checked already."""
-    with pytest.raises(BrokenPromise, match=r"Surface: face must be int32 \[H, W\], found int64 \(2, 3\)"):
-        Surface(np.zeros((2, 3), np.float32), np.zeros((2, 3), np.int64))  # type: ignore[arg-type]
-    with pytest.raises(BrokenPromise, match=r"Surface: face must be int32 \[H, W\], found int32 \(3, 2\)"):
-        Surface(np.zeros((2, 3), np.float32), np.zeros((3, 2), np.int32))
-    with pytest.raises(BrokenPromise, match="colour_labels"):
+    with pytest.raises(
+        BrokenPromise, match=r"colour_labels returns what must be uint8 \[H, W, 3\], found uint8 \(1, 2, 3, 3\)"
+    ):
         colour_labels(np.zeros((1, 2, 3), np.uint8))
-    assert steps(np.zeros((2, 3)), "here").dtype == np.uint16
+    with pytest.raises(BrokenPromise, match=r"add_noise: draws must be uint32 \[N\], found uint64 \(3,\)"):
+        add_noise(np.ones(3, np.uint16), 1.0, np.ones(3, np.uint64))  # type: ignore[arg-type]
+    project: dict[str, Any] = {"Surface": Surface, "__name__": "bodyseg_data.rendering.made_up"}
+    exec("def see(range, face): return Surface(range, face)", project)
+    ranges = np.zeros((2, 3), np.float32)
+    assert project["see"](ranges, np.zeros((2, 3), np.int32)).range is ranges
+    for face in (np.zeros((2, 3), np.int64), np.zeros((3, 2), np.int32)):
+        with pytest.raises(BrokenPromise, match=rf"Surface: face must be int32 \[H, W\], found {face.dtype}"):
+            project["see"](ranges, face)

@@ -22,6 +22,7 @@ from typing import Any
 _KIND = r"(?P<kind>bool|u?int(?:8|16|32|64)|float(?:32|64)) \[(?P<lengths>[^\]]+)\]"
 _NAMED = re.compile(rf"(?P<names>\w+(?:, \w+)*): {_KIND}")
 _RETURNED = re.compile(_KIND)
+_PROJECT = ("bodyseg_data.", "bodyseg_model.")
 _LENGTH = re.compile(r"\d+|[A-Za-z]\w*")
 
 
@@ -97,6 +98,14 @@ def checked(function: Callable[..., Any], what: str) -> Callable[..., Any]:
     return wrapped
 
 
+def _made_by_the_project() -> bool:
+    """Tell objects that the project makes, itself or by `dataclasses.replace`, from what tests make to hand in."""
+    frame = sys._getframe(2)
+    while frame.f_back is not None and frame.f_globals.get("__name__") in (__name__, "dataclasses"):
+        frame = frame.f_back
+    return str(frame.f_globals.get("__name__")).startswith(_PROJECT)
+
+
 def check_class(kind: type, what: str) -> None:
     """Check the public methods of a class and, if it is a dataclass, its fields once it is made."""
     for name, member in list(vars(kind).items()):
@@ -110,7 +119,8 @@ def check_class(kind: type, what: str) -> None:
     @functools.wraps(plain)
     def made(self: Any, *arguments: Any, **options: Any) -> None:
         plain(self, *arguments, **options)
-        _check(what, named, {name: getattr(self, name, None) for name in named}, {})
+        if _made_by_the_project():
+            _check(what, named, {name: getattr(self, name, None) for name in named}, {})
 
     kind.__init__ = made  # type: ignore[misc]
 
@@ -135,7 +145,7 @@ class _Finder(importlib.abc.MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: types.ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        if not name.startswith(("bodyseg_data.", "bodyseg_model.")):
+        if not name.startswith(_PROJECT):
             return None
         for finder in _others():
             spec = finder.find_spec(name, path, target)
