@@ -134,7 +134,7 @@ def test_a_number_of_images_means_the_same_bodies_whatever_else_is_asked(
     assert keys_seen(network, open_images(str(figures_set), "noise", noise_mm=40), 5, 16) == chosen
     assert sorted(keys_seen(network, images, 99, 3)) == sorted(images.keys)
     assert keys_seen(network, open_images(str(figures_set), seed=1), 5, 2) != chosen
-    with pytest.raises(BadConfig, match="the number of images must be a whole number of at least 1, found 0"):
+    with pytest.raises(BadConfig, match="number of images .*found 0"):
         evaluate(network, images, 0)
 
 
@@ -175,7 +175,7 @@ def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkey
     assert "reliability" not in report(fewer) and "border_distance_px" not in report(fewer)
     with pytest.raises(BadConfig, match="scores to merge must count the same things"):
         whole.merge(fewer)
-    with pytest.raises(BadConfig, match="scores to count must be among confidences, borders, found 'speed'"):
+    with pytest.raises(BadConfig, match="scores .*found 'speed'"):
         evaluate(network, images, extras=["speed"])  # type: ignore[list-item]
 
 

@@ -446,7 +446,7 @@ def test_a_packing_that_is_stopped_leaves_the_cluster_clean(
     "name", ["dask", "dask://host", "tcp://host:1", "dask://:8786", "dask://a:0", "dask://a:65536"]
 )
 def test_an_engine_has_a_name_that_is_known(name: str) -> None:
-    with pytest.raises(BadConfig, match=f"the engine must be processes or dask://HOST:PORT, found '{name}'"):
+    with pytest.raises(BadConfig, match=f"engine .*found '{name}'"):
         check_engine(name)
 
 

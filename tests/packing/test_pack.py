@@ -309,8 +309,8 @@ def test_a_plan_counts_without_rendering() -> None:
     [
         ({"meshes": 0}, "at least one mesh, found 0"),
         ({"shard_samples": 0}, "at least one sample, found 0"),
-        ({"renderer": "povray"}, "the renderer must be one of raster, embree, opengl, found 'povray'"),
-        ({"codec": "jpg"}, "the codec must be one of bsi, png, found 'jpg'"),
+        ({"renderer": "povray"}, "renderer .*found 'povray'"),
+        ({"codec": "jpg"}, "codec .*found 'jpg'"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:
@@ -319,7 +319,7 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message
 
 
 def test_sources_say_what_they_need() -> None:
-    with pytest.raises(BadConfig, match="the source must be one of open, .*, found 'cinema'"):
+    with pytest.raises(BadConfig, match="one of open, .*found 'cinema'"):
         open_source("cinema")
     with pytest.raises(BadConfig, match="'mit' needs --path"):
         open_source("mit")
