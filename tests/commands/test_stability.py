@@ -11,17 +11,18 @@ from typing import Any
 
 import pytest
 import torch
-from fakes import Figures
+from fakes import FiguresEntry
 from label_networks import Places
 
 from bodyseg_data import RangeImages
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.stability import accuracies, scenes
+from bodyseg_model.stability import accuracies
 from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs
 from bodyseg_model.stability.scenes import LabelledImage, Scenes
@@ -37,7 +38,7 @@ def plain_bodies_and_one_thread() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenes, "open_source", lambda name: Figures())
+        patch.setitem(SOURCES, "open", FiguresEntry())
         yield
     torch.set_num_threads(before)
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import Figures
+from fakes import Figures, FiguresEntry
 from shapes import figure
 
 from bodyseg_data import RangeImages
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import axes_at, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.stability import scenes as module
 from bodyseg_model.stability.scenes import LabelledImage, Scenes, labelled_image, looking_down, sensor, with_baseline
 from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition
 
@@ -32,7 +32,7 @@ def images(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture
 def scenes(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> Scenes:
-    monkeypatch.setattr(module, "open_source", lambda name: Figures())
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
     return Scenes(images, 2, images)
 
 
@@ -66,7 +66,7 @@ def test_bodies_are_built_once_and_reported(images: RangeImages, monkeypatch: py
             built.append(body.mesh)
             return super().build(body)
 
-    monkeypatch.setattr(module, "open_source", lambda name: Counting())
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
     seen: list[tuple[int, int]] = []
     scenes = Scenes(images, 8, progress=lambda *numbers: seen.append(numbers))
     scenes.labelled_images(Condition("farther", 3.0))
