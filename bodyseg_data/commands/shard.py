@@ -25,8 +25,8 @@ from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.rendering import RendererName
+from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.sample_codec import CodecName
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 

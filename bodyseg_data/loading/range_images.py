@@ -30,8 +30,8 @@ from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
+from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import OutputArrays
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
