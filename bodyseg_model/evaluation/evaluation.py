@@ -18,11 +18,10 @@ from torch import nn
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.variants import Artifacts, artifacts_of
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
@@ -189,7 +188,7 @@ def evaluate(
     Raises BadConfig for a wrong count, an unknown score, or a network whose answers are no labels; otherwise as the
     loader.
     """
-    wanted = len(images) if count is None else min(whole_number("the number of images", count, 1), len(images))
+    wanted = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     for name in extras:
         if name not in EXTRAS:
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")

@@ -14,9 +14,8 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
@@ -70,7 +69,7 @@ def numerical(
     """
     if network.training:
         raise BadConfig("comparing labels needs a network in evaluation mode: call network.eval() first")
-    shown = _show(images, whole_number("the number of images", count, 1), device_of(network))
+    shown = _show(images, check_int("the number of images", count, 1), device_of(network))
     if not (shown.truth != BACKGROUND).any():
         raise BadConfig(f"comparing labels needs measured pixels, found none in {len(shown.truth)} images")
     ways = _ways(network, device_of(network).type)

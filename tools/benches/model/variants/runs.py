@@ -13,8 +13,7 @@ from typing import Any, Final
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.commands.options import place_name
 from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build, settings_of
@@ -75,7 +74,7 @@ class Plan:
 
 def runs_in(folder: Path, seeds: int) -> list[Run]:
     """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
-    numbers = range(whole_number("the number of seeds", seeds, 1))
+    numbers = range(check_int("the number of seeds", seeds, 1))
     return [Run(variant, seed, folder / f"{variant}-{seed}") for seed in numbers for variant in VARIANTS]
 
 
