@@ -1,4 +1,4 @@
-"""`bodyseg demo`: from bodies to batches in a minute or two, with pictures and figures to show for it."""
+"""`bodyseg demo`: from bodies to batches in a minute or two, with a picture and figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EXAMPLE = "bodyseg demo --out demo"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     out: Path = option("folder for shards, picture and figures", Path("demo"))
     meshes: int = option("how many bodies", 16)
@@ -72,7 +72,7 @@ def run(options: Options) -> int:
 
 
 def _stream(shards: Path, variant: str, workers: int) -> dict[str, Any]:
-    """Two passes over the training split: the first starts the workers, the second is timed."""
+    """Make two passes over the training split: the first starts the workers, the second is timed."""
     images = RangeImages(shards, variant=variant, split="train", seed=0)
     batches = loader(images, batch_size=20, num_workers=workers)
     kept = pixels = 0

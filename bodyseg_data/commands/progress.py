@@ -13,7 +13,7 @@ _SECONDS_BETWEEN_LINES: Final = 10.0
 
 
 class Progress:
-    """Shows how much of a known amount is done, on standard error. before: how much was done at the first update."""
+    """Shows the share of a known amount that is done, on standard error. before: amount done at the first update."""
 
     def __init__(self, title: str, unit: str) -> None:
         self.title, self._unit = title, unit
@@ -26,11 +26,11 @@ class Progress:
         return self
 
     def update(self, done: int, total: int, note: str = "") -> None:
-        """Show that `done` of `total` are done. note: what else there is to say."""
+        """Show that `done` of `total` are done. note: text to append."""
         self.before = done if self.before is None else self.before
         if sys.stderr.isatty():
             if self._bar is None:
-                # What an earlier run finished is no measure of this one's speed.
+                # The part that an earlier run finished does not count for this run's speed.
                 self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(done - self._bar.n)

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.clothes.wardrobe import FINE_M, OUTFITS, Outfit, Refinement, Wardrobe
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.clothes.refining import Refinement
+from bodyseg_data.bodies.clothes.wardrobe import FINE_M, Wardrobe
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
@@ -201,7 +203,8 @@ def test_the_same_bits_in_every_process(coarse: dict[str, Wardrobe], bodies: dic
     assert here.tobytes() == coarse["B"].worn(bodies["deep_squat"]).tobytes()
     script = """
 import hashlib
-from bodyseg_data.bodies.clothes.wardrobe import OUTFITS, Wardrobe
+from bodyseg_data.bodies.clothes.outfits import OUTFITS
+from bodyseg_data.bodies.clothes.wardrobe import Wardrobe
 from bodyseg_data.bodies.sources import open_source
 source = open_source("open")
 refs = {ref.pose: ref for ref in source.bodies() if ref.subset == "A"}

@@ -222,7 +222,7 @@ def test_bad_options_are_refused(figures_set: Path) -> None:
         ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
         ({"prefetch_factor": 0}, "prefetch_factor must be a whole number of at least 1, found 0"),
         ({"start_method": "thread"}, "start_method must be fork, spawn, forkserver or None, found 'thread'"),
-        ({"rank": 1, "ranks": 1}, "rank must be less than ranks, found 1 of 1"),
+        ({"rank": 1, "world_size": 1}, "rank must be less than world_size, found 1 of 1"),
     ]
     for options, message in cases:
         with pytest.raises(BadConfig, match=message):

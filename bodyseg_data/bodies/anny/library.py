@@ -1,4 +1,4 @@
-"""The body model Anny as a library: its axes, loading it, and what can go wrong with its cache."""
+"""Access to the body model Anny: its axes, loading, and errors of its cache."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 def no_anny(error: Exception) -> MissingLibrary:
-    """What to raise where Anny cannot be imported."""
+    """Return the error to raise where Anny cannot be imported."""
     return MissingLibrary(f"making bodies needs the package 'anny': pip install 'bodyseg[render]' ({error})")
 
 
 def load_anny() -> Any:
-    """Anny's model: two seconds, 40 the first time on a machine. Raises MissingLibrary, or BadConfig for its cache."""
+    """Load Anny: two seconds, 40 the first time on a machine. Raises MissingLibrary, or BadConfig for its cache."""
     try:
         from anny import Anny
     except ImportError as error:
@@ -34,7 +34,7 @@ def load_anny() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch's sums depend on how many threads share them, so one thread makes each body."""
+    """Run torch on one thread: its sums depend on the number of threads."""
     import torch
 
     before = torch.get_num_threads()
@@ -47,13 +47,13 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def _one_process() -> Iterator[None]:
-    """Anny writes its cache in place: of several processes on a fresh machine, one fills it while the others wait."""
+    """Lock Anny's cache, which it writes in place: one process fills it while the others wait."""
     from anny.paths import get_anny_cache_path
 
     try:
         get_anny_cache_path().mkdir(parents=True, exist_ok=True)
         lock = (get_anny_cache_path() / "bodyseg.lock").open("w")
-    except OSError:  # a cache that cannot be written to needs no lock: it is full, or Anny will say what is wrong
+    except OSError:  # no lock for a cache that cannot be written: it is complete, or loading Anny will fail
         yield
         return
     with lock:
@@ -63,7 +63,7 @@ def _one_process() -> Iterator[None]:
 
 @contextmanager
 def _cache_faults() -> Iterator[None]:
-    """Anny's cache is the one part of it that can be at fault on a user's machine."""
+    """Turn errors of Anny's cache into BadConfig that names its folder."""
     from anny.paths import get_anny_cache_path
     from safetensors import SafetensorError
 

@@ -1,4 +1,4 @@
-"""What people wear: how far each garment reaches, how loose it is and how it folds."""
+"""Outfits: the extent, looseness and folds of each garment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The motions of subjects B and C: for every frame a pose and a height above the floor.
+"""Catalogue of the motions of subjects B and C: for every frame a pose and a height above the floor.
 
 Each subject's four motions and their numbers of frames are those of the paper's two MIT subjects.
 """
@@ -34,13 +34,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion of so many frames; `at` gives pose and height at a time in seconds."""
+    """A motion of `frames` frames; at(seconds) returns pose and height above the floor, metres."""
 
     frames: int
     at: Callable[[float], tuple[Pose, float]]
 
     def frame(self, number: int) -> Frame:
-        """Frame `number`, from 0, to four decimals of a degree and six of a metre."""
+        """Return frame `number`, from 0, rounded to four decimals of a degree and six of a metre."""
         pose, height = self.at(number / FRAMES_PER_SECOND)
         return Frame(from_angles(angles(pose), _DECIMALS), round(height, 6))
 

@@ -30,17 +30,17 @@ MESHES: Final = tuple(
     for sequence, frames in sequences.items()
     for number in range(frames)
 )
-"""What a complete copy holds."""
+"""Files of a complete copy."""
 
 _SHIPPED: Final = {"B": "mit_I"}
 _STEM: Final = re.compile(r"mesh_(\d{4,6})")
 
 
 class MitBodies(MeshBodies):
-    """The frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
+    """Frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
 
-    Every sequence is turned as a whole, so that the man faces the front as it begins; where he walks and turns to is
-    kept. landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
+    Every sequence is rotated as a whole, so that the man faces the front as it begins; his later directions are kept.
+    landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
     landmarks_B.json.
     """
 
@@ -82,6 +82,6 @@ class MitBodies(MeshBodies):
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:
-    """Number -> file of the frames in a folder, of those that the complete sequence has."""
+    """Return number -> file of the frames in a folder, without numbers that the complete sequence lacks."""
     matches = [(_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
     return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}

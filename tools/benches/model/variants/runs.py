@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.commands.options import place_name
+from bodyseg_data.commands.options import last_name
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
@@ -113,5 +113,5 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, _RUN_OPTIONS)
-    command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
+    command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})
