@@ -35,9 +35,9 @@ class Options:
     """Options of the command."""
 
     out: Path = option("folder for shards, picture and figures", Path("demo"))
-    meshes: int = option("how many bodies", 16)
-    views: int = option("how many views of each, all round the body", 9)
-    workers: int | None = option("processes (default: one a processor)", None)
+    meshes: int = option("number of bodies", 16)
+    views: int = option("number of views of each, all around the body", 9)
+    workers: int | None = option("number of processes (default: one a processor)", None)
 
 
 def run(options: Options) -> int:

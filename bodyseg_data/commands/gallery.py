@@ -26,7 +26,7 @@ class Options:
         "folders or addresses of sets of shards, all of one rig", positional=True, address=True
     )
     out: Path = option("write the picture to this PNG file")
-    views: int | None = option("how many views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
+    views: int | None = option("number of views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
 
 
 def run(options: Options) -> int:

@@ -36,7 +36,7 @@ class Options:
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
     rows: int = option("samples on the sheet, evenly over the set", 6)
-    seed: int = option("of the artifacts' draws", 0)
+    seed: int = option("seed of the artifacts' random draws", 0)
 
 
 def run(options: Options) -> int:

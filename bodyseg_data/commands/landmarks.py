@@ -37,12 +37,12 @@ class Options:
     """Options of the command."""
 
     out: Path = option("write the picture to this PNG file")
-    source: SourceName | None = option("where bodies come from", None)
+    source: SourceName | None = option("source of the bodies", None)
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     mesh: Path | None = option("a mesh file to propose landmarks for, instead of a source", None)
     propose: Path | None = option("lay the open body over the mesh and write its landmarks to this JSON file", None)
-    units: Units = option("what the mesh files are in", "auto")
+    units: Units = option("unit of the mesh files", "auto")
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", "auto")
     meshes: tuple[str, ...] = option("names of the meshes to draw (default: the source's first)", ())
     height: int = option("height of a body in the picture, pixels", 600)

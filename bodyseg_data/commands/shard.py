@@ -35,27 +35,27 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 class Options:
     """Options of the command."""
 
-    source: SourceName = option("where bodies come from")
+    source: SourceName = option("source of the bodies")
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
-    units: Units = option("what the mesh files are in", Packing.units)
+    units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
-    meshes: int | None = option("how many bodies, evenly from every subset (default: all)", None)
-    views: int | None = option("how many views of each body (default: all, distances x azimuths)", None)
+    meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
+    views: int | None = option("number of views of each body (default: all, distances x azimuths)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
-    azimuths: int = option("how many directions round the body", ViewGrid.azimuths)
+    azimuths: int = option("number of directions around the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
     rig: str = option("a rig that ships with the package, or a .toml file", "paper")
-    geodesics: Geodesics = option("how distances along the surface are measured", Packing.geodesics)
+    geodesics: Geodesics = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
         "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
     )
-    renderer: RendererName = option("what draws", Packing.renderer)
-    codec: CodecName = option("how images are stored", Packing.codec)
+    renderer: RendererName = option("renderer", Packing.renderer)
+    codec: CodecName = option("codec of the stored images", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
-    workers: int | None = option("how many render (default: one a processor, or all that the cluster has)", None)
+    workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
     report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 

@@ -1,4 +1,4 @@
-"""The errors that users meet, all derived from `BodysegError`, and the check of whole-number arguments.
+"""Errors that users meet, all derived from `BodysegError`, and the check of whole-number arguments.
 
 Every message is one line: the rule that was broken, the value found, and where. Commands print that line and exit with
 status 2; code that uses the library can catch `BodysegError` or one of its subclasses.
@@ -43,7 +43,7 @@ class BadLandmarks(BodysegError):
 
 
 class BadSample(BodysegError):
-    """One sample's bytes or arrays are not what the format says."""
+    """One sample's bytes or arrays break the format."""
 
 
 class BadShard(BodysegError):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 STATE_FORMAT: Final = "bodyseg loader 1"
 
 Request = tuple[int, int]
-"""(epoch, index) of a sample: the epoch goes along, so that workers kept for several epochs need no message of it."""
+"""(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
 
 
 def check_bool(name: str, value: Any) -> bool:

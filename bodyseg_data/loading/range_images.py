@@ -49,7 +49,7 @@ class Batch(TypedDict):
 
 
 class RangeImages(Dataset[dict[str, Any]]):
-    """A set of shards seen as one of the five variants, made on the fly. Random access; `len()` is exact.
+    """Dataset over a set of shards with the artifacts of one of the five variants. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:

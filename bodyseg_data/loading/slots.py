@@ -35,8 +35,8 @@ class Slots:
         self._shape = (batch_size, rows, columns)
         self._dtype = np.dtype(np.float32 if metres else np.uint16)
         pixels = batch_size * rows * columns
-        self._labels_at = _whole_pages(pixels * self._dtype.itemsize)
-        self._stride = self._labels_at + _whole_pages(pixels)
+        self._labels_offset = _whole_pages(pixels * self._dtype.itemsize)
+        self._stride = self._labels_offset + _whole_pages(pixels)
         self._count = in_flight + SPARE
         self._free = list(range(self._count))
         self._lent: dict[int, tuple[weakref.ref[Any], ...]] = {}
@@ -45,7 +45,7 @@ class Slots:
         except OSError as error:
             gigabytes = self._count * self._stride / 1e9
             raise BadConfig(
-                f"{self._count} batches of {batch_size} samples take {gigabytes:.1f} GB, which cannot be had: "
+                f"{self._count} batches of {batch_size} samples take {gigabytes:.1f} GB, which cannot be allocated: "
                 f"{error.strerror or error}; use a smaller batch_size, or fewer workers"
             ) from error
 
@@ -67,7 +67,7 @@ class Slots:
         count, rows, columns = self._shape
         pixels, start = count * rows * columns, slot * self._stride
         ranges = np.frombuffer(self._memory, self._dtype, pixels, start)
-        labels = np.frombuffer(self._memory, np.uint8, pixels, start + self._labels_at)
+        labels = np.frombuffer(self._memory, np.uint8, pixels, start + self._labels_offset)
         return ranges.reshape(count, 1, rows, columns), labels.reshape(self._shape)
 
     def acquire(self) -> int:

@@ -81,7 +81,7 @@ class Workers:
         self._processes: list[Any] = []
         self._submitted = self._received = 0
         self._forked = forked
-        # Processes start with the signals blocked that are blocked now, and these never unblock SIGINT.
+        # A process starts with the signals blocked that its parent blocks; workers never unblock SIGINT.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             for _ in range(count):
@@ -144,12 +144,12 @@ class Workers:
         if status is not None and status < 0:
             how = f"was ended by signal {-status} ({signal.strsignal(-status)})"
         if status == -signal.SIGKILL:
-            how += ", as a system does that is short of memory,"
+            how += ", as by a system that is short of memory,"
         hint = ""
         if status == 1 and not self._forked and not self._received:
             hint = (
                 '; a script that starts workers needs `if __name__ == "__main__":` with this start method '
-                "(what went wrong stands above)"
+                "(its traceback is printed above)"
             )
         return WorkerLost(f"{self._name(worker)} {how} before its batch was made{hint}")
 

@@ -184,7 +184,7 @@ def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.Monk
         raise OSError(12, "Cannot allocate memory")
 
     monkeypatch.setattr("bodyseg_data.loading.slots._anonymous_file", full)
-    with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be had: Cannot"):
+    with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be allocated: Cannot"):
         list(loader(images, 3))
 
 

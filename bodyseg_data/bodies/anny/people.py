@@ -40,18 +40,8 @@ class Person:
         """Return Anny's parameters, all but the height, which depends on the others and on stature."""
         # Anny's anchors: 1/3 is a child of about ten, 2/3 an adult of 25, 1 one of 90.
         age = np.interp(self.years, (10, 25, 90), (1 / 3, 2 / 3, 1))
-        return {
-            "gender": self.female,
-            "age": float(age),
-            "muscle": self.muscle,
-            "weight": self.weight,
-            "proportions": self.proportions,
-            "cupsize": self.cupsize,
-            "firmness": self.firmness,
-            "african": self.african,
-            "asian": self.asian,
-            "caucasian": self.caucasian,
-        }
+        same = ("muscle", "weight", "proportions", "cupsize", "firmness", "african", "asian", "caucasian")
+        return {"gender": self.female, "age": float(age)} | {name: getattr(self, name) for name in same}
 
 
 SUBJECT_A: Final = Person(female=0.0, years=30, stature_m=1.78, muscle=0.62, weight=0.48, proportions=0.4)

@@ -20,7 +20,7 @@ _END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a 
 _SLICE_M: Final = 0.025
 _SECTORS: Final = 20
 _NEIGHBOURS: Final = 6
-_TUCK_M: Final = 0.006  # how far below a hem the cloth beneath it begins
+_TUCK_M: Final = 0.006  # distance below a hem at which the cloth beneath it begins
 _MOST_TUCKED: Final = 0.75
 _SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
 
@@ -31,7 +31,7 @@ class Cut:
 
     axis: float64 [V, 3], the direction in which the garment hangs. stand_off: [V], metres from the body.
     crumple: [V], share of length in excess. partner, slide: int64 [V], float64 [V]: the cloth of a vertex lies that
-    share of the way to its partner, another vertex, so that hems are straight whatever the triangles.
+    share of the way to its partner, another vertex, so that hems are straight for any triangles.
     """
 
     top: NDArray[np.bool_]

@@ -27,7 +27,7 @@ FINE_M: Final = 0.022
 _THICKNESS_M: Final = 0.004  # of cloth: its smallest distance from the skin
 _SMOOTH_M: Final = 0.03  # detail of the body much smaller than this does not show through
 _DIFFUSION_M: Final = 0.035  # over which the width of a garment is evened out
-_HANG: Final = 0.9  # how much farther cloth stands off below than above a level limb
+_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
 _MOST_SHORTENED: Final = 0.25  # beyond, cloth slides along the body instead of folding deeper
 _DEEPEST_M: Final = 0.022
 _AT_REST: Final = np.array([0.1, 0.6, 1.0, 0.6])  # share of an outfit's slack that folds across each of DIRECTIONS
@@ -90,7 +90,7 @@ class Wardrobe:
             out = self._average @ out
         out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
         width = self._stand_off * (1 - _HANG * out[:, 1])
-        # A strip that has the share s of its length too much lies in waves of amplitude wavelength / pi * sqrt(s).
+        # A strip with an excess length of share s has waves of amplitude wavelength / pi * sqrt(s).
         depths = self._wave / np.pi * np.sqrt(self._slack + shortened)
         folds = _DEEPEST_M * np.tanh((depths * self._patterns).sum(axis=1) / _DEEPEST_M)
         cloth = self._outside(calm + self._cover * (_THICKNESS_M + width + folds)[:, None] * out, body, out)

@@ -59,14 +59,13 @@ class MitBodies(MeshBodies):
             for sequence, count in sequences.items():
                 motion, found = sequence.partition("_")[2], _frames(path / sequence / "meshes", count)
                 for number in range(count):
-                    mesh = f"mesh_{number:04d}"
                     if number in found:
                         ref = BodyRef(
                             subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
                         )
                         files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
                     else:
-                        missing.append(f"{sequence}/meshes/{mesh}.obj")
+                        missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
         if not files:
             raise BadConfig(
                 "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
@@ -74,8 +73,8 @@ class MitBodies(MeshBodies):
             )
         if given is not None and not any(ref.subject == "C" for ref in files):
             raise BadConfig(
-                f"a landmark file is for subject C (D_*), found no frame of his in {path}: to replace the landmarks of "
-                "subject B give a folder that holds landmarks_B.json"
+                f"a landmark file is for subject C (D_*), found none of its frames in {path}: to replace the landmarks "
+                "of subject B give a folder that holds landmarks_B.json"
             )
         # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
         super().__init__(files, missing, units, "y" if up == "auto" else up)

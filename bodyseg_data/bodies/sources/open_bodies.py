@@ -105,11 +105,8 @@ class BareBodies(MadeBodies):
 
 
 def _figures(dressed: bool) -> dict[BodyRef, Callable[[], Figure]]:
-    moving = (each for subject in _MOVING for each in _moving(subject, dressed))
+    moving = (each for subject in MOTIONS for each in _moving(subject, dressed))
     return dict([*_postures(), *moving, *_people()])
-
-
-_MOVING: Final[tuple[Literal["B", "C"], ...]] = ("B", "C")
 
 
 _Listed = Iterator[tuple[BodyRef, Callable[[], Figure]]]
