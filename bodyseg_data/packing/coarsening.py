@@ -1,10 +1,10 @@
 """The projector's range with as few bits as the shadows need.
 
-The shadow test (`artifacts/occlusion.py`) compares: four texels with one another, and each of them or what they
-interpolate to with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
+The shadow test (`artifacts/occlusion.py`) compares four texels with one another, and each of them, or their
+interpolation, with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
 within which no pixel's answer can change, whatever the others do within theirs; a texel that may be empty is emptied,
-any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over
-large areas. Whether the answers are the same is then asked, and where they are not, the exact ranges come back.
+any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over large
+areas. Then the test itself is run on both images, and where answers differ, the exact ranges come back.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS, Floats, reached
+from bodyseg_data.artifacts.occlusion import Floats, reached
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 COARSEST_STEP: Final = 1024
 """Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
 
 _EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
-_EDGE, _GAP = int(EDGE_STEPS), int(GAP_STEPS)
+_EDGE, _GAP = int(SHADOW_THRESHOLDS.edge_steps), int(SHADOW_THRESHOLDS.gap_steps)
 _MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
 
 Range = NDArray[np.uint16]
@@ -63,7 +64,7 @@ def _bounds(
     from above. Points for which that is in the way keep what their texels are now, and may thereby be in others' way.
     """
     ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
-    away = np.minimum(points[2] - np.float32(1), FARTHEST)
+    away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
     enough = np.ceil(away).astype(np.int32) - _GAP + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
     hard = np.flatnonzero(~lit | _any(ranges < enough))

@@ -139,7 +139,7 @@ def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.
     """What cameras see of a mesh by casting rays: ranges float32 [H, W], metres, 0 where there is no body."""
     renderer = open_renderer("embree", mesh)
     try:
-        return [renderer.see(camera).range for camera in cameras]
+        return [renderer.render(camera).range for camera in cameras]
     finally:
         renderer.close()
 

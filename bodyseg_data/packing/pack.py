@@ -26,9 +26,10 @@ from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler
@@ -66,7 +67,7 @@ class Packing:
     landmarks: Path | None = None
     units: Units = "auto"
     up: UpAxis = "auto"
-    geodesics: Geodesics = "exact"
+    geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:
@@ -174,6 +175,7 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "tolerance_mm": packing.tolerance_mm,
         "views": [view.name for view in packing.views],
         "rig": packing.rig.to_json(),
+        "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
         "codec": packing.codec,
         "shards": [shard.name for shard in shards],

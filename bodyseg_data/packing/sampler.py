@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
@@ -15,7 +16,7 @@ from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range
 from bodyseg_data.rendering.renderer import Renderer, Surface
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
@@ -47,7 +48,7 @@ class Sampler:
         """Render one view and label it. Raises BadSample."""
         body, key = self._body, sample_key(self._source, self._body, view)
         camera, projector = self._rig.placed(self._mesh.centre, view)
-        seen = self._renderer.see(camera)
+        seen = self._renderer.render(camera)
         pixels = np.flatnonzero(seen.face >= 0)
         faces = seen.face.take(pixels)
         points = _Points(seen, camera, pixels)

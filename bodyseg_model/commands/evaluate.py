@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.artifacts.strengths import parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.commands.options import command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
@@ -41,6 +42,7 @@ class Options:
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
+    artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
     seed: int = option("of the artifacts' draws, and of which images are taken", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
@@ -98,8 +100,11 @@ def _check(options: Options) -> None:
 def _open(options: Options) -> list[RangeImages]:
     """The sets. Raises BadConfig if two of them share a sample, which would then count twice."""
     sets, held = [], dict[str, str]()
+    artifacts = parse_artifacts(options.artifacts, "--artifacts")
     for path in options.data:
-        images = open_images(path, options.variant, options.split, options.seed, options.noise_mm, options.missing)
+        images = open_images(
+            path, options.variant, options.split, options.seed, options.noise_mm, options.missing, artifacts
+        )
         for key in images.keys:
             if key in held:
                 raise BadConfig(f"a sample counts once: {key} of {path} is also in {held[key]}")

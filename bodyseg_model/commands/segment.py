@@ -15,6 +15,7 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.machine import hardware
+from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
@@ -40,7 +41,7 @@ class Options:
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
     units: str = option("what one step of a frame is: mm, 0.1mm, cm ...", "mm")
-    rig: str | None = option("frames are from this rig's camera: 'paper' or a TOML file", None)
+    rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
 
+from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import Artifacts, artifacts_of
+from bodyseg_data.artifacts.variants import artifacts_for
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
@@ -27,6 +27,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -149,25 +150,29 @@ def open_images(
     seed: int = 0,
     noise_mm: float | None = None,
     missing: float | None = None,
+    artifacts: Sequence[Artifact] = (),
 ) -> RangeImages:
     """A set to evaluate on, with noise of one sigma in mm, or one share of missing pixels, for all images if given.
 
-    Raises BadConfig for a strength that cannot be or that the variant has no use for; otherwise as `RangeImages`.
+    artifacts: others of given strengths. Raises BadConfig for a strength that cannot be, is given twice, or is of an
+    artifact that the variant does not have; otherwise as `RangeImages`.
     """
-    has = artifacts_of(variant)
-    for name, value, used in (("noise", noise_mm, has.noise), ("missing data", missing, has.missing_data)):
-        if value is not None and not used:
-            raise BadConfig(f"a fixed strength of {name} is for a variant that has any, found variant {variant!r}")
-    usual = Artifacts()
-    artifacts = Artifacts(
-        usual.noise if noise_mm is None else Noise(noise_mm, noise_mm),
-        usual.missing_data if missing is None else MissingData((missing,)),
-    )
-    return RangeImages(path, variant, split, seed, artifacts=artifacts)
+    given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
+    return RangeImages(path, variant, split, seed, artifacts=artifacts_for(variant, given))
+
+
+def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:
+    """Noise of one sigma and missing data of one share for every image, each unless None. Raises BadConfig."""
+    fixed: list[Artifact] = []
+    if noise_mm is not None:
+        fixed.append(Noise(noise_mm, noise_mm))
+    if missing is not None:
+        fixed.append(MissingData((missing,)))
+    return fixed
 
 
 def evaluate(
-    network: nn.Module,
+    network: Network,
     images: RangeImages,
     count: int | None = None,
     *,
@@ -233,8 +238,7 @@ class _CleanSamples:
         self._images = images
         self._places = {key: place for place, key in enumerate(images.keys)}
         self._subsets: dict[str, str] = {}
-        has = artifacts_of(images.augmentation.variant)
-        self._same = not (has.occlusion or has.missing_data)
+        self._same = not images.augmentation.alters_labels
         self._last: Sample | None = None
 
     def subset(self, key: str) -> str:

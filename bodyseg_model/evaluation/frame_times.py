@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 import torch
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
 _WARM_UP: Final = 3
@@ -29,7 +29,7 @@ class FrameTimes:
     device: str
 
 
-def time_frames(network: nn.Module, frames: Sequence[torch.Tensor]) -> FrameTimes:
+def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
     """Time `predict` on one frame after the other, float32 [1, 1, H, W] each, from memory to labels in memory.
 
     Loading, scores and drawing are not in it; a few frames are predicted before, untimed. deviation: over frames,

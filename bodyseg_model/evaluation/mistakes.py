@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import PART_COUNT, PARTS, Part
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 
 REGIONS: Final[dict[str, tuple[str, ...]]] = {
     "head": ("Sellion", "Nuchale", "Supramenton"),
@@ -50,7 +49,7 @@ def _plain(part: Part) -> str:
 def _kind(truth: Part, predicted: Part) -> str:
     if truth is predicted:
         return "right"
-    if MIRRORED_PARTS[truth.label] == predicted.label:
+    if truth.mirror == predicted.label:
         return "left/right"
     sides_differ = {truth.side, predicted.side} == {"left", "right"}
     together = any(_plain(truth) in names and _plain(predicted) in names for names in REGIONS.values())

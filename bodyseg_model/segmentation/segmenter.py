@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.resampling import view_body
@@ -69,7 +69,7 @@ class Segmenter:
 
     def __init__(
         self,
-        network: nn.Module,
+        network: Network,
         camera: Camera,
         background: Background | None = None,
         mirrored: bool = False,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
 
 from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.stability.groups import Run
 from bodyseg_model.stability.scenes import Picture, Scenes
@@ -21,7 +21,7 @@ Accuracies = dict[str, dict[Setting, float]]
 """Run's name -> setting -> average per-class accuracy."""
 
 
-def accuracy(network: nn.Module, pictures: Sequence[Picture]) -> float:
+def accuracy(network: Network, pictures: Sequence[Picture]) -> float:
     """Average per-class accuracy of a network, in evaluation mode, of one confusion matrix over all pictures.
 
     They are shown one by one, as a sensor gives them: what is cut out of a batch depends on all its bodies. NaN if

@@ -84,8 +84,8 @@ def _frame(
     """As `Sampler.take`, for devices that are placed already, and with all that the projector sees."""
     camera, projector = placed
     renderer = open_renderer("raster", body.mesh)
-    seen = SeenBody(body.mesh, camera, renderer.see(camera))
-    lit = renderer.see(projector)
+    seen = SeenBody(body.mesh, camera, renderer.render(camera))
+    lit = renderer.render(projector)
     renderer.close()
     shape = seen.surface.face.shape
     labels, facing = np.full(shape, BACKGROUND, np.uint8), np.zeros(shape, np.bool_)

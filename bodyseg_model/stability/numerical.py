@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import torch
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
-from bodyseg_model.networks.registry import device_of, margin, predict
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.training.distributed import threads
 
 BATCH_SIZES: Final = (2, 7, 16)
@@ -36,22 +36,22 @@ class Shown:
     truth: torch.Tensor
 
 
-class Whole(nn.Module):
+class Whole(Network):
     """Hides what a network is, so that `predict` shows it images as they are instead of cutting them to bodies."""
 
-    def __init__(self, network: nn.Module) -> None:
+    def __init__(self, network: Network) -> None:
         super().__init__()
         self.network = network
         self.eval()
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        """As the network's own."""
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute the hidden network's scores of every pixel."""
         scores: torch.Tensor = self.network(range_m)
         return scores
 
 
 def numerical(
-    network: nn.Module,
+    network: Network,
     images: RangeImages,
     count: int = 64,
     progress: Callable[[int, int], None] | None = None,
@@ -109,7 +109,7 @@ def _show(images: RangeImages, count: int, device: torch.device) -> Shown:
     return Shown(torch.stack([image["range"] for image in chosen]).to(device), truth.to(device))
 
 
-def _ways(network: nn.Module, device: str) -> dict[str, Way]:
+def _ways(network: Network, device: str) -> dict[str, Way]:
     """Other ways to compute one image at a time, by name."""
 
     def mixed(kind: torch.dtype) -> Way:
@@ -142,7 +142,7 @@ def _ways(network: nn.Module, device: str) -> dict[str, Way]:
     }
 
 
-def _kept_in_half(network: nn.Module) -> nn.Module:
+def _kept_in_half(network: Network) -> Network:
     """A network that was saved with `save_network(..., half=True)` and loaded."""
     kept = copy.deepcopy(network)
     kept.load_state_dict(
@@ -161,7 +161,7 @@ def _asked(way: Way, shown: Shown, usual: torch.Tensor) -> dict[str, Any]:
         return {"changed": None, "accuracy_change": None, "reason": str(error).partition("\n")[0][:200]}
 
 
-def _batch(network: nn.Module, shown: Shown, usual: torch.Tensor, size: int) -> dict[str, Any]:
+def _batch(network: Network, shown: Shown, usual: torch.Tensor, size: int) -> dict[str, Any]:
     """The three comparisons of one batch size. The last batch may be smaller."""
     whole = Whole(network)
     together, alone = (torch.full_like(usual, BACKGROUND) for _ in range(2))
@@ -169,7 +169,7 @@ def _batch(network: nn.Module, shown: Shown, usual: torch.Tensor, size: int) -> 
         batch = slice(start, start + size)
         range_m = shown.range_m[batch]
         together[batch] = _labels(network, range_m)
-        window = body_window(range_m[:, 0] > 0, margin(network))
+        window = body_window(range_m[:, 0] > 0, network.margin, network.crop_multiple)
         if window is not None:
             rows, columns = window
             alone[batch, rows, columns] = _one_by_one(functools.partial(_labels, whole), range_m[:, :, rows, columns])
@@ -180,7 +180,7 @@ def _batch(network: nn.Module, shown: Shown, usual: torch.Tensor, size: int) -> 
     }
 
 
-def _labels(network: nn.Module, range_m: torch.Tensor) -> torch.Tensor:
+def _labels(network: Network, range_m: torch.Tensor) -> torch.Tensor:
     return predict(network, range_m).labels
 
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -24,11 +25,10 @@ from bodyseg_data.core.views import View
 from bodyseg_data.loading.range_images import RangeImages, metres
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.packing.occluder_range import shadow_test
 from bodyseg_data.packing.sampler import Sampler, surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting, altered
 
@@ -92,9 +92,7 @@ class Scenes:
             return [body.picture(self.rig, setting) for body in self._bodies]
         if setting.sweep == "hard" and self.hard is not None:
             return [picture(sample.range, sample.labels) for sample in _first(self.hard, self._count)]
-        return [
-            picture(altered(sample, setting, self.rig.camera, self.seed), sample.labels) for sample in self._samples
-        ]
+        return [picture(altered(sample, setting, self.rig, self.seed), sample.labels) for sample in self._samples]
 
     @cached_property
     def _samples(self) -> list[Sample]:
@@ -146,7 +144,7 @@ class _PosedBody:
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
         """Range in steps and parts, as a camera sees them with no projector to think of."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
-        seen = self.renderer.see(placed)
+        seen = self.renderer.render(placed)
         rows, columns = np.nonzero(seen.face >= 0)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         points = surface_points(seen, placed, rows, columns)
@@ -180,9 +178,8 @@ def looking_down(
 
 
 def sensor(focal_px: float) -> Camera:
-    """The sensor of `cameras.SENSORS` that has this focal length."""
-    (shape,) = (shape for shape, (_, focal) in SENSORS.items() if focal == focal_px)
-    return frame_camera(shape, "a sweep").camera
+    """The camera of this focal length among `cameras.other_sensors`."""
+    return next(other.camera for other in other_sensors() if other.camera.focal_px == focal_px)
 
 
 def made_over(image: NDArray[np.uint16], labels: NDArray[np.uint8], camera: Camera, rig: Rig) -> Picture:

@@ -13,14 +13,16 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
-from bodyseg_data.artifacts.missing_data import kept_pixels
-from bodyseg_data.artifacts.noise import add_noise
+from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.artifacts.losses import SHAPES, lost
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.variants import shown_with
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import generator, pixel_draws, stream
-from bodyseg_data.core.rig import Camera, load_rig
+from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
-from bodyseg_model.segmentation.cameras import SENSORS
+from bodyseg_model.segmentation.cameras import other_sensors
 
 Origin = Literal["stored", "rendered"]
 
@@ -28,7 +30,7 @@ DEPTHS_M: Final = (0.5, 4.5)
 """The interval that a sensor of few bits shares out evenly."""
 
 _SHARES: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-_FOCALS_PX: Final = tuple(sorted((focal for _, focal in SENSORS.values()), reverse=True))
+_FOCALS_PX: Final = tuple(sorted({sensor.camera.focal_px for sensor in other_sensors()}, reverse=True))
 _KNOWN_FOCAL_PX: Final = round(load_rig().camera.focal_px, 1)
 
 
@@ -99,45 +101,22 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}
 
 
-def altered(sample: Sample, setting: Setting, camera: Camera, seed: int) -> NDArray[np.uint16]:
+def altered(sample: Sample, setting: Setting, rig: Rig, seed: int) -> NDArray[np.uint16]:
     """The range image of a stored sample in a setting of a sweep of stored samples, uint16 [H, W], steps of 0.1 mm.
 
     A pixel of 0 shows nothing any more. Draws belong to seed and sample, so that a higher strength adds to a lower one.
     """
     if setting == CLEAN["stored"]:
         return sample.range
-    return _CHANGES[setting.sweep](sample, setting.strength, camera, seed)
+    if setting.sweep in _ARTIFACTS:
+        return shown_with(_ARTIFACTS[setting.sweep](setting.strength), sample, rig, seed).range
+    if setting.sweep in SHAPES:
+        draws = generator(seed, 0, sample.key, setting.sweep)
+        return sample.range * ~lost(setting.sweep, sample.range, setting.strength, rig.camera, draws)
+    return _CHANGES[setting.sweep](sample, setting.strength)
 
 
-def _noise(sample: Sample, sigma_mm: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    image = sample.range.copy()
-    where = np.flatnonzero(image)
-    draws = pixel_draws(stream(seed, 0, sample.key, "noise"), len(where), np.uint32)
-    image.ravel()[where] = add_noise(image.ravel()[where], sigma_mm, draws)
-    return image
-
-
-def _missing(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    image = sample.range.copy()
-    where = np.flatnonzero(image)
-    draws = pixel_draws(stream(seed, 0, sample.key, "missing data"), len(where), np.uint16)
-    image.ravel()[where] *= kept_pixels(share, draws)
-    return image
-
-
-def _patches(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    return sample.range * ~lost_patches(sample.range, share, generator(seed, 0, sample.key, "patches"))
-
-
-def _stripes(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    return sample.range * ~lost_stripes(sample.range, share, generator(seed, 0, sample.key, "stripes"))
-
-
-def _grazing(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    return sample.range * ~lost_grazing(sample.range, share, camera)
-
-
-def _depth_steps(sample: Sample, bits: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
+def _depth_steps(sample: Sample, bits: float) -> NDArray[np.uint16]:
     """Ranges rounded to one of 2**bits depths, the first and last at the ends of `DEPTHS_M`."""
     low, high = (depth / RANGE_STEP_M for depth in DEPTHS_M)
     last = 2.0**bits - 1
@@ -146,21 +125,21 @@ def _depth_steps(sample: Sample, bits: float, camera: Camera, seed: int) -> NDAr
     return np.where(sample.range > 0, np.rint(depths), 0).astype(np.uint16)
 
 
-def _crop_below(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
+def _crop_below(sample: Sample, share: float) -> NDArray[np.uint16]:
     top, bottom = _extent(sample.range, 0)
     image = sample.range.copy()
     image[bottom - round(share * (bottom - top)) :] = 0
     return image
 
 
-def _crop_above(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
+def _crop_above(sample: Sample, share: float) -> NDArray[np.uint16]:
     top, bottom = _extent(sample.range, 0)
     image = sample.range.copy()
     image[: top + round(share * (bottom - top))] = 0
     return image
 
 
-def _crop_side(sample: Sample, share: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
+def _crop_side(sample: Sample, share: float) -> NDArray[np.uint16]:
     left, right = _extent(sample.range, 1)
     image = sample.range.copy()
     image[:, : left + round(share * (right - left))] = 0
@@ -173,12 +152,13 @@ def _extent(image: NDArray[np.uint16], axis: int) -> tuple[int, int]:
     return (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)
 
 
-_CHANGES: Final[dict[str, Callable[[Sample, float, Camera, int], NDArray[np.uint16]]]] = {
-    "noise": _noise,
-    "missing": _missing,
-    "patches": _patches,
-    "stripes": _stripes,
-    "grazing": _grazing,
+_ARTIFACTS: Final[dict[str, Callable[[float], Artifact]]] = {
+    "noise": lambda sigma_mm: Noise(sigma_mm, sigma_mm),
+    "missing": lambda share: MissingData((share,)),
+}
+"""The sweeps of one artifact: name -> the artifact at a strength."""
+
+_CHANGES: Final[dict[str, Callable[[Sample, float], NDArray[np.uint16]]]] = {
     "depth_steps": _depth_steps,
     "crop_below": _crop_below,
     "crop_above": _crop_above,

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
-from bodyseg_data.artifacts.variants import Augmentation, RangeImage, VariantName
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
 from bodyseg_data.bodies.source import BodySource
 from bodyseg_data.bodies.sources import open_source
@@ -26,6 +26,7 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.loading.range_images import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.stability.correspondence import NOT_SEEN, SeenBody, follow
 from bodyseg_model.stability.motion_frames import Frame, choose_shots, take_shot
@@ -129,7 +130,7 @@ def _through(flat: NDArray[Any], start: int, places: NDArray[np.intp]) -> NDArra
 
 
 def temporal(
-    networks: Mapping[str, nn.Module],
+    networks: Mapping[str, Network],
     source: BodySource | None = None,
     *,
     shots: int = SHOTS,
@@ -207,7 +208,7 @@ def temporal(
     }
 
 
-def _labels(network: nn.Module, images: Sequence[RangeImage]) -> Labels:
+def _labels(network: Network, images: Sequence[RangeImage]) -> Labels:
     """What a network says of frames that come one by one, uint8 [frames, H, W]."""
     device = device_of(network)
     ranges = (torch.from_numpy(metres(image.range))[None, None].to(device) for image in images)

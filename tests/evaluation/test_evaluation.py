@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from torch import nn
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig
@@ -26,30 +25,31 @@ from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict
 
 
-class ByRange(nn.Module):
+class ByRange(Network):
     """Takes every pixel by itself: its range in centimetres says which part it is called, and how surely."""
 
     def __init__(self, classes: int = PART_COUNT) -> None:
         super().__init__()
         self.classes = classes
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         place = range_m * 100 % self.classes
         scores = torch.zeros(len(range_m), self.classes, *range_m.shape[2:])
         return scores.scatter(1, place.long(), 10 * (place % 1))
 
 
-def at_once(network: nn.Module, range_m: torch.Tensor) -> Prediction:
+def at_once(network: Network, range_m: torch.Tensor) -> Prediction:
     """Predicts as `ByRange`, more or less, in no time: where little depends on the network."""
     place = range_m[:, 0] * 100 % PART_COUNT
     return Prediction(torch.where(range_m[:, 0] > 0, place.to(torch.uint8), BACKGROUND), place % 1)
 
 
-class Undecided(nn.Module):
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+class Undecided(Network):
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         return range_m.expand(-1, PART_COUNT, -1, -1) * torch.nan
 
 
@@ -68,7 +68,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def plainly(network: nn.Module, images: RangeImages) -> dict[str, Any]:
+def plainly(network: Network, images: RangeImages) -> dict[str, Any]:
     """The counts of every subset, image by image and without anything of `evaluation`."""
     found: dict[str, Any] = {}
     for index in range(len(images)):
@@ -120,7 +120,7 @@ def test_scores_are_those_of_single_images(
     assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
 
 
-def keys_seen(network: nn.Module, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
+def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
     seen: list[str] = []
     evaluate(network, images, count, batch_size=batch_size, extras=(), watch=lambda one, _: seen.append(one.key))
     return seen
@@ -183,12 +183,12 @@ def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkey
 
 def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
     images = open_images(str(figures_set), "all", noise_mm=40, missing=0.25)
-    assert {images.image(index).sigma_mm for index in range(8)} == {40}
-    assert {images.image(index).missing_rate for index in range(8)} == {0.25}
+    assert {images.image(index).drawn["sigma_mm"] for index in range(8)} == {40}
+    assert {images.image(index).drawn["missing_rate"] for index in range(8)} == {0.25}
     drawn = open_images(str(figures_set), "all")
-    assert len({drawn.image(index).sigma_mm for index in range(8)}) == 8
+    assert len({drawn.image(index).drawn["sigma_mm"] for index in range(8)}) == 8
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
-        with pytest.raises(BadConfig, match="is for a variant that has any, found variant"):
+        with pytest.raises(BadConfig, match="is for a variant that has (noise|missing_data), found variant"):
             open_images(str(figures_set), variant, **strengths)  # type: ignore[arg-type]
     with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
         open_images(str(figures_set), missing=1.5)
@@ -378,8 +378,10 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
-        (["--variant", "none", "--noise-mm", "5"], "a fixed strength of noise is for a variant that has any"),
+        (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),
         (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
+        (["--artifacts", "{"], "--artifacts must be JSON, found '{'"),
+        (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
         (["--figures", "no/folder/figures"], "--figures cannot be the folder no/folder/figures"),

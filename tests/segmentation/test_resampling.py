@@ -35,7 +35,7 @@ def seen(lens: Camera, distance_m: float, turn_deg: float = 0.0) -> Image:
     mesh = figure()
     aimed, turned = axes_at(30), axes_at(30 - turn_deg)  # type: ignore[arg-type]  # any angle does
     placed = PlacedCamera(lens, turned, mesh.centre - distance_m * aimed[2])
-    return RasterRenderer(mesh).see(placed).range
+    return RasterRenderer(mesh).render(placed).range
 
 
 @lru_cache

@@ -12,12 +12,13 @@ from small_rig import SMALL
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.variants import Artifacts
+from bodyseg_data.artifacts.strengths import Artifacts
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.compact import Compact, CompactSettings
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.stability.numerical import BATCH_SIZES, Whole, numerical
 
@@ -37,7 +38,7 @@ def images(shards: Path) -> RangeImages:
     return RangeImages(shards, "all")
 
 
-class Told(nn.Module):
+class Told(Network):
     """Gives every pixel of a batch the label that a function says."""
 
     def __init__(self, label: Callable[[torch.Tensor], int]) -> None:
@@ -45,13 +46,13 @@ class Told(nn.Module):
         self.label = label
         self.eval()
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         scores = torch.zeros(len(range_m), PART_COUNT, *range_m.shape[2:])
         scores[:, self.label(range_m)] = 1
         return scores
 
 
-class Close(nn.Module):
+class Close(Network):
     """Scores that differ by less than 16 bits can tell, the last one highest."""
 
     def __init__(self) -> None:
@@ -60,7 +61,7 @@ class Close(nn.Module):
         self.head.weight.data = 1 + 1e-6 * torch.arange(PART_COUNT)[:, None, None, None]
         self.eval()
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         scores: torch.Tensor = self.head(range_m)
         return scores
 
@@ -68,10 +69,10 @@ class Close(nn.Module):
 class Widths(Compact):
     """Labels say how wide a window is shown."""
 
-    margin = 8  # type: ignore[misc]  # images here are small
+    margin = crop_multiple = 8  # images here are small
 
-    def coarse(self, range_m: torch.Tensor) -> torch.Tensor:
-        rows, columns = (-(-side // self.stride) for side in range_m.shape[2:])
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        rows, columns = (-(-side // self.output_stride) for side in range_m.shape[2:])
         scores = torch.zeros(len(range_m), PART_COUNT, rows, columns)
         scores[:, columns % PART_COUNT] = 1
         return scores

@@ -121,7 +121,7 @@ def test_a_camera_looks_down_at_the_middle(azimuth: int, tilt: int) -> None:
     above = placed.position[1] - mesh.centre[1]
     assert above == pytest.approx(2.5 * np.sin(np.radians(tilt)))
     np.testing.assert_allclose(placed.axes[0], axes_at(azimuth)[0], err_msg="no roll")
-    seen = RasterRenderer(mesh).see(placed).range
+    seen = RasterRenderer(mesh).render(placed).range
     if tilt:
         rows = np.flatnonzero(seen.any(axis=1))
         assert seen[rows[-1]].max() > seen[rows[0]].max() + 0.3, "feet are farther than the head"

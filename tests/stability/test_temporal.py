@@ -13,7 +13,6 @@ from fakes import Figures
 from numpy.typing import NDArray
 from shapes import ball, figure
 from small_rig import SMALL
-from torch import nn
 
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.source import Body, BodyRef
@@ -26,6 +25,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.stability.correspondence import NEAR_M, NOT_SEEN, SeenBody, follow
 from bodyseg_model.stability.motion_frames import AZIMUTHS_DEG, choose_shots, take_shot
@@ -58,7 +58,7 @@ def boxes(*sizes_and_middles: tuple[Triple, Triple]) -> Mesh:
 def seen(mesh: Mesh) -> SeenBody:
     """From the front, by a camera that stands 2.55 m from the origin, wherever the mesh is."""
     camera, _ = RIG.placed(np.zeros(3), View(255, 0))
-    return SeenBody(mesh, camera, RasterRenderer(mesh).see(camera))
+    return SeenBody(mesh, camera, RasterRenderer(mesh).render(camera))
 
 
 def metres_of(pixels: int, depth_m: float) -> float:
@@ -237,22 +237,22 @@ class Walk:
         return Body(mesh, np.linspace(0, 640, PART_COUNT).astype(np.int64))
 
 
-class ByRange(nn.Module):
+class ByRange(Network):
     """Takes every pixel by itself: its range in centimetres says what it is called."""
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         scores = torch.zeros(len(range_m), PART_COUNT, *range_m.shape[2:])
         return scores.scatter(1, (range_m * 100 % PART_COUNT).long(), 1.0)
 
 
-class Always(nn.Module):
+class Always(Network):
     """Calls everything the same part."""
 
     def __init__(self, part: int) -> None:
         super().__init__()
         self.part = part
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         scores = torch.zeros(len(range_m), PART_COUNT, *range_m.shape[2:])
         scores[:, self.part] = 1
         return scores
@@ -294,7 +294,7 @@ def test_the_camera_stands_still() -> None:
     np.testing.assert_allclose(np.diff(columns), steps_px, rtol=0.1)
 
 
-def plainly(network: nn.Module, source: Walk, frames: int, window: int) -> dict[str, float]:
+def plainly(network: Network, source: Walk, frames: int, window: int) -> dict[str, float]:
     """TC and VC of one shot without artifacts, place by place."""
     taken = list(take_shot(source, choose_shots(source, 1, frames)[0], SMALL))
     labels: list[NDArray[np.uint8]] = []

@@ -16,12 +16,12 @@ from benches.model.networks.architectures import bench_architectures
 from benches.model.networks.architectures_forest import ForestScale, fit_forest
 from benches.model.networks.architectures_runs import groups_in
 from benches.model.networks.network_times import LEAST_ROUNDS
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network, save_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, parameters, predict
 
 TINY = {"patch": 16, "widths": [8], "blocks": [0]}
@@ -75,7 +75,7 @@ def run(tmp_path: Path) -> Make:
     return make
 
 
-def accuracy(network: nn.Module, data: Path) -> float:
+def accuracy(network: Network, data: Path) -> float:
     """Slowly: one image after the other, in the order of the images' epoch."""
     images, matrix = RangeImages(data, "all", "test", 0), ConfusionMatrix()
     for index in images.order(0)[:IMAGES].tolist():

@@ -22,6 +22,7 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.packing import pack as packing
 from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, parameters
 
 TINY: dict[str, dict[str, Any]] = {
@@ -37,7 +38,7 @@ def person(rows: int = 64, columns: int = 48) -> np.ndarray[Any, np.dtype[np.flo
     return frame
 
 
-def new(name: str, settings: Any = None, seed: int | None = None) -> nn.Module:
+def new(name: str, settings: Any = None, seed: int | None = None) -> Network:
     """Small, and as on a machine where networks of other packages are not installed."""
     if name not in TINY:
         raise MissingLibrary(f"{name} needs another package")
@@ -161,14 +162,14 @@ def test_scores_of_something_else_are_refused(
         bench_network(1, (run("all-0"),), (scores(**{"run": "all-0", **changes}),))
 
 
-class Noted(nn.Module):
+class Noted(Network):
     """Writes down when it is asked, about what, and how."""
 
     def __init__(self, name: str, notes: list[Any]) -> None:
         super().__init__()
         self.name, self.notes = name, notes
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         self.notes.append((self.name, float(range_m.max()), torch.get_num_threads(), torch.is_autocast_enabled("cpu")))
         return torch.zeros(len(range_m), 33, *range_m.shape[2:])
 

@@ -145,7 +145,7 @@ class _Whole:
         images: list[tuple[NDArray[Any], ...]] = []
         for view in self.views:
             camera, projector = self.rig.placed(self.body.mesh.centre, view)
-            seen = renderer.see(camera)
+            seen = renderer.render(camera)
             rows, columns = np.nonzero(seen.face >= 0)
             faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
             labels, facing = np.zeros(seen.face.shape, np.uint8), np.zeros(seen.face.shape, np.bool_)
@@ -187,7 +187,7 @@ class _Whole:
         sampler, sampler_s = _timed(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
         cameras = [self.rig.placed(copy.centre, view)[0] for view in self.views]
         pass_s, rays_s = (
-            statistics.median(_best(partial(one.see, camera)) for camera in cameras) for one in (renderer, rays)
+            statistics.median(_best(partial(one.render, camera)) for camera in cameras) for one in (renderer, rays)
         )
         view_s = statistics.median(_best(partial(_encoded, sampler, view)) for view in self.views)
         body_s = reduce_s + part_s + tree_s + sampler_s + VIEWS_A_BODY * view_s

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from torch import nn
 
 from benches.model.ablation.conditions import (
     CONDITIONS,
@@ -40,6 +39,7 @@ from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"
@@ -135,7 +135,7 @@ def _asked(
 ) -> dict[str, Marks]:
     """Thing -> exam -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
-    networks: dict[Path, nn.Module] = {}
+    networks: dict[Path, Network] = {}
     marks: dict[str, Marks] = {}
     for done, (thing, condition, run) in enumerate(jobs, start=1):
         if run.path not in networks:

@@ -99,8 +99,8 @@ class Study:
             self._segments[nearest.segment.partition(".")[0]] += int(wrong.sum())
         cause[~wrong] = BACKGROUND
         facts = _facts(clean.info) | {
-            "sigma_mm": _rounded(shown.sigma_mm, 1),
-            "missing_rate": shown.missing_rate,
+            "sigma_mm": _rounded(shown.drawn.get("sigma_mm"), 1),
+            "missing_rate": shown.drawn.get("missing_rate"),
             "new_pose_deg": _rounded(nearest.degrees, 1),
             "new_segment": nearest.segment or None,
             "nearest_training_pose": nearest.pose or None,

@@ -109,7 +109,7 @@ def _images_a_step(plan: Plan) -> int:
 
 
 def _curves(ask: Ask, sweep: Sweep) -> Tree:
-    others = [name for name, has in vars(VARIANTS[sweep.settings[0].variant]).items() if has]
+    others = list(VARIANTS[sweep.settings[0].variant])
     curves = {}
     for variant in VARIANTS:
         points = [over_seeds(accuracies(ask, variant, setting)) for setting in sweep.settings]

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from torch import nn
-
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of
 
 FILE: Final = "cached_results.json"
@@ -92,7 +91,7 @@ class Evaluator:
             self._opened = setting, setting.open(self._data)
         return self._opened[1]
 
-    def scores(self, folder: Path, network: nn.Module, setting: Setting, extras: bool) -> dict[str, Any]:
+    def scores(self, folder: Path, network: Network, setting: Setting, extras: bool) -> dict[str, Any]:
         """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
 
         extras: count confidences and distances to borders as well. Raises as `ResultCache` and `evaluate`.
