@@ -55,7 +55,7 @@ class Losses(Artifact):
         """Mark the pixels that one image loses, bool [H, W].
 
         range_image: the clean one, uint16 [H, W], 0 is background. camera: the one that sees it. generator: draws the
-        shape, the share and, in the same stream, the places. Raises BadConfig for an image that is not the camera's.
+        shape, the share and the positions. Raises BadConfig for an image that is not the camera's.
         """
         chances = _chances(generator, 2)
         shapes, share = (None, *SHAPES), self.most * float(chances[1])

@@ -108,12 +108,12 @@ class Augmentation:
 
     @cached_property
     def needs_projector(self) -> bool:
-        """Whether samples must hold the projector's range."""
+        """True if samples must hold the projector's range."""
         return any(artifact.needs_projector for artifact in self.applied)
 
     @cached_property
     def alters_labels(self) -> bool:
-        """Whether images may have other labels than their clean samples: pixels are lost."""
+        """True if images may have other labels than their clean samples, as where pixels are lost."""
         return any(artifact.alters_labels for artifact in self.applied)
 
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
 from pathlib import Path
@@ -106,6 +107,23 @@ def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Art
     assert train._artifacts(options) == Artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
     evaluated = open_images(str(figures_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
     assert evaluated.augmentation.artifacts == Artifacts(Noise(4, 4), Dots(0.1))
+
+
+def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "noise.md").read_text()
+    block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `Artifacts(dropouts=")]
+    names: dict[str, Any] = dict(globals())
+    exec(textwrap.dedent(block), names)
+    monkeypatch.setitem(ARTIFACTS, "dropouts", names["Dropouts"])
+    usual = RangeImages(figures_set, "md")
+    images = RangeImages(figures_set, "md", artifacts=Artifacts(dropouts=names["Dropouts"](0.3)))
+    lost = 0
+    for index in range(4):
+        image, before = images.image(index), usual.image(index)
+        kept = (image.range > 0).any(axis=1)
+        np.testing.assert_array_equal(image.range[kept], before.range[kept])
+        lost += int(((before.range > 0).any(axis=1) & ~kept).sum())
+    assert lost > 50
 
 
 def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
