@@ -108,12 +108,15 @@ def _made_by_the_project() -> bool:
 
 
 def check_class(kind: type, what: str) -> None:
-    """Check the public methods of a class and, if it is a dataclass, its fields once it is made."""
+    """Check the public methods of a class and, if it is a dataclass, its fields once it is made.
+
+    Objects with a method `check` of their own are left out: they may be made of input that it is to refuse.
+    """
     for name, member in list(vars(kind).items()):
         if isinstance(member, types.FunctionType) and not name.startswith("_"):
             setattr(kind, name, checked(member, f"{what}.{name}"))
     named, _ = promises(kind.__doc__)
-    if not named or not is_dataclass(kind):
+    if not named or not is_dataclass(kind) or hasattr(kind, "check"):
         return
     plain: Callable[..., None] = vars(kind)["__init__"]
 
