@@ -84,7 +84,7 @@ def _takers(name: str) -> str:
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     what: BenchName = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)

@@ -24,7 +24,7 @@ _ALL = "charts.json"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     in_: Path = option("folder of the benches' figures, BENCH.json each", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")

@@ -1,4 +1,4 @@
-"""Draws one choice: every way as a point, the front as a step line, the default as a star; readable in grey."""
+"""Draws one choice: every method as a point, the front as a step line, the default as a star; readable in grey."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _headline(choice: Choice, panel: Panel, width_in: float) -> str:
 
 
 def _panel(axis: Any, choice: Choice, panel: Panel, markers: dict[str, str]) -> None:
-    """Points and limits."""
+    """Draw points, error bars and limits."""
     best = {point.name for point in front(panel.points, choice.x, choice.y)}
     for point in panel.points:
         x, y = _place(choice, point)
@@ -191,14 +191,14 @@ def _steps(choice: Choice, panel: Panel, x_ends: tuple[float, float], y_ends: tu
 
 
 def _behind(axis: Any, choice: Choice, panel: Panel) -> None:
-    """The front's line, and a shade over all that it beats."""
+    """Draw the front's line, and a shade over all that it beats."""
     line = _steps(choice, panel, axis.get_xlim(), axis.get_ylim())
     axis.plot(*line.T, color="black", linewidth=1.1, zorder=2, scalex=False, scaley=False)
     axis.fill(*np.vstack([line, (line[-1, 0], line[0, 1])]).T, color=_BEHIND, linewidth=0, zorder=0)
 
 
 def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
-    """Write names beside the default, the front, the named rivals and the limits."""
+    """Write names beside the default, the front, the named baselines and the limits."""
     best = {point.name for point in front(panel.points, choice.x, choice.y)}
     wanted = [point for point in panel.points if point.named or point.name in best or point.name == panel.default]
     wanted.sort(key=lambda point: (point.name != panel.default, point.name not in best))
@@ -232,12 +232,12 @@ def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
 
 
 def _radius(point: Point, panel: Panel, best: set[str]) -> float:
-    """Of its marker, pixels."""
+    """Radius of a point's marker, pixels."""
     return 14.0 if point.name == panel.default else 6.0 if point.name in best else 4.0
 
 
 def _along(axis: Any) -> Any:
-    """Places [K, 2] along all lines of an axes, pixels, close enough for no name to slip between."""
+    """Points [K, 2] along all lines of an axes, pixels, close enough for no name to slip between."""
     places = [np.empty((0, 2))]
     for line in axis.lines:
         ends = line.get_transform().transform(np.array(line.get_xydata()))
@@ -251,5 +251,5 @@ def _place(choice: Choice, point: Point) -> tuple[float, float]:
 
 
 def _bars(point: Point) -> tuple[float, ...]:
-    """What is drawn above and below a point."""
+    """Heights above and below a point between which its error bar is drawn."""
     return (0.0,) if point.y_sd is None else (-min(point.y_sd, point.y), point.y_sd)

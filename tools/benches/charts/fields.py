@@ -17,7 +17,7 @@ _SHOWN: Final = 60
 
 @dataclass(frozen=True)
 class Field:
-    """A value of a JSON file, and where it stands there: names of fields and numbers of rows, joined by dots."""
+    """A value of a JSON file and its path there: names of fields and numbers of rows, joined by dots."""
 
     value: Any
     file: Path
@@ -31,7 +31,7 @@ class Field:
         return fields[key]
 
     def get(self, *keys: str) -> Field | None:
-        """A field further down; None if it or what it stands in is null or absent."""
+        """A nested field; None if it or one of its parents is null or absent."""
         here = self
         for key in keys:
             if not isinstance(here.value, dict) or here.value.get(key) is None:

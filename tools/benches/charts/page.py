@@ -115,5 +115,5 @@ def _origins(files: Mapping[str, Any]) -> str:
 
 
 def _line(error: Exception) -> int:
-    """Where the template failed: Jinja2 puts its lines into the traceback."""
+    """Line of the template that failed: Jinja2 puts its lines into the traceback."""
     return next(step.lineno or 0 for step in reversed(extract_tb(error.__traceback__)) if step.filename == _TEMPLATE)

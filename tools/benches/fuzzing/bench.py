@@ -32,10 +32,10 @@ _SHARES: Final = {
     "lnd": 0.01,
     "ply": 0.03,
 }
-"""How a campaign is shared out over the readers: most to those that read what comes from elsewhere most."""
+"""Share of the inputs that each reader gets: most for the readers of files that come from elsewhere."""
 
 _LOOPS: Final = ("bsi", "sample")
-"""Whose inputs are read by compiled loops and by NumPy's, with the same outcome."""
+"""Readers that have compiled and NumPy loops, whose outcomes must be the same."""
 
 _PIECE: Final = 5000
 _DAMAGED: Final = Packing("open", meshes=2, views=ViewGrid(count=3), shard_samples=3)

@@ -1,6 +1,6 @@
-"""Sets of shards damaged in every way that disks, networks and people damage files, and who notices.
+"""Sets of shards damaged in every way that disks, networks and people damage files, and the readers that detect it.
 
-Three readers are asked each time: random access (`RangeImages`), the WebDataset pipeline, and `bodyseg verify`. A
+Three readers are tried each time: random access (`RangeImages`), the WebDataset pipeline, and `bodyseg verify`. A
 reader may refuse; it may never give other pixels than were packed, and verify has to report every damage.
 """
 
@@ -26,7 +26,7 @@ BLOCK: Final = 512
 
 @dataclass
 class Tally:
-    """How many damages were done, who refused how often, and what went wrong."""
+    """Counts of damages done and of refusals by each reader, and the faults found."""
 
     damages: int = 0
     reported_by_verify: int = 0
@@ -36,7 +36,7 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def figures(self) -> dict[str, Any]:
-        """As plain JSON."""
+        """The counts as plain JSON."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
@@ -67,7 +67,7 @@ class Damaged:
             path.write_bytes(sound)
 
     def _verify(self, tally: Tally) -> Iterator[str]:
-        """What `bodyseg verify` does."""
+        """Verify the damaged set as `bodyseg verify` does."""
         try:
             manifest = read_manifest(self.folder)
             faults = [fault for shard in manifest.shards for fault in find_faults(self.folder, manifest, shard)]

@@ -89,7 +89,7 @@ TARGETS: Final[dict[str, Target]] = {
 
 
 def one_input(target: str, seed: int, number: int) -> Any:
-    """The input that a campaign of `seed` feeds to a target as its `number`-th."""
+    """The input that a campaign of `seed` feeds to a target as input `number`."""
     return MAKERS[target](np.random.default_rng([seed, zlib.crc32(target.encode()), number]))
 
 
@@ -172,7 +172,7 @@ def campaign(target: str, seed: int, numbers: range, kernels: str = "auto") -> d
 
 
 def child() -> None:
-    """What `campaign` runs."""
+    """The process that `campaign` starts."""
     target, seed, start, stop = sys.argv[1], *map(int, sys.argv[2:])
     faulthandler.enable()
     warnings.simplefilter("error")  # a warning is a surprise to the user, too

@@ -229,7 +229,7 @@ def _checksum_set(data: bytes, valid: bytes) -> bytes:
 
 @lru_cache(maxsize=64)
 def _checksum_place(valid: bytes) -> int | None:
-    """Where a CRC-32 of all that follows it stands; None if nothing is one."""
+    """Offset of a CRC-32 of all bytes that follow it; None if there is none."""
     for place in range(min(32, len(valid) - 4)):
         if int.from_bytes(valid[place : place + 4], "little") == zlib.crc32(valid[place + 4 :]):
             return place

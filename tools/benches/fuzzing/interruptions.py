@@ -38,7 +38,7 @@ _WRITING: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
 class Replay(Executor):
-    """Renders every run once; asked again, it answers at once."""
+    """Executor that renders every run once, and returns the same result from then on."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[BodyRef, tuple[View, ...]], Rendered] = {}
@@ -65,7 +65,7 @@ def _hidden(folder: Path) -> list[str]:
 
 
 def left_over(folder: Path, whole: dict[str, str]) -> list[str]:
-    """What is wrong with a folder in which a packing of `whole` was cut short: files that are not whole."""
+    """Faults of a folder in which a packing of `whole` was cut short: files that are not whole."""
     found = contents(folder)
     wrong = [f"{name} is half-written or a stray" for name, digest in found.items() if whole.get(name) != digest]
     if MANIFEST_NAME in found and found != whole:
@@ -149,7 +149,7 @@ class Interrupted:
 
 
 def _writes(arguments: tuple[Any, ...]) -> bool:
-    """Whether an "open" of the audit is for writing."""
+    """True if an "open" event of the audit is for writing."""
     return bool(arguments[2] & _WRITING)
 
 

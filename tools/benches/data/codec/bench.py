@@ -149,7 +149,7 @@ def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
 
 
 def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
-    """The projector's share is what is more when it is there: one file holds all."""
+    """Cost of ours; the projector's share is the difference that its image makes, since one file holds all three."""
     camera, labels, projector = images
     nothing = np.zeros_like(projector)
     before = 0, 0.0, 0.0
@@ -204,7 +204,7 @@ class _Sizes:
 
 
 class _Rounding:
-    """What rounding the projector's range saves, costs and changes."""
+    """Bytes saved, time taken and pixels changed by rounding the projector's range."""
 
     def __init__(self, test: ShadowTest) -> None:
         self._test = test

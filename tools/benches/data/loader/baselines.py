@@ -1,4 +1,4 @@
-"""What `bench loader` measures against: how each opponent stores a pre-made set and reads it again.
+"""Baseline loaders of `bench loader`: each stores a pre-made set and reads it again.
 
 All are given the same images, write them once, and deliver what a training loop takes: float32 metres and uint8 labels,
 shuffled as for training. Metres are made where their documentation puts a transform: in the data set.
@@ -23,7 +23,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 
 
 class Premade(Sequence[RangeImage]):
-    """The images of the set that opponents store: those of this project's first epoch, made when asked for."""
+    """The images of the set that baselines store: those of this project's first epoch, made when asked for."""
 
     def __init__(self, images: RangeImages) -> None:
         self._images = images

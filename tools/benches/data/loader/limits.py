@@ -1,4 +1,4 @@
-"""What the loader is asked to reach beside its rivals, and whether it does."""
+"""Targets of the loader relative to the baselines, and whether it reaches them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def ratio(rounds: Rounds, workers: str, fast: str, slow: str) -> float | None:
 
 
 def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pngs: float) -> list[dict[str, Any]]:
-    """Every limit with what was measured; holds is None where a contender is missing."""
+    """Every limit with what was measured; holds is None where a loader is missing."""
     counts = sorted({count for by_workers in rounds.values() for count in by_workers}, key=int)
     found = [
         _limit(f"all / webdataset_png, {n} workers", ratio(rounds, n, "ours_all", "webdataset_png"), 2.5)
@@ -50,7 +50,7 @@ def _limit(what: str, measured: float | None, asked: float, most: bool = False) 
 
 
 def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:
-    """Bytes a sample that PNG images of all variants take, on at most 60 samples of the set."""
+    """Bytes that PNG images of all five variants take per sample, on at most 60 samples of the set."""
     total, length = 0, len(images["all"])
     count = min(_PNG_SAMPLES, length)
     for seen in images.values():

@@ -1,4 +1,4 @@
-"""MosaicML Streaming as an opponent of `bench loader`."""
+"""MosaicML Streaming as a baseline of `bench loader`."""
 
 from __future__ import annotations
 

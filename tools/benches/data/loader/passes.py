@@ -1,4 +1,4 @@
-"""Contenders of `bench loader`: opened, checked by a first pass, and run over their set again and again."""
+"""Passes of `bench loader`: every loader is opened, checked by a first pass, and run over their set again and again."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SEED: Final = 0
 
 @dataclass
 class Passes:
-    """What was measured of a contender. rates: samples a second, one a round. seconds: of processor, workers included,
+    """Measurements of one loader. rates: samples a second, one a round. seconds: of processor, workers included,
     and samples: in all rounds together; seconds is None where the system does not tell. worker_mb: `private_mb`.
     """
 
@@ -40,12 +40,12 @@ class _Open:
 
 
 def checksum(range_m: Any, labels: Any) -> int:
-    """Of one image's contiguous arrays, float32 metres and uint8 labels."""
+    """CRC-32 of one image's contiguous arrays, float32 metres and uint8 labels."""
     return zlib.crc32(labels, zlib.crc32(range_m))
 
 
 def checksum_of(image: RangeImage) -> int:
-    """Of what a loader must deliver for `image`."""
+    """CRC-32 of the arrays that a loader must deliver for `image`."""
     return checksum(image.range.astype(np.float32) * np.float32(RANGE_STEP_M), image.labels)
 
 

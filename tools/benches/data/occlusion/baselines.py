@@ -1,4 +1,4 @@
-"""Ways to ask a shadow map, which `bench occlusion` measures beside the default."""
+"""Ways to test a shadow map, which `bench occlusion` measures beside the default."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Meth
 
 DEFAULT: Final = Method("interpolated, votes at edges", SURFACE_GAP_M * 1000, reached)
 NEAREST: Final = _compare("nearest texel", 20.0, nearest)
-"""The default's closest rival."""
+"""The default's closest baseline."""
 
 METHODS: Final = (
     DEFAULT,

@@ -108,7 +108,7 @@ def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[int, Sh
 
 
 def _setting(row: dict[str, Any]) -> dict[str, Any]:
-    """What tells a method from all others, and its costs."""
+    """The settings that identify a method, and its costs."""
     return {key: row[key] for key in ("name", "bias", "projector_scale", "facing_bit", "stored", "form", *_COSTS)}
 
 

@@ -1,4 +1,4 @@
-"""The default's closest rival compiled as the default is: the nearest texel, which must not be nearer than the bias."""
+"""The default's closest baseline, compiled: the nearest texel must not be nearer than the point by over the bias."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _kernel = partial(compiled, feature="bench occlusion")
 
 @_kernel
 def nearest_image(shadow: Any, bias: Any, scratch: Any, answer: Any) -> None:
-    """Whether each pixel is lit, into `answer`, flat; bias: float32, in steps."""
+    """Write into `answer`, flat, whether each pixel is lit; bias: float32, in steps."""
     camera_range, projector_range = shadow.camera_range, shadow.projector_range
     edges, marks, start = scratch.edges, scratch.marks, scratch.start
     x, y, away = scratch.floats[0], scratch.floats[1], scratch.floats[2]

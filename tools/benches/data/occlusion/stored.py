@@ -1,4 +1,4 @@
-"""What a sample must hold for a way to make the shadow: images, their bytes, the time to decode them."""
+"""Storage that each shadow test needs in a sample: images, their bytes, the time to decode them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class StoredImage:
 
     @cached_property
     def cost(self) -> Cost:
-        """Of the codec's two ways to hold ranges, which are meant for projector and camera, the smaller one's."""
+        """Cost of the smaller of the codec's two encodings of ranges, that of the projector and that of the camera."""
         as_runs = coded(_NOTHING, _UNLABELLED, self.image)
         labels = np.where(self.image > 0, 0, BACKGROUND).astype(np.uint8)
         return min(as_runs, coded(self.image, labels, _NOTHING))
@@ -63,12 +63,12 @@ class Storage:
     _points: dict[tuple[int, bool], tuple[Floats, Floats, Floats]] = field(default_factory=dict)
 
     def whole(self, method: Method) -> StoredImage:
-        """All texels. What is stored of them gives the same mask."""
+        """The image with all texels; the stored one gives the same mask."""
         scale = method.projector_scale
         return self._whole.setdefault(scale, StoredImage(self.view.projector_range[scale]))
 
     def of(self, method: Method) -> StoredImage:
-        """What a sample holds for a method."""
+        """The image that a sample holds for a method."""
         if method.stored == "whole":
             return self.whole(method)
         if method not in self._stored:
@@ -149,7 +149,7 @@ def _places(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> lis
 
 
 def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
-    """What holds for the texels of an image, from what holds for those of the framed one, which repeats its border."""
+    """Values for the texels of an image, joined from those of the framed image, which repeats its border."""
     for inner, outer in ((1, 0), (-2, -1)):
         frame[inner] = join(frame[inner], frame[outer])
         frame[:, inner] = join(frame[:, inner], frame[:, outer])
@@ -157,7 +157,7 @@ def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
 
 
 def facing_bytes(view: ExactView) -> int:
-    """What the facing bit adds to the coded labels, bytes."""
+    """Bytes that the facing bit adds to the coded labels."""
     return _label_bytes(view, view.facing) - _label_bytes(view, np.zeros_like(view.facing))
 
 

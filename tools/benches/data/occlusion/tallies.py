@@ -83,7 +83,7 @@ class Tally:
         return least_seconds(lambda: self._lit(storage, storage.of(self.method)), _RUNS)
 
     def row(self, facing_bytes: int) -> dict[str, Any]:
-        """What the bench writes of this method."""
+        """The method's row of the JSON."""
         method = self.method
         false_lit, false_dark, pixels = (int(count) for count in self._errors[ORDINARY])
         tests, decodings = zip(*self._times, strict=True)
@@ -127,7 +127,7 @@ def time_all(tallies: list[Tally], storage: Storage, start: int) -> None:
 
 
 class Compiled:
-    """The default and its closest rival, compiled, at several sizes of the projector's image; none without numba."""
+    """The default and its closest baseline, compiled, at several sizes of the projector's image; none without numba."""
 
     def __init__(self) -> None:
         self._forms: dict[Method, Mask] = {}
@@ -157,7 +157,7 @@ class Compiled:
             self._times[method].append((fast, plain, stored.cost[1]))
 
     def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:
-        """What the bench writes; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
+        """Rows of the JSON; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
         return [
             plain[method]
             | {
@@ -203,7 +203,7 @@ class Masks:
 
 
 class WhereWrong:
-    """Where the default's errors are: beside an exact shadow edge, in which posture, and the worst of every scene."""
+    """Locations of the default's errors: beside exact shadow edges, by posture, and every scene's worst window."""
 
     def __init__(self) -> None:
         self._wrong = self._beside = self._grazing = 0
@@ -259,7 +259,7 @@ class WhereWrong:
 
 
 def share(count: int, total: int) -> float:
-    """Of `total` so many, 0 of nothing."""
+    """`count` as a share of `total`, rounded; 0 if `total` is 0."""
     return round(count / max(total, 1), 6)
 
 

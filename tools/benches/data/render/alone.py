@@ -1,6 +1,6 @@
-"""What each renderer does alone: the time of a view's two images, and their error against exact rays.
+"""Renderers alone: the time of a view's two images, and their error against exact rays.
 
-The ways are those of `bodyseg shard --renderer` and pyrender as it comes (`render_plain.py`), in turns in one process.
+The renderers are those of `bodyseg shard --renderer` and plain pyrender (`plain.py`), in turns in one process.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class _Plain:
 
 @dataclass
 class _Tally:
-    """Of one way, over all bodies. apart: differences of ranges, mm. outline: pixels that only one sees."""
+    """One renderer's sums over all bodies. apart: differences of ranges, mm. outline: pixels that only one sees."""
 
     seconds: float = 0.0
     apart: list[NDArray[np.float64]] = field(default_factory=list)

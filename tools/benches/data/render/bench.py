@@ -1,7 +1,7 @@
 """Rendering and packing: views a second against the plain way, where the time goes, what each saving brings.
 
 Both ways go from the same bodies and views to files on the disk, in turns, with two processes each: bodies to shards as
-`bodyseg shard` makes them, and bodies to PNG files by pyrender as it comes (`render_plain.py`). A round's clock starts
+`bodyseg shard` makes them, and bodies to PNG files by plain pyrender (`plain.py`). A round's clock starts
 when its first body is done, which is rendered alone.
 """
 
@@ -44,8 +44,8 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
 
     range_error_mm: stored camera ranges against pyrender's, drawn with one sample at each pixel's centre, median of the
     absolute difference. silhouette_error: share of the body's pixels that only one of the two sees. "plain_errors" says
-    the same of the plain way, and the share of its labels that differ. stages and steps: see `render_steps.py`. All
-    that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `render_alone.py`.
+    the same of the plain way, and the share of its labels that differ. stages and steps: see `steps.py`. All
+    that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `alone.py`.
     Raises BadConfig for no views.
     """
     if views < 1:
@@ -159,7 +159,7 @@ def _warm_up(name: str, executor: Executor, packing: Packing, body: BodyRef, vie
 
 
 def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) -> dict[str, dict[str, float]]:
-    """Of both ways against pyrender with one sample at each pixel's centre."""
+    """Errors of both ways against pyrender with one sample at each pixel's centre."""
     from benches.data.render.plain import PlainScenes
 
     apart: dict[str, list[Any]] = {"ours": [], "plain": []}

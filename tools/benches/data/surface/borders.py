@@ -92,7 +92,7 @@ def landmark_fields(body: Body, parts: Partition) -> NDArray[np.float64]:
 
 
 def _labels(body: Body, parts: Partition, faces: NDArray[np.int32], points: NDArray[np.float64]) -> dict[str, Any]:
-    """What each method says of points [N, 3] in triangles [N]."""
+    """Labels by each method of points [N, 3] in triangles [N]."""
     corners = parts.labels[body.mesh.faces[faces]]
     weights = body.mesh.barycentric(faces, points)
     # A triangle's label is the one that most of its corners have.

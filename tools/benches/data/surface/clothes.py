@@ -1,4 +1,4 @@
-"""`bench clothes`: how rough dressed bodies look to the rig, beside bare ones and beside a scanned man in clothes."""
+"""`bench clothes`: roughness of dressed bodies as the rig sees them, beside bare ones and a scanned man in clothes."""
 
 from __future__ import annotations
 

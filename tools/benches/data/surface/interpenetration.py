@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 
 def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
-    """How deep every vertex lies inside the body, and in which triangle it would come out.
+    """Depth of every vertex inside the body, and the triangle in which it would come out.
 
     A vertex is inside if the surface first met on the way outwards, along its normal, is seen from behind. Its depth is
     the least of three distances: that way; the way back, against its normal, to the first surface seen from behind,
@@ -50,7 +50,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     normals = mesh.vertex_normals
 
     def first(vertices: NDArray[np.intp], side: int) -> tuple[Floats, NDArray[np.int32]]:
-        """Distance to what a ray from just off the skin, outwards or inwards, meets; and which triangle from behind."""
+        """Distance along rays from just off the skin, out or in, and the triangle if it is met from behind."""
         ways = (side * normals[vertices]).astype(np.float32)
         starts = (mesh.vertices[vertices] - mesh.centre + side * _OUTSIDE_M * normals[vertices]).astype(np.float32)
         answer = scene.run(starts, ways, output=True)
@@ -78,7 +78,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
 def bench_interpenetration(
     views: int = 5, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> dict[str, Any]:
-    """How far the skin of the made bodies goes through itself: every `views`-th frame of each motion, all other poses.
+    """Measure how deep skin goes through itself: every `views`-th frame of each motion, all other poses.
 
     For every group of poses, in millimetres: "fold_mm", the deepest vertex within 0.45 m of the skin it meets, measured
     along the skin, as in groin, armpit, elbow and knee; "contact_mm", the deepest one farther from it: a limb in
@@ -135,7 +135,7 @@ class Skin:
         self._source = self._along.argmin(axis=0)
 
     def measured(self, mesh: Mesh, bare: Mesh) -> Depths:
-        """How deep a body goes through itself; `bare` is the same one undressed, whose first vertices are the skin's.
+        """Measure how deep a body goes through itself; bare: the same body undressed, its first vertices the skin's.
 
         Vertices that smaller triangles add count as the nearest of those.
         """

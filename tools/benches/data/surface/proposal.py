@@ -1,7 +1,7 @@
 """`bench proposal`: how far proposed landmarks are from placed ones, and how much of the surface that labels otherwise.
 
-Open bodies are decimated to half their triangles, and vertices and faces shuffled, so that nothing but the shape tells
-where landmarks are. All bodies are turned about the vertical by different angles.
+Open bodies are decimated to half their triangles, and vertices and faces shuffled, so that landmarks can be found by
+shape alone. All bodies are turned about the vertical by different angles.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MIT: Final = ("I_crane_0000", "I_crane_0040", "I_crane_0080", "I_crane_0120")
 _TURN_DEG: Final = 137.5  # from one body to the next, so that none faces as another does
 
 Placed = tuple[str, Mesh, NDArray[np.float64]]
-"""Name, mesh and the places [33, 3] of its landmarks."""
+"""Name, mesh and the positions [33, 3] of its landmarks."""
 
 
 def bench_proposal(

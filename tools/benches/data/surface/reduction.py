@@ -131,7 +131,7 @@ def subdivided(body: Body, longest_m: float) -> Body:
 
 
 class _Whole:
-    """A body and what is seen of it from some views, to measure coarser ones against."""
+    """A whole body and its images from some views, against which coarser meshes are measured."""
 
     def __init__(self, body: Body, views: int) -> None:
         self.body, self.rig = body, load_rig()
@@ -155,7 +155,7 @@ class _Whole:
         return images
 
     def errors(self, mesh: Mesh, parts: Partition) -> Row:
-        """What is wrong with a coarser mesh; ranges in mm, counts as shares of pixels."""
+        """Errors of a coarser mesh; ranges in mm, counts as shares of pixels."""
         apart, silhouette, labels, facing = [], 0, 0, 0
         for one, other in zip(self.see(mesh, parts), self.seen, strict=True):
             common = (one[0] > 0) & (other[0] > 0)

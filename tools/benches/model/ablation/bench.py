@@ -1,6 +1,6 @@
-"""`bench ablation`: what each thing modelled is worth and costs, and how many bodies and views suffice.
+"""`bench ablation`: the gain and cost of each modelled effect, and how many bodies and views suffice.
 
-Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one thing left out of, or added to, those of all-SEED.
+Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one effect left out of, or added to, those of all-SEED.
 docs/ablation.md says how to read the answer.
 """
 
@@ -47,7 +47,7 @@ _ACCURACY: Final = "average_per_class_accuracy"
 _MEASURES: Final = 4  # of costs, beside the exams
 
 Marks = dict[str, list[float]]
-"""Exam -> accuracy of each seed's network."""
+"""Condition -> accuracy of each seed's network."""
 
 
 def bench_ablation(
@@ -58,11 +58,11 @@ def bench_ablation(
     clothes: tuple[str, ...] | None = None,
     progress: Callable[..., None] = lambda done, total, note="": None,
 ) -> dict[str, Any]:
-    """Judge every training of `runs` by the same test images, and measure what each thing costs.
+    """Evaluate every training of `runs` on the same test images, and measure the cost of each effect.
 
     data: the set that was trained on. runs: folders of trainings, NAME-SEED. images: test images of each kind. hard: a
-    set of hard poses to ask about as well. clothes: two sets of the same views, of dressed bodies and of bare ones, to
-    ask about trainings on either. Trains nothing: "missing" names the command of every training that is not there.
+    set of hard poses to test on as well. clothes: two sets of the same views, of dressed bodies and of bare ones, for
+    trainings on either. Trains nothing: "missing" names the command of every training that is not there.
     Scores are kept in each run's cached_results.json.
 
     Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
@@ -113,7 +113,7 @@ def bench_ablation(
 
 
 def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[Condition]:
-    """The exams for which the sets have images."""
+    """The conditions for which the sets have images."""
     conditions = [
         *CONDITIONS,
         *([hard_condition(hard)] if hard is not None else []),
@@ -134,7 +134,7 @@ def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) ->
 def _asked(
     data: str, images: int, jobs: Sequence[tuple[AblationRow, Condition, Run]], progress: Callable[..., None]
 ) -> dict[str, Marks]:
-    """Thing -> exam -> accuracy of each seed."""
+    """Row -> condition -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
     networks: dict[Path, nn.Module] = {}
     marks: dict[str, Marks] = {}

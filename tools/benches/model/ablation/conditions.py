@@ -1,4 +1,4 @@
-"""The test images that `bench ablation` shows to every network, each kind to ask about one thing."""
+"""Test images of `bench ablation`, the same for every network: each kind tests one effect."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Condition(Setting):
     """Test images of one kind. label: its name in the answer; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
-    step_mm: what ranges are rounded to, last of all. data: another set than that asked about.
+    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench.
     """
 
     label: str = ""
@@ -69,12 +69,12 @@ CONDITIONS: Final = (
 
 
 def hard_condition(data: str) -> Condition:
-    """The exam of a set of hard poses."""
+    """The condition of a set of hard poses."""
     return Condition("all", label="hard", title="hard poses", data=data)
 
 
 def clothes_conditions(dressed: str, bare: str) -> tuple[Condition, ...]:
-    """The exams of those who wear something, and of the same bodies bare, of two sets that are alike otherwise."""
+    """The conditions of dressed bodies, and of the same bodies bare, in two sets that are alike otherwise."""
     worn = ("*-B-*", "*-C-*")
     return (
         Condition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
@@ -83,12 +83,12 @@ def clothes_conditions(dressed: str, bare: str) -> tuple[Condition, ...]:
 
 
 def coarse_conditions(step_mm: float) -> tuple[Condition, ...]:
-    """The exams that networks trained on fine steps sit with coarse ones, labelled like those with fine ones."""
+    """The conditions with coarse steps, for networks trained on fine steps; labelled like those with fine ones."""
     return tuple(Condition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
 
 
 class ConditionImages(RangeImages):
-    """Test images as an exam shows them: as the variant does, then with losses, then rounded."""
+    """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: Condition) -> None:
         usual = Artifacts()
@@ -136,7 +136,7 @@ class ConditionImages(RangeImages):
 
 
 def steps_of(step_mm: float) -> int:
-    """How many stored steps a coarser one has."""
+    """Number of stored steps in one of `step_mm`."""
     return round(step_mm / 1e3 / RANGE_STEP_M)
 
 

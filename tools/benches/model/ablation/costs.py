@@ -1,6 +1,6 @@
-"""What each thing of `bench ablation` costs, with and without, measured side by side in one process.
+"""Costs of each effect of `bench ablation`, with and without it, measured side by side in one process.
 
-Times are of the processor, all threads together, so that other work on the machine counts for nothing; each is asked
+Times are of the processor, all threads together, so that other work on the machine does not count; each is measured
 once a round, in an order that rotates.
 """
 
@@ -41,7 +41,7 @@ _NETWORK_S: Final = 15.0
 
 
 def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) -> Tree:
-    """Milliseconds of processor of one of the `each` things that a job does: median and quartiles over the rounds."""
+    """Milliseconds of processor of a job, divided by `each`, its number of items: median and quartiles over rounds."""
     names = list(jobs)
     found: dict[str, list[float]] = {name: [] for name in names}
     for number in range(rounds + 1):
@@ -59,7 +59,7 @@ def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) 
 
 
 def loader_costs(data: str) -> Tree:
-    """Of a sample made in the loader, from shard to image, for the base, no artifact, and all other artifacts."""
+    """Time of a sample in the loader, from shard to image: the base, no artifact, and each row that differs in them."""
     known = [ROW_OF_BASE, replace(ROW_OF_BASE, name="none", variant="none")]
     known += [thing for thing in ROWS if thing.group in ("artifacts", "sub-kinds")]
     images = {each.name: RangeImages(data, each.variant, "train", artifacts=each.artifacts) for each in known}
@@ -105,7 +105,7 @@ def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
 
 
 def rendering_costs(rig: Rig) -> Tree | None:
-    """Of a sample of a dressed body, from its parameters to images and labels, and of the same bodies undressed.
+    """Time of a sample of a dressed body, from its parameters to images and labels, and of the same bodies undressed.
 
     None without Anny.
     """
@@ -131,7 +131,7 @@ def _render(source: MadeBodies, bodies: Sequence[BodyRef], rig: Rig) -> None:
 
 
 def costs_of(thing: AblationRow, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
-    """What a thing costs, one entry a kind: what, with it, without it. samples: trained on, in the row and its base."""
+    """Costs of a row's effect, one entry a kind: what, with, without. samples: trained on, in the row and its base."""
     found = []
 
     def add(what: str, have: float, lack: float) -> None:

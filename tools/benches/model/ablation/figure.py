@@ -29,7 +29,7 @@ _AMOUNTS: Final = {"bodies": "bodies trained on", "views": "views of each body t
 
 
 def draw_ablation(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_ablation`'s answer: a row for each thing, and accuracy by number of bodies and of views.
+    """Write a PNG of `bench_ablation`'s answer: a row for each effect, and accuracy by number of bodies and of views.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """

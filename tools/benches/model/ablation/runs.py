@@ -31,7 +31,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the base was trained on, and how."""
+    """Recipe and network settings of the base."""
 
     recipe: Recipe
     settings: dict[str, Any]
@@ -69,7 +69,7 @@ def plan_of(run: Run) -> Plan:
 
 
 def check_run(run: Run, plan: Plan, expected: Tree) -> None:
-    """Raise BadConfig, naming what differs, unless a training differs from the base in its one thing alone.
+    """Raise BadConfig, naming what differs, unless a training differs from the base in its row's effect alone.
 
     plan: the base's. expected: "data": identity of the images trained on.
     """
@@ -92,7 +92,7 @@ def check_run(run: Run, plan: Plan, expected: Tree) -> None:
 
 
 def sets_of(data: str, clothes: tuple[str, ...] | None) -> dict[Source, str]:
-    """Which set is which."""
+    """Source -> address of its set."""
     if clothes is None:
         return {"": data}
     if len(clothes) != 2:
@@ -101,7 +101,7 @@ def sets_of(data: str, clothes: tuple[str, ...] | None) -> dict[Source, str]:
 
 
 def identities(sets: Mapping[Source, str], things: Sequence[AblationRow]) -> dict[str, Tree]:
-    """Thing -> what its training images are, and how many, of how many bodies and views."""
+    """Row -> identity of its training images, and how many they are, of how many bodies and views."""
     found = {}
     for thing in {thing.name: thing for thing in things}.values():
         path = sets[thing.source]
@@ -122,7 +122,7 @@ def identities(sets: Mapping[Source, str], things: Sequence[AblationRow]) -> dic
 def missing(
     found: Sequence[Run], things: Sequence[AblationRow], plan: Plan, sets: Mapping[Source, str], folders: Sequence[Path]
 ) -> list[Tree]:
-    """The trainings that are not there, and what makes them."""
+    """The missing trainings, and the commands that make them."""
     there = {run.thing.name for run in found}
     return [
         {"name": f"{thing.name}-0", "command": _command(thing, plan.recipe, sets[thing.source], folders[-1])}

@@ -25,7 +25,7 @@ Tree = dict[str, Any]
 
 
 class Failures(dict[str, Any]):
-    """The bench's answer, plain JSON; and beside it what no JSON should hold, the pictures of the worst images.
+    """The bench's results, plain JSON; and beside them the pictures of the worst images, which no JSON holds.
 
     pictures: name of a set, as in "sets" -> one for each of its "worst", in their order.
     """

@@ -1,7 +1,7 @@
-"""Why a pixel is wrong: eleven causes, each an exact rule; docs/failures.md says why they are asked in this order.
+"""Causes of wrong pixels: eleven, each an exact rule; docs/failures.md says why they are tried in this order.
 
-Rules about a place look at the clean sample and at what the variant left of it; rules about a mistake look at what the
-network said; rules about an image hold for all of its pixels or for none.
+Rules about a place depend on the clean sample and on what the variant left of it; rules about a mistake on the
+network's prediction; rules about an image hold for all of its pixels or for none.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ CAUSES: Final = (
     ),
     Cause("unexplained", "a mistake", "none of the above", "unknown"),
 )
-"""In the order in which they are asked: the first whose rule holds is a pixel's cause."""
+"""In the order in which they are tried: the first whose rule holds is a pixel's cause."""
 
 NAMES: Final = tuple(cause.name for cause in CAUSES)
 
@@ -140,7 +140,7 @@ _JOINED: Final[dict[str, tuple[str, ...]]] = {
 
 
 def _adjoining() -> NDArray[np.bool_]:
-    """Whether two parts adjoin on the body, or are the same, bool [33, 33]."""
+    """True where two parts adjoin on the body, or are the same: bool [33, 33]."""
     labels = {part.landmark: part.label for part in PARTS}
     found = np.eye(PART_COUNT, dtype=np.bool_)
     for name, others in _JOINED.items():
@@ -164,7 +164,7 @@ _STRANGERS: Final[NDArray[np.uint64]] = np.array(
 
 
 class Judged(NamedTuple):
-    """One image and what a network said of it; predicted: uint8 [H, W]. new_pose_deg: NaN if it is not known."""
+    """One image and a network's labels of it; predicted: uint8 [H, W]. new_pose_deg: NaN if it is not known."""
 
     clean: Sample
     shown: RangeImage
@@ -173,7 +173,7 @@ class Judged(NamedTuple):
 
 
 def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
-    """Which causes' rules hold at the pixels that were measured, bool [11, N], reading order, causes as in `CAUSES`.
+    """Evaluate all causes' rules at the pixels that were measured: bool [11, N], reading order, causes as in `CAUSES`.
 
     Rules about a mistake hold nowhere else than at wrong pixels; "unexplained" holds at all of those. camera: the one
     that took the images.
@@ -212,7 +212,7 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
 
 
 def parts_within(labels: NDArray[np.uint8], reach: int) -> NDArray[np.uint64]:
-    """Which parts lie within `reach` rows and columns of each pixel: bit n for part n, uint64 [H, W]."""
+    """Parts within `reach` rows and columns of each pixel: bit n for part n, uint64 [H, W]."""
     seen = _BITS[labels]
     for _ in range(2):  # along rows, then columns; each transposes
         seen = np.pad(seen, ((reach, reach), (0, 0)))

@@ -1,4 +1,4 @@
-"""What `bench failures` keeps of the images that it sees: counts by cause and by pose, and the worst images."""
+"""Results of `bench failures`, collected image by image: counts by cause and by pose, and the worst images."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CAUSES_TOLD: Final = 3
 
 
 class Picture(NamedTuple):
-    """What a body takes of one image: range uint16, the others uint8, all [h, w]. causes: a cause's place in `CAUSES`,
+    """The part of one image around its body: range uint16, the others uint8, all [h, w]. causes: index in `CAUSES`,
     BACKGROUND where nothing was measured or nothing is wrong.
     """
 
@@ -237,7 +237,7 @@ def _facts(info: SampleInfo) -> Tree:
 
 
 def _shares(counts: NDArray[np.int64]) -> dict[str, float]:
-    """Of the causes that claim most, the largest first."""
+    """Shares of the causes that claim most, the largest first."""
     order = np.argsort(-counts, kind="stable")[:_CAUSES_TOLD]
     return {NAMES[number]: round(int(counts[number]) / int(counts.sum()), 3) for number in order if counts[number]}
 

@@ -1,6 +1,6 @@
-"""`bench architectures`: networks of several families, trained the same way, one against the other.
+"""`bench architectures`: networks of several families, trained the same way, compared with each other.
 
-All are judged by the same test images of `all` and timed in turns on the same frames, a random forest of depth
+All are evaluated on the same test images of `all` and timed in turns on the same frames, a random forest of depth
 differences among them. docs/architectures.md says how to read the answer.
 """
 
@@ -41,7 +41,7 @@ TITLES: Final = {
     "deeplab": "DeepLabV3+ on MobileNetV2",
     FOREST: "forest of depth differences",
 }
-"""Family -> what charts call it."""
+"""Family -> its title in charts."""
 
 _TASKS: Final[tuple[Task, ...]] = ("scores", "labels")
 _HEADLINES: Final = {
@@ -150,7 +150,7 @@ def _facts(group: Sequence[Run], frame: NDArray[Any]) -> Tree:
 
 
 def _label(run: Run, settings: Tree) -> str:
-    """What charts call a network: its family, then what of the width or of the image it has, or else its own name."""
+    """Label of a network in charts: its family, then its share of the width or of the image, or else its own name."""
     shares = {"width": Fraction(settings.get("width", 1)), "image": Fraction(1, settings.get("shrink", 1))}
     words = [f"{what} {share.limit_denominator(99)}" for what, share in shares.items() if share < 1]
     words = words or [run.name.removeprefix(run.family).strip("_-").replace("_", " ")]
@@ -184,7 +184,7 @@ def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
 
 
 def _cells() -> list[Cell]:
-    """All ways to ask."""
+    """All cells that are timed."""
     cells = [Cell(frame, task, "cpu", processors(), "float32") for frame in (FILLED, TYPICAL) for task in _TASKS]
     if torch.cuda.is_available():
         cells.append(Cell(FILLED, "scores", "cuda", processors(), "float32"))
@@ -192,7 +192,7 @@ def _cells() -> list[Cell]:
 
 
 def _row(cell: Cell, networks: dict[str, nn.Module], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
-    """What one way of asking took; the forest knows the processor alone."""
+    """Times of all networks in one cell; the forest runs on the processor alone."""
     device = torch.device(cell.device)
     asked = {name: one.to(device) for name, one in networks.items() if cell.device == "cpu" or name != FOREST}
     shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames

@@ -155,7 +155,7 @@ def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> d
 
 
 def _cells() -> list[Cell]:
-    """All ways to ask, quick ones first."""
+    """All cells that are timed, quick ones first."""
     threads = sorted({1, processors()})
     small = (FILLED, TYPICAL)
     cells = [

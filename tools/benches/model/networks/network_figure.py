@@ -23,7 +23,7 @@ _FAINT: Final = "#8a8a8a"
 
 
 def draw_network(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_network`'s answer: a row for each way to ask, a mark for each network, on a log scale.
+    """Write a PNG of `bench_network`'s answer: a row for each cell, a mark for each network, on a log scale.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -98,7 +98,7 @@ def _way(row: Tree) -> str:
 
 
 def _beside(row: Tree, names: list[str]) -> str:
-    """How many times as long the others took, and how many frames a second the reference does."""
+    """Times of the others as multiples of the reference's, and the reference's frames a second."""
     times = ", ".join(f"{row['networks'][name]['times_as_long']:.3g} ×" for name in names[1:])
     return f"{times}   ({row['networks'][names[0]]['frames_per_second']:.3g} frames/s)"
 

@@ -1,4 +1,4 @@
-"""The images that `bench network` shows to networks."""
+"""Frames on which `bench network` times networks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`bench sensors`: how well a network labels what other cameras see, by what is made of their frames before.
+"""`bench sensors`: accuracy of a network on frames of other cameras, by how the frames are resampled before.
 
 Bodies of the open set's test split are drawn as each camera would see them, with nothing round them and no artifact:
 what is measured is geometry alone. docs/segment.md says how to read the answer.
@@ -78,7 +78,7 @@ def bench_sensors(
 ) -> dict[str, Any]:
     """Average per-class accuracy in each scene by every one of `METHODS`.
 
-    views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network to ask is in the first of them; without, it
+    views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network is in the first of them; without, it
     is the one that ships. in_view: the share of the bodies' vertices that the frames hold, hidden ones counted. Raises
     BadConfig for no body or no network, MissingLibrary without Anny.
     """
@@ -130,7 +130,7 @@ def label(network: nn.Module, range_m: Image, camera: Camera, method: Method) ->
 
 
 def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera) -> tuple[Image, Labels]:
-    """What a camera sees of a body, and the parts."""
+    """Range image of a body by a camera, metres, and the labels of its parts."""
     seen = renderer.see(placed)
     rows, columns = np.nonzero(seen.face >= 0)
     truth = np.full(seen.face.shape, BACKGROUND, np.uint8)

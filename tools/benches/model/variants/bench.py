@@ -1,7 +1,7 @@
-"""`bench variants`: what training with each artifact is worth, and how robust that makes a network (Figs. 7 and 8).
+"""`bench variants`: the gain of training with each artifact, and the robustness that it gives (Figs. 7 and 8).
 
-One network for each of the five variants and each seed, alike in everything else, is judged on the test images of all
-five variants and on two sweeps of exact strengths. docs/variants.md says how to read the answer.
+One network for each of the five variants and each seed, alike in everything else, is evaluated on the test images of
+all five variants and on two sweeps of exact strengths. docs/variants.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bodyseg_model.training.distributed import ProcessGroup, find_device
 from bodyseg_model.training.loop import Metrics
 
 _PASSES: Final = 3
-"""An image trained on takes about as long as so many that are only looked at: forwards, and twice as much backwards."""
+"""Forward passes that take as long as training on one image: one forward, and a backward of about two."""
 
 
 def bench_variants(
@@ -39,7 +39,7 @@ def bench_variants(
     alone: bool = False,
     progress: Callable[..., None] = lambda done, total, note="": None,
 ) -> dict[str, Any]:
-    """Train what is missing in the folder `runs`, then judge every network by the same `images` test images of `data`.
+    """Train what is missing in the folder `runs`, then evaluate every network on the first `images` of `data`.
 
     Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
     the preset's. Scores are kept in each run's cached_results.json. alone: sweep noise and missing data by themselves,
@@ -140,7 +140,7 @@ def _origin(run: Run, card: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Work:
-    """How much of the whole is done, in images looked at, for whoever watches."""
+    """Progress of the whole bench, counted in images that networks have processed."""
 
     trainings: list[Run]
     plan: Plan

@@ -1,4 +1,4 @@
-"""What section 4 of the paper claims of Figs. 5 to 8, as statements that our figures bear out or do not.
+"""Claims of section 4 of the paper about Figs. 5 to 8, as statements that our figures bear out or do not.
 
 Where the paper gives no number ("highly robust"), the bound is ours and stands in the statement. A statement is judged
 by means over seeds; differences are taken between networks of one seed.
@@ -34,8 +34,8 @@ def accuracies(ask: Ask, variant: VariantName, setting: Setting) -> list[float]:
 def claims(ask: Ask, alone: bool) -> list[Tree]:
     """Every statement with the section it is from, the paper's number if it gives one, ours, and whether it holds.
 
-    holds: None where it cannot be judged, for want of a subset. alone: whether the sweeps without other artifacts may
-    be asked for.
+    holds: None where it cannot be judged, for want of a subset. alone: whether the sweeps without other artifacts were
+    measured.
     """
     return [
         *_whole_set(ask),

@@ -1,4 +1,4 @@
-"""What `bench variants` asks every network, and the answers, kept beside the network.
+"""Conditions under which `bench variants` evaluates every network, and the scores, kept beside the network.
 
 Section 3.6 of the paper: "test images always include random additive noise, missing data, and occlusions". So where it
 sweeps one artifact (Figs. 7 and 8), the other two are as in X_all: the images of that set, each with the same strength
@@ -43,7 +43,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The condition in words."""
         strengths = [f"sigma {self.noise_mm:g} mm"] if self.noise_mm is not None else []
         strengths += [f"{self.missing:.0%} missing"] if self.missing is not None else []
         return ", ".join([self.variant, *strengths])
@@ -79,7 +79,7 @@ SWEEPS_ALONE: Final = {
 
 
 class Evaluator:
-    """Asks one network after the other, and does not ask again what is kept in its folder."""
+    """Evaluates networks, each condition once: scores are kept in the network's folder."""
 
     def __init__(self, data: str, images: int) -> None:
         self._data, self._count = data, images
@@ -87,7 +87,7 @@ class Evaluator:
         self._caches: dict[tuple[Path, str], ResultCache] = {}
 
     def images(self, setting: Setting) -> RangeImages:
-        """The test images of a setting; the last ones stay open."""
+        """The test images of a condition; the last ones stay open."""
         if self._opened is None or self._opened[0] != setting:
             self._opened = setting, setting.open(self._data)
         return self._opened[1]
@@ -116,7 +116,7 @@ class Evaluator:
         return found
 
     def _cache(self, folder: Path, settings: str) -> ResultCache:
-        """Of a run's folder. settings: the module that makes the images."""
+        """The cache in a run's folder. conditions: the module that makes the images."""
         key = folder, settings
         if key not in self._caches:
             self._caches[key] = ResultCache(folder / FILE, network_identity(folder), __name__, settings)
