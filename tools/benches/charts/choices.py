@@ -89,12 +89,12 @@ def _renderer(figures: Field) -> tuple[Panel, ...]:
         panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"].text()))
     if figures.get("range_error_mm") is not None:  # null where pyrender, which it is measured with, cannot draw
         speeds, plain = figures["views_per_second"], figures["plain_errors"]
-        ours, rival = (
+        ours, baseline = (
             _rendered("bodyseg shard", _ms(speeds["ours"]), figures["range_error_mm"], figures["silhouette_error"]),
             _rendered("pyrender, PNG files", _ms(speeds["plain"]), plain["range_mm"], plain["silhouette"]),
         )
         processes = f"{figures['workers'].number():.0f} processes"
-        panels.append(Panel(f"from bodies to files, {processes}", (ours, rival), ours.name))
+        panels.append(Panel(f"from bodies to files, {processes}", (ours, baseline), ours.name))
     return tuple(panels)
 
 
@@ -246,7 +246,7 @@ CHOICES: Final = (
         "shadow_test",
         "occlusion",
         "Which test for the projector's shadow?",
-        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: not what exact shadow rays say.",
+        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: other than exact shadow rays.",
         Axis("µs of processor a view, decoding and test", "time"),
         Axis("wrong pixels, % of the foreground", "error", factor=100),
         _shadow_test,

@@ -48,17 +48,17 @@ class Shortfall:
     y_share: float
 
 
-def unbeaten(things: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
+def pareto_front(items: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
     """The Pareto front of some items, by rising costs. costs: of one item, as many of each, all better if smaller.
 
     Items with the same costs stay or go together.
     """
-    priced = [(thing, tuple(costs(thing))) for thing in things]
-    kept = [(mine, thing) for thing, mine in priced if not any(beats(other, mine) for _, other in priced)]
-    return [thing for _, thing in sorted(kept, key=lambda pair: pair[0])]
+    priced = [(item, tuple(costs(item))) for item in items]
+    kept = [(mine, item) for item, mine in priced if not any(dominates(other, mine) for _, other in priced)]
+    return [item for _, item in sorted(kept, key=lambda pair: pair[0])]
 
 
-def beats(costs: Sequence[float], others: Sequence[float]) -> bool:
+def dominates(costs: Sequence[float], others: Sequence[float]) -> bool:
     """Pareto dominance: True if no cost is larger than the other one of its index, and one is smaller."""
     pairs = [*zip(costs, others, strict=True)]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
@@ -66,7 +66,7 @@ def beats(costs: Sequence[float], others: Sequence[float]) -> bool:
 
 def front(points: Sequence[Point], x: Axis, y: Axis) -> tuple[Point, ...]:
     """The Pareto front of some points, by rising x. Points with the same x and y stay or go together."""
-    kept = unbeaten(points, lambda point: _costs(point, x, y))
+    kept = pareto_front(points, lambda point: _costs(point, x, y))
     return tuple(sorted(kept, key=lambda point: (point.x, point.y)))
 
 
@@ -75,7 +75,7 @@ def shortfalls(point: Point, points: Sequence[Point], x: Axis, y: Axis) -> tuple
     found = [
         Shortfall(one, _share(x.gain(one.x, point.x), point.x), _share(y.gain(one.y, point.y), point.y))
         for one in front(points, x, y)
-        if beats(_costs(one, x, y), _costs(point, x, y))
+        if dominates(_costs(one, x, y), _costs(point, x, y))
     ]
     return tuple(sorted(found, key=lambda fall: -(fall.x_share + fall.y_share)))
 

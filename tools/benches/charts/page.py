@@ -84,7 +84,7 @@ def _percent(value: Any, decimals: int = 0) -> str:
 
 def _checked(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value} is no number")  # to write what is undefined raises, and says what it is
+        raise TypeError(f"{value} is no number")  # writing an undefined value raises its own message
     return value
 
 

@@ -42,7 +42,7 @@ SECONDS_EACH: Final = 2.0
 """The processor time that one input may take; the largest image allowed takes a second."""
 
 _HANG_S: Final = 60.0
-_MEMORY: Final = 1 << 32  # that a process may ask for beyond what it has when it begins
+_MEMORY: Final = 1 << 32  # that a process may allocate beyond what it has when it begins
 _SLACK: Final = 4 << 20  # libraries' own, once
 _TIMES_DECLARED: Final = 5  # the arrays themselves, what is unpacked for them, and steps between the two
 _TIMES_INPUT: Final = 100  # an object of Python for a letter or two of JSON

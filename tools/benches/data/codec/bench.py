@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.charts.fronts import unbeaten
-from benches.data.codec.baselines import Baseline, rivals
+from benches.charts.fronts import pareto_front
+from benches.data.codec.baselines import Baseline, baselines
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -70,15 +70,15 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     """
     if views < 1:
         raise BadConfig(f"at least one view must be measured, found {views}")
-    others = rivals()
-    costs = {rival.name: {kind: _Costs() for kind in _IMAGES} for rival in others}
+    others = baselines()
+    costs = {baseline.name: {kind: _Costs() for kind in _IMAGES} for baseline in others}
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
     sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
     for done, (sample, exact) in enumerate(_samples(views), start=1):
         images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
         for turn in range(len(others)):
-            rival = others[(turn + done) % len(others)]
-            _measure(rival, images, costs[rival.name])
+            baseline = others[(turn + done) % len(others)]
+            _measure(baseline, images, costs[baseline.name])
         for name, kinds in ours.items():
             with _computed_by("compiled" if name == DEFAULT else "numpy"):
                 _measure_ours(images, kinds)
@@ -89,7 +89,7 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     return {
         "default": DEFAULT,
         "codecs": rows,
-        "front": unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"])),
+        "front": pareto_front(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"])),
         "projector": rounding.row(),
         "png_sets": sizes.row(),
         "views": views,
@@ -134,14 +134,14 @@ def _computed_by(choice: str) -> Iterator[None]:
         kernels.use_compiled.cache_clear()
 
 
-def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
+def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
-        rounds = 1 if "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
-        encode_s, data = _timed(lambda image=image, background=background: rival.encode(image, background), 1)  # type: ignore[misc]
-        decode_s, decoded = _timed(lambda data=data: rival.decode(data), rounds)  # type: ignore[misc]
+        rounds = 1 if "effort" in baseline.name else _ROUNDS  # slow ones' times need no polish
+        encode_s, data = _timed(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
+        decode_s, decoded = _timed(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
         if not np.array_equal(decoded, image):
-            raise AssertionError(f"{rival.name} is not lossless")
+            raise AssertionError(f"{baseline.name} is not lossless")
         cost = costs[kind]
         cost.bytes.append(len(data))
         cost.encode_s.append(encode_s)

@@ -44,9 +44,9 @@ def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pn
     return found
 
 
-def _limit(what: str, measured: float | None, asked: float, most: bool = False) -> dict[str, Any]:
-    holds = None if measured is None else (measured <= asked if most else measured >= asked)
-    return {"what": what, "at_most" if most else "at_least": asked, "measured": measured, "holds": holds}
+def _limit(what: str, measured: float | None, target: float, most: bool = False) -> dict[str, Any]:
+    holds = None if measured is None else (measured <= target if most else measured >= target)
+    return {"what": what, "at_most" if most else "at_least": target, "measured": measured, "holds": holds}
 
 
 def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:

@@ -29,7 +29,7 @@ Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 """Projector range, x, y, range of points -> whether light gets there, as `occlusion.reached`."""
 
 Stored = Literal["whole", "occluder", "coarse"]
-"""All texels; those that can shade a pixel; those, rounded as far as no pixel's answer changes."""
+"""All texels; those that can shade a pixel; those, rounded as far as no pixel's result changes."""
 
 _TORN: Final = np.int32(round(EDGE_M / RANGE_STEP_M))  # a larger difference between neighbours is no slope
 
@@ -39,7 +39,7 @@ class Method:
     """One way to make the mask.
 
     bias_mm: how far behind what the projector sees a point may be. facing_bit: whether surfaces that face away count as
-    dark without asking the map. texels: how many texels a point reads, 1 or 4, and 5 for slopes' neighbours. stored:
+    dark without a look at the map. texels: how many texels a point reads, 1 or 4, and 5 for slopes' neighbours. stored:
     what of the projector's image a sample must hold. compares: whether the rule only compares single texels with a
     point's range.
     """
@@ -56,13 +56,13 @@ class Method:
     def lit(self, test: ShadowTest, images: Images) -> NDArray[np.bool_]:
         """The mask, bool [H, W]; NumPy alone."""
         camera_range, projector_range, facing = images
-        asked = camera_range > 0
+        tested = camera_range > 0
         if self.facing_bit:
-            asked &= facing
-        answer = np.zeros(camera_range.shape, np.bool_)
-        pixels, x, y, away = test.project(camera_range, np.flatnonzero(asked))
-        answer.ravel()[pixels] = self.rule(projector_range, x, y, away)
-        return answer
+            tested &= facing
+        lit = np.zeros(camera_range.shape, np.bool_)
+        pixels, x, y, away = test.project(camera_range, np.flatnonzero(tested))
+        lit.ravel()[pixels] = self.rule(projector_range, x, y, away)
+        return lit
 
 
 def nearest(bias_mm: float) -> Rule:

@@ -9,10 +9,10 @@ import statistics
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from benches.charts.fronts import beats
+from benches.charts.fronts import dominates
 from benches.data.occlusion.baselines import DEFAULT, METHODS
 from benches.data.occlusion.stored import Storage, facing_bytes
-from benches.data.occlusion.tallies import SCENES, Compiled, Masks, Seen, Tally, WhereWrong, time_all
+from benches.data.occlusion.tallies import SCENES, Compiled, Foreground, Masks, Tally, WhereWrong, time_all
 from benches.data.occlusion.views import (
     GROUPS,
     ORDINARY,
@@ -49,10 +49,10 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     facing: list[int] = []
     total = sum(_count(group, views) for group in GROUPS)
     for done, (group, number, view, tests) in enumerate(_all_views(views), start=1):
-        storage, seen = Storage(view, tests), Seen(group, view)
+        storage, foreground = Storage(view, tests), Foreground(group, view)
         for tally in tallies:
-            tally.add(seen, storage)
-        where.add(seen, DEFAULT.lit(tests[DEFAULT.projector_scale], view.images(DEFAULT.projector_scale)))
+            tally.add(foreground, storage)
+        where.add(foreground, DEFAULT.lit(tests[DEFAULT.projector_scale], view.images(DEFAULT.projector_scale)))
         if group.name == ORDINARY and number % _TIMED_EVERY == 0:
             time_all(tallies, storage, done)
             compiled.add(storage)
@@ -65,8 +65,10 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     default = next((row for row in rows if row["form"] == "compiled"), rows[0])
     constants = {"surface_gap_mm": SURFACE_GAP_M * 1e3, "edge_mm": EDGE_M * 1e3, "facing_bit_bytes": bit}
     beaten = {
-        "dominated_by": [_setting(row) for row in rows if beats(_costs(row), _costs(default))],
-        "numpy_dominated_by": [_setting(row) for row in plain.values() if beats(_costs(row), _costs(plain[DEFAULT]))],
+        "dominated_by": [_setting(row) for row in rows if dominates(_costs(row), _costs(default))],
+        "numpy_dominated_by": [
+            _setting(row) for row in plain.values() if dominates(_costs(row), _costs(plain[DEFAULT]))
+        ],
     }
     return {
         "default": default | constants | beaten,
@@ -79,7 +81,7 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
         "units": {
             "bias": "mm",
             "wrong_pixels": "share of foreground pixels inside the projector's view",
-            "bytes": "mean over timed views of the projector image and, where asked, the facing bit in the labels",
+            "bytes": "mean over timed views of the projector image and, where used, the facing bit in the labels",
             "stored": "of the projector image: all, what can shade, or that rounded as far as no answer changes",
             "differing_pixels": "between the masks from what is stored and from the whole image, in timed views",
             "form": "the test in NumPy or compiled; decoding is the same for both",

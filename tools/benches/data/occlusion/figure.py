@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
 from benches.data.occlusion.baselines import DEFAULT
 from benches.data.occlusion.crops import draw_crops
 from bodyseg_data.drawing.style import new_chart, save_chart
@@ -35,7 +35,7 @@ _AXES: Final = {
     "bytes": ("added to a sample, bytes: projector image and facing bit", (200, 500, 1000, 2000, 5000, 20000, 100000)),
 }
 _ROOM: Final = 5.5  # to the left of all points, for names
-_RIVALS: Final = (
+_BY_SCENE: Final = (
     ("nearest texel", 10.0, 1, False, "nearest texel, 10 mm, no facing bit"),
     ("farthest of four texels", 10.0, 1, True, "farthest of four, 10 mm"),
     ("nearest texel", 20.0, 1, True, "nearest texel, 20 mm"),
@@ -91,7 +91,7 @@ def draw_occlusion(figures: Row, path: Path) -> None:
 
 
 def _front(rows: list[Row], *costs: str) -> list[Row]:
-    return unbeaten(rows, lambda row: [row[cost] for cost in costs])
+    return pareto_front(rows, lambda row: [row[cost] for cost in costs])
 
 
 def _front_line(axis: Any, rows: list[Row], cost: str, style: str) -> None:
@@ -217,13 +217,13 @@ def _legend(axis: Any) -> None:
 
 def _scenes(axis: Any, figures: Row, maps: list[Row]) -> None:
     names = list(figures["scenes"])
-    for index, ((*setting, label), (marker, face, edge)) in enumerate(zip(_RIVALS, _SCENE_STYLES, strict=True)):
+    for index, ((*setting, label), (marker, face, edge)) in enumerate(zip(_BY_SCENE, _SCENE_STYLES, strict=True)):
         row = _find(maps, tuple(setting))
-        places = [place + (index - len(_RIVALS) / 2 + 0.5) * 0.1 for place in range(len(names))]
+        positions = [position + (index - len(_BY_SCENE) / 2 + 0.5) * 0.1 for position in range(len(names))]
         values = [row["scenes"][name] for name in names]
         axis.scatter(
             values,
-            places,
+            positions,
             s=90 if label == "default" else 55,
             marker=marker,
             facecolors=face,
@@ -242,8 +242,8 @@ def _scenes(axis: Any, figures: Row, maps: list[Row]) -> None:
         fontsize=9,
     )
     axis.set_ylim(len(names) - 0.45, -0.55)
-    for place in range(1, len(names)):
-        axis.axhline(place - 0.5, color="#dddddd", linewidth=0.8)
+    for position in range(1, len(names)):
+        axis.axhline(position - 0.5, color="#dddddd", linewidth=0.8)
     axis.axvline(_LIMIT, color="black", linewidth=0.7, linestyle=":")
     axis.grid(axis="x", color="#ececec", linewidth=0.6)
     axis.set_axisbelow(True)

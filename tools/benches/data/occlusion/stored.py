@@ -78,19 +78,19 @@ class Storage:
     def _needed(self, method: Method) -> NDArray[np.uint16]:
         if method == DEFAULT:
             return self.view.sample.occluder_range()
-        image, points = self.view.projector_range[method.projector_scale], self._asked(method)
+        image, points = self.view.projector_range[method.projector_scale], self._tested_points(method)
         gap = np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
         if method.compares:
             return coarse_comparisons(image, *points, gap, method.texels)
         occluder = image * shading_texels(image, *points, gap, method.texels)
         return coarsened(occluder, *points) if method.stored == "coarse" else occluder
 
-    def _asked(self, method: Method) -> tuple[Floats, Floats, Floats]:
+    def _tested_points(self, method: Method) -> tuple[Floats, Floats, Floats]:
         key = method.projector_scale, method.facing_bit
         if key not in self._points:
-            asked = self.view.facing if method.facing_bit else self.view.range > 0
+            tested = self.view.facing if method.facing_bit else self.view.range > 0
             test = self.tests[method.projector_scale]
-            self._points[key] = test.project(self.view.range, np.flatnonzero(asked))[1:]
+            self._points[key] = test.project(self.view.range, np.flatnonzero(tested))[1:]
         return self._points[key]
 
 
@@ -103,13 +103,13 @@ def shading_texels(
     image: uint16 [Hp, Wp]; x, y, away: float32 [N] as in `occlusion.reached`; texels: how many a point reads, 1 or 4.
     """
     frame = framed(image)
-    places = _places(image, x, y, texels)
-    nearest = np.minimum.reduce([frame.ravel().take(place) for place in places])
+    indices = _texel_indices(image, x, y, texels)
+    nearest = np.minimum.reduce([frame.ravel().take(index) for index in indices])
     # One step is far more than single precision can be off by.
     shaded = np.minimum(away - np.float32(1), FARTHEST) - nearest > gap - np.float32(1)
     read = np.zeros(frame.shape, np.bool_)
-    for place in places:
-        read.ravel()[place[shaded]] = True
+    for index in indices:
+        read.ravel()[index[shaded]] = True
     return _unframed(read, np.logical_or)
 
 
@@ -123,10 +123,10 @@ def coarse_comparisons(
     frame = framed(image).astype(np.int32)
     limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST) - bias).astype(np.int32)
     low, high = np.zeros(frame.size, np.int32), np.full(frame.size, _EMPTY, np.int32)
-    for place in _places(image, x, y, texels):
-        behind = frame.ravel()[place] >= limits
-        np.maximum.at(low, place[behind], limits[behind])
-        np.minimum.at(high, place[~behind], limits[~behind] - 1)
+    for index in _texel_indices(image, x, y, texels):
+        behind = frame.ravel()[index] >= limits
+        np.maximum.at(low, index[behind], limits[behind])
+        np.minimum.at(high, index[~behind], limits[~behind] - 1)
     least = _unframed(low.reshape(frame.shape), np.maximum) + 1  # stored ranges are one step more than compared ones
     most = _unframed(high.reshape(frame.shape), np.minimum) + 1
     coarse = np.where(most > _EMPTY, 0, image).astype(np.int32)
@@ -139,7 +139,7 @@ def coarse_comparisons(
     return coarse.astype(np.uint16)
 
 
-def _places(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> list[NDArray[np.intp]]:
+def _texel_indices(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> list[NDArray[np.intp]]:
     """Flat indices [N] into the framed image of the one or four texels that points read."""
     if texels == 1:
         return [nearest_texel(image, x, y)]

@@ -206,7 +206,7 @@ def _peak_of(executor: Executor) -> float:
 
 
 def _peak_mb() -> float:
-    time.sleep(0.02)  # so that one worker does not answer for all
+    time.sleep(0.02)  # so that every worker gets a job
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
 
 

@@ -48,7 +48,7 @@ def bench_scaling(views: int = 54, progress: Progress = lambda done, total: None
 
 
 class _Replay(Executor):
-    """Answers every job at once with the same images under the names that were asked for."""
+    """Executor that returns the same images for every job, under the requested names."""
 
     def __init__(self, rendered: Rendered) -> None:
         self._members = [members for _, members in rendered.samples]
@@ -59,9 +59,9 @@ class _Replay(Executor):
         views: tuple[View, ...]
         packing, body, views, _ = args
         keys = [sample_key(packing.source, body, view) for view in views]
-        answer: Future[Any] = Future()
-        answer.set_result(Rendered(list(zip(keys, self._members, strict=False)), ()))
-        return answer
+        future: Future[Any] = Future()
+        future.set_result(Rendered(list(zip(keys, self._members, strict=False)), ()))
+        return future
 
 
 def _write(packing: Packing, rendered: Rendered) -> dict[str, float]:
@@ -81,7 +81,7 @@ def _write(packing: Packing, rendered: Rendered) -> dict[str, float]:
 
 
 def stand_in(sizes: tuple[tuple[int, ...], ...]) -> Rendered:
-    """Runs on a worker: as many samples, with members as large, as were asked for."""
+    """Run on a worker: samples of the given sizes, one size for each member."""
     members = [{str(number): bytes(size) for number, size in enumerate(sample)} for sample in sizes]
     return Rendered([(f"{number}", sample) for number, sample in enumerate(members)], ())
 

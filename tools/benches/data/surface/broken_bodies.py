@@ -87,8 +87,8 @@ def flaps_and_pockets(body: Broken, rng: np.random.Generator) -> Broken:
         around = np.bincount(flapped.faces.ravel(), minlength=len(flapped.vertices))[inner]
         free = uses == around  # vertices of this patch alone; the others lie on its rim and are shared
         inward = flapped.vertices[inner] - 0.005 * _normals(flapped, patch)[inner]
-        place = np.where(free, len(flapped.vertices) + np.cumsum(free) - 1, inner)
-        flapped = flapped.grown(place[corners.reshape(-1, 3)], np.full(len(patch), -1), inward[free])
+        renumbered = np.where(free, len(flapped.vertices) + np.cumsum(free) - 1, inner)
+        flapped = flapped.grown(renumbered[corners.reshape(-1, 3)], np.full(len(patch), -1), inward[free])
     return flapped
 
 

@@ -53,10 +53,10 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
         """Distance along rays from just off the skin, out or in, and the triangle if it is met from behind."""
         ways = (side * normals[vertices]).astype(np.float32)
         starts = (mesh.vertices[vertices] - mesh.centre + side * _OUTSIDE_M * normals[vertices]).astype(np.float32)
-        answer = scene.run(starts, ways, output=True)
-        faces = answer["primID"].astype(np.int32)
+        hits = scene.run(starts, ways, output=True)
+        faces = hits["primID"].astype(np.int32)
         behind = (faces >= 0) & (np.einsum("ij,ij->i", mesh.normals[faces], ways) > 0)
-        return answer["tfar"].astype(np.float64), np.where(behind, faces, -1).astype(np.int32)
+        return hits["tfar"].astype(np.float64), np.where(behind, faces, -1).astype(np.int32)
 
     used = np.unique(mesh.faces).astype(np.intp)
     outwards, met_outwards = first(used, 1)
@@ -112,7 +112,7 @@ class Depths:
 
     fold: float
     contact: float
-    place: str
+    location: str
 
 
 class Skin:
@@ -130,7 +130,7 @@ class Skin:
         ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
         lengths = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
         graph = coo_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(mesh.vertices),) * 2).tocsr()
-        # Distances along the skin from one vertex in forty, near enough to tell folds from contacts.
+        # Distances along the skin from one vertex in forty, near enough to distinguish folds from contacts.
         self._along = dijkstra(graph, directed=False, indices=np.flatnonzero(body)[::_SOURCE_STEP]).astype(np.float32)
         self._source = self._along.argmin(axis=0)
 
@@ -179,7 +179,7 @@ def _summary(bare: Sequence[Depths], dressed: Sequence[Depths]) -> dict[str, Any
         "bodies": len(bare),
         "fold_mm": round(max(depths.fold for depths in bare) * 1e3),
         "contact_mm": round(worst.contact * 1e3),
-        "contact_at": worst.place if worst.contact > 0 else None,
+        "contact_at": worst.location if worst.contact > 0 else None,
         "over_10_mm": round(float((contacts > 0.01).mean()), 3),
         "over_20_mm": round(float((contacts > 0.02).mean()), 3),
         "dressed_contact_mm": round(max(depths.contact for depths in dressed) * 1e3),

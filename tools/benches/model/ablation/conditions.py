@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.model.variants.scores import Setting
+from benches.model.variants.scores import Condition
 from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
@@ -25,8 +25,8 @@ _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networ
 
 
 @dataclass(frozen=True)
-class Condition(Setting):
-    """Test images of one kind. label: its name in the answer; title: in words.
+class AblationCondition(Condition):
+    """Test images of one kind. label: its name in the results; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
     step_mm: what ranges are rounded to, last of all. data: another set than that of the bench.
@@ -51,53 +51,53 @@ class Condition(Setting):
 
 
 CONDITIONS: Final = (
-    Condition("all", label="all", title="all artifacts"),
-    Condition("none", label="none", title="no artifact"),
-    Condition("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
-    Condition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
+    AblationCondition("all", label="all", title="all artifacts"),
+    AblationCondition("none", label="none", title="no artifact"),
+    AblationCondition("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
+    AblationCondition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
     *(
-        Condition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
+        AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
         for kind in ("patches", "stripes", "grazing")
     ),
-    Condition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
-    Condition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
-    Condition("all", only=("open-A-*",), label="A", title="subject A, postures"),
-    Condition("all", only=("open-B-*",), label="B", title="subject B, dressed"),
-    Condition("all", only=("open-C-*",), label="C", title="subject C, dressed"),
-    Condition("all", only=("open-P*",), label="people", title="other people"),
+    AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
+    AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
+    AblationCondition("all", only=("open-A-*",), label="A", title="subject A, postures"),
+    AblationCondition("all", only=("open-B-*",), label="B", title="subject B, dressed"),
+    AblationCondition("all", only=("open-C-*",), label="C", title="subject C, dressed"),
+    AblationCondition("all", only=("open-P*",), label="people", title="other people"),
 )
 
 
-def hard_condition(data: str) -> Condition:
+def hard_condition(data: str) -> AblationCondition:
     """The condition of a set of hard poses."""
-    return Condition("all", label="hard", title="hard poses", data=data)
+    return AblationCondition("all", label="hard", title="hard poses", data=data)
 
 
-def clothes_conditions(dressed: str, bare: str) -> tuple[Condition, ...]:
+def clothes_conditions(dressed: str, bare: str) -> tuple[AblationCondition, ...]:
     """The conditions of dressed bodies, and of the same bodies bare, in two sets that are alike otherwise."""
     worn = ("*-B-*", "*-C-*")
     return (
-        Condition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
-        Condition("all", label="bare", title="B and C without clothes", only=worn, data=bare),
+        AblationCondition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
+        AblationCondition("all", label="bare", title="B and C without clothes", only=worn, data=bare),
     )
 
 
-def coarse_conditions(step_mm: float) -> tuple[Condition, ...]:
+def coarse_conditions(step_mm: float) -> tuple[AblationCondition, ...]:
     """The conditions with coarse steps, for networks trained on fine steps; labelled like those with fine ones."""
-    return tuple(Condition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
+    return tuple(AblationCondition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
 
 
 class ConditionImages(RangeImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
-    def __init__(self, path: str, condition: Condition) -> None:
+    def __init__(self, path: str, condition: AblationCondition) -> None:
         usual = Artifacts()
         strengths = Artifacts(
             usual.noise if condition.noise_mm is None else Noise(condition.noise_mm, condition.noise_mm),
             usual.missing_data if condition.missing is None else MissingData((condition.missing,)),
         )
         super().__init__(path, condition.variant, "test", _SEED, artifacts=strengths, only=condition.only)
-        self._exam = condition
+        self._condition = condition
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """As `RangeImages.write`."""
@@ -112,20 +112,20 @@ class ConditionImages(RangeImages):
 
     def identity(self) -> dict[str, Any]:
         """As `RangeImages.identity`, with what else is done to the images, if anything is."""
-        facts = asdict(self._exam)
+        facts = asdict(self._condition)
         altered = {name: facts[name] for name in ("lost", "share", "step_mm") if facts[name]}
         return super().identity() | ({"altered": altered} if altered else {})
 
     def _alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        if self._exam.lost is not None:
+        if self._condition.lost is not None:
             gone = self._lost(index, epoch)
             image[gone] = 0
             labels[gone] = BACKGROUND
-        if self._exam.step_mm is not None:
-            image[...] = stepped(image, self._exam.step_mm) * steps_of(self._exam.step_mm)
+        if self._condition.step_mm is not None:
+            image[...] = stepped(image, self._condition.step_mm) * steps_of(self._condition.step_mm)
 
     def _lost(self, index: int, epoch: int) -> NDArray[np.bool_]:
-        kind, share = self._exam.lost, self._exam.share
+        kind, share = self._condition.lost, self._condition.share
         clean = self.clean(index)
         draws = generator(self.seed, epoch, clean.key, f"lost {kind}")
         if kind == "patches":

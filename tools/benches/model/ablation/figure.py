@@ -29,7 +29,7 @@ _AMOUNTS: Final = {"bodies": "bodies trained on", "views": "views of each body t
 
 
 def draw_ablation(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_ablation`'s answer: a row for each effect, and accuracy by number of bodies and of views.
+    """Write a PNG of `bench_ablation`'s results: a row for each effect, and accuracy by number of bodies and of views.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -41,8 +41,8 @@ def draw_ablation(figures: Tree, path: Path) -> None:
         lines,
         {condition["name"]: condition["title"] for condition in figures["conditions"]},
     )
-    for place, (name, label) in enumerate(_AMOUNTS.items()):
-        _amounts(figure.add_subplot(grid[place, 1]), figures, name, label)
+    for position, (name, label) in enumerate(_AMOUNTS.items()):
+        _amounts(figure.add_subplot(grid[position, 1]), figures, name, label)
     figure.legend(handles=_handles(), loc="outside lower center", ncols=4, fontsize=10, frameon=False)
     figure.suptitle(_scale(figures["scale"]), x=0.005, ha="left", fontsize=10.5)
     save_chart(figure, path, dpi=110)
@@ -60,20 +60,20 @@ def _lines(rows: list[Tree]) -> list[Tree | str]:
 def _dots(axis: Any, lines: list[Tree | str], titles: dict[str, str]) -> None:
     axis.axvspan(-LEAST_POINTS, LEAST_POINTS, color="#efeff2", zorder=0)
     axis.axvline(0, color=_FAINT, linewidth=0.9, zorder=1)
-    for place, line in enumerate(lines):
+    for y, line in enumerate(lines):
         if isinstance(line, str):
             continue
-        axis.axhline(place, color=_GRID, linewidth=0.8, zorder=0)
+        axis.axhline(y, color=_GRID, linewidth=0.8, zorder=0)
         meant = [(line["worth"][name]["points"], name) for name in line["helps"] if name in line["worth"]]
         best = max((each for each in meant if each[1] != BASE), default=(0.0, None))[1]
         if best is not None:
-            _dot(axis, place, line["worth"][best], _WHERE_MEANT, best in line["pays_on"])
-        _dot(axis, place, line["worth"][BASE], _ON_ALL, BASE in line["pays_on"])
+            _dot(axis, y, line["worth"][best], _WHERE_MEANT, best in line["pays_on"])
+        _dot(axis, y, line["worth"][BASE], _ON_ALL, BASE in line["pays_on"])
         note = "" if best is None else f"◆ {titles[best]}"
-        axis.text(1.15, place, note, transform=axis.get_yaxis_transform(), va="center", fontsize=8.5, color="#444444")
+        axis.text(1.15, y, note, transform=axis.get_yaxis_transform(), va="center", fontsize=8.5, color="#444444")
         pays = line["verdict"] == "pays"
         axis.text(
-            1.01, place, line["verdict"], transform=axis.get_yaxis_transform(), va="center", fontsize=9,
+            1.01, y, line["verdict"], transform=axis.get_yaxis_transform(), va="center", fontsize=9,
             fontweight="bold" if pays else "normal", color="black" if pays else "#666666",
         )  # fmt: skip
     names = [line if isinstance(line, str) else _name(line) for line in lines]
@@ -93,17 +93,15 @@ def _dots(axis: Any, lines: list[Tree | str], titles: dict[str, str]) -> None:
         fontsize=10,
     )
     axis.spines[["top", "right", "left"]].set_visible(False)
-    axis.set_title("What each thing is worth", loc="left", fontsize=11)
+    axis.set_title("Gain of each effect", loc="left", fontsize=11)
 
 
-def _dot(axis: Any, place: int, value: Tree, style: tuple[str, str], pays: bool) -> None:
+def _dot(axis: Any, y: int, value: Tree, style: tuple[str, str], pays: bool) -> None:
     """A mark, filled if it counts, and a line of one standard deviation to either side."""
     colour, marker = style
     points, spread = value["points"], value["sd"] or 0.0
-    axis.plot([points - spread, points + spread], [place, place], color=colour, linewidth=2.2, alpha=0.45, zorder=2)
-    axis.plot(
-        points, place, marker, color=colour, markersize=6.5, zorder=3, markerfacecolor=colour if pays else "white"
-    )
+    axis.plot([points - spread, points + spread], [y, y], color=colour, linewidth=2.2, alpha=0.45, zorder=2)
+    axis.plot(points, y, marker, color=colour, markersize=6.5, zorder=3, markerfacecolor=colour if pays else "white")
 
 
 def _name(row: Tree) -> str:
@@ -152,7 +150,7 @@ def _handles() -> list[Any]:
 def _scale(scale: Tree) -> str:
     steps, batch, seeds = scale["steps"], scale["images_a_step"], scale["seeds"]
     return (
-        f"Each training has one thing left out (+: added) and {_thousands(steps)} steps of {batch} images of "
+        f"Each training has one effect left out (+: added) and {_thousands(steps)} steps of {batch} images of "
         f"{_thousands(scale['train_samples'])}; the base has {seeds} seed{'s' if seeds > 1 else ''}; "
         f"{_thousands(scale['test_images'])} test images of each kind; average per-class accuracy"
     )

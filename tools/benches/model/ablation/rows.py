@@ -29,7 +29,7 @@ NEAR_POINTS: Final = 1.0
 LOSSES_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like a loss by chance
 
 RULE: Final = (
-    f"A thing pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
+    f"An effect pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
     "deviations of the difference above that without it, on at least one kind of test images that it is meant to help. "
     f"Undecided: more than {LEAST_POINTS:g} points above, but within those deviations, so more seeds are wanted. "
     "It harms where accuracy is as much lower with it, on images with all artifacts or with none."
@@ -138,7 +138,7 @@ ROWS: Final = (
 
 
 def deviation_of(base: Mapping[str, Sequence[float]]) -> dict[str, float] | None:
-    """Condition -> standard deviation over seeds, in points; None for one seed. base: condition -> accuracies.
+    """AblationCondition -> standard deviation over seeds, in points; None for one seed. base: condition -> accuracies.
 
     It is the larger of the condition's own and the root mean square of all: the deviation of three seeds alone may be
     small by chance.
@@ -189,7 +189,7 @@ def enough(rows: Iterable[Tree], prefix: str) -> str | None:
 
 
 def table(figures: Tree) -> str:
-    """The rows of `bench_ablation`'s answer as a table of Markdown."""
+    """The rows of `bench_ablation`'s results as a table of Markdown."""
     titles = {condition["name"]: condition["title"] for condition in figures["conditions"]}
     lines = [
         "| left out (+ added) | seeds | accuracy on `all`, % | worth there, points | worth where it is meant to help "
@@ -206,7 +206,7 @@ def table(figures: Tree) -> str:
             _accuracy(row["accuracy"][BASE]),
             _points(value[BASE]),
             "; ".join(helps),
-            _judged(row, titles),
+            _verdict_text(row, titles),
             "; ".join(map(_cost, row["cost"])),
         )
         lines.append(f"| {' | '.join(cells)} |")
@@ -223,7 +223,7 @@ def _points(value: Tree) -> str:
     return f"{value['points']:+.1f}{spread}".replace("-", "−")
 
 
-def _judged(row: Tree, titles: Mapping[str, str]) -> str:
+def _verdict_text(row: Tree, titles: Mapping[str, str]) -> str:
     text = f"{'**pays**' if row['verdict'] == 'pays' else row['verdict']}"
     if row["against"] != BASE:
         text += f" (beside `{row['against']}`)"

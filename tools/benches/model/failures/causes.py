@@ -163,24 +163,24 @@ _STRANGERS: Final[NDArray[np.uint64]] = np.array(
 """The bits of the parts that do not adjoin a part."""
 
 
-class Judged(NamedTuple):
-    """One image and a network's labels of it; predicted: uint8 [H, W]. new_pose_deg: NaN if it is not known."""
+class Prediction(NamedTuple):
+    """One image and a network's labels of it, uint8 [H, W]. new_pose_deg: NaN if it is not known."""
 
     clean: Sample
     shown: RangeImage
-    predicted: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
     new_pose_deg: float
 
 
-def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
+def holds(prediction: Prediction, camera: Camera) -> NDArray[np.bool_]:
     """Evaluate all causes' rules at the pixels that were measured: bool [11, N], reading order, causes as in `CAUSES`.
 
     Rules about a mistake hold nowhere else than at wrong pixels; "unexplained" holds at all of those. camera: the one
     that took the images.
     """
-    clean, shown = judged.clean, judged.shown
+    clean, shown = prediction.clean, prediction.shown
     where = np.flatnonzero(shown.labels != BACKGROUND)
-    truth, said = shown.labels.ravel()[where], judged.predicted.ravel()[where]
+    truth, predicted = shown.labels.ravel()[where], prediction.labels.ravel()[where]
     body = clean.labels != BACKGROUND
 
     def at(image: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -188,9 +188,9 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
 
     near = parts_within(clean.labels, NEAR_PX).ravel()[where]
     measured = window_sums(shown.labels != BACKGROUND, NEAR_PX)
-    kinds = KIND_OF[truth, said]
+    kinds = KIND_OF[truth, predicted]
     wrong = kinds != KINDS.index("right")
-    moved = wrong & ((_BITS[said] & near) != 0)
+    moved = wrong & ((_BITS[predicted] & near) != 0)
     with np.errstate(invalid="ignore"):
         grazing = viewing_angles(clean.range, camera) > GRAZING_DEG
     everywhere = np.ones(len(where), np.bool_)
@@ -203,7 +203,7 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
         "border": at(distance_bins(clean.labels) <= EDGES.index(BORDER_PX)),
         "left/right": ~moved & (kinds == KINDS.index("left/right")),
         "front/back": ~moved & ((kinds == KINDS.index("front/back")) | (kinds == KINDS.index("both"))),
-        "pose": everywhere & (judged.new_pose_deg > NEW_POSE_DEG),
+        "pose": everywhere & (prediction.new_pose_deg > NEW_POSE_DEG),
         "noise": everywhere & (sigma > NOISE_MM),
         "border_moved": moved,
         "unexplained": wrong,

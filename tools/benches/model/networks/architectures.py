@@ -1,7 +1,7 @@
 """`bench architectures`: networks of several families, trained the same way, compared with each other.
 
 All are evaluated on the same test images of `all` and timed in turns on the same frames, a random forest of depth
-differences among them. docs/architectures.md says how to read the answer.
+differences among them. docs/architectures.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -103,11 +103,11 @@ def bench_architectures(
     for name, group in groups.items():
         for run in group:
             scores[name].append(evaluator.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
-            did(f"judged {run.path.name}")
+            did(f"evaluated {run.path.name}")
     if scale is not None:
         answer = evaluate(networks[FOREST], test_images, images, extras=(), batch_size=1)
         scores[FOREST].append(report(answer))
-        did("judged the forest")
+        did("evaluated the forest")
     recipe = next(iter(groups.values()))[0].recipe
     camera = test_images.manifest.rig.camera
     return {
@@ -172,7 +172,7 @@ def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
 
 
 def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
-    """None if no forest is asked for. Raises BadConfig unless `data` is what the networks were trained on."""
+    """None for no images. Raises BadConfig unless `data` is what the networks were trained on."""
     if whole_number("the number of the forest's images", images, 0) == 0:
         return None
     theirs, ours = run.trained.card["data"].get("set"), RangeImages(data, "all", "train").identity()["set"]

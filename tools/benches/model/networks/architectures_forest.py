@@ -183,8 +183,8 @@ def walk(
     """Add the mean of each pixel's leaves to found, float32 [pixels, 33]. Compiled where it is used."""
     height, width = range_m.shape
     half, share = np.float32(0.5), np.float32(1) / np.float32(len(roots))
-    for place in range(len(pixels)):
-        row, column = pixels[place] // width, pixels[place] % width
+    for index in range(len(pixels)):
+        row, column = pixels[index] // width, pixels[index] % width
         depth = range_m[row, column]
         for root in roots:
             node = root
@@ -200,7 +200,7 @@ def walk(
                 node = children[node, 0] if difference <= thresholds[node] else children[node, 1]
             leaf = children[node, 1]
             for part in range(leaves.shape[1]):
-                found[place, part] += share * leaves[leaf, part]
+                found[index, part] += share * leaves[leaf, part]
 
 
 @cache

@@ -44,11 +44,11 @@ def body_rectangle(frame: NDArray[np.float32]) -> NDArray[np.float32]:
 def stretched(frame: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
     """The body of `frame` [H, W] drawn out to fill [rows, columns], by nearest neighbours: there is nothing to crop."""
     body = body_rectangle(frame)
-    places = (
+    indices = (
         ((np.arange(size) + 0.5) / size * old).astype(np.intp)
         for size, old in zip((rows, columns), body.shape, strict=True)
     )
-    return body[np.ix_(*places)]
+    return body[np.ix_(*indices)]
 
 
 def as_batch(frame: NDArray[np.float32], together: int, device: torch.device) -> torch.Tensor:

@@ -15,7 +15,7 @@ _ALL_IN_VIEW: Final = 0.99
 
 
 def draw_sensors(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_sensors`'s answer: accuracy over distance and over direction.
+    """Write a PNG of `bench_sensors`'s results: accuracy over distance and over direction.
 
     A hollow mark: a part of the bodies is out of view. Raises MissingLibrary without matplotlib, BadConfig if the file
     cannot be written.
@@ -40,15 +40,15 @@ def draw_sensors(figures: Tree, path: Path) -> None:
     save_chart(figure, path, dpi=110)
 
 
-def _curves(axis: Any, scenes: list[Tree], names: list[str], place: str) -> None:
+def _curves(axis: Any, scenes: list[Tree], names: list[str], key: str) -> None:
     for name, dashes in zip(names, _DASHES, strict=False):
-        row = sorted((scene for scene in scenes if scene["sensor"] == name), key=lambda scene: float(scene[place]))
+        row = sorted((scene for scene in scenes if scene["sensor"] == name), key=lambda scene: float(scene[key]))
         for method, colour in _COLOURS.items():
-            x, y = [scene[place] for scene in row], [scene["accuracy"][method] for scene in row]
+            x, y = [scene[key] for scene in row], [scene["accuracy"][method] for scene in row]
             axis.plot(x, y, color=colour, linestyle=dashes, linewidth=1.6, zorder=2)
             for scene in row:
                 face = colour if scene["in_view"] >= _ALL_IN_VIEW else "white"
-                axis.plot(scene[place], scene["accuracy"][method], "o", color=colour, markerfacecolor=face, zorder=3)
+                axis.plot(scene[key], scene["accuracy"][method], "o", color=colour, markerfacecolor=face, zorder=3)
 
 
 def _handles(names: list[str], known: Tree, top: float) -> list[Any]:

@@ -40,7 +40,7 @@ _GRID: Final = "#e2e2e2"
 
 
 def draw_variants(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_variants`'s answer: a panel for each sweep, five curves each, and the table of test sets.
+    """Write a PNG of `bench_variants`'s results: a panel for each sweep, five curves each, and the table of test sets.
 
     Bands are one standard deviation over seeds. Raises MissingLibrary without matplotlib, BadConfig if the file cannot
     be written.
@@ -49,11 +49,11 @@ def draw_variants(figures: Tree, path: Path) -> None:
     figure = new_chart(16.5, 1.6 + 3.9 * rows)
     grid = figure.add_gridspec(rows, 3, width_ratios=(1, 1, 1.08))
     lowest = min(value for sweep in figures["sweeps"].values() for c in sweep["curves"].values() for value in c["mean"])
-    for place, (name, sweep) in enumerate(figures["sweeps"].items()):
-        axis = figure.add_subplot(grid[place // 2, place % 2])
+    for position, (name, sweep) in enumerate(figures["sweeps"].items()):
+        axis = figure.add_subplot(grid[position // 2, position % 2])
         _sweep(axis, name, sweep)
         axis.set_ylim(max(0.0, 0.1 * (10 * lowest // 1)), 1)
-        if place % 2 == 0:
+        if position % 2 == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     _table(figure.add_subplot(grid[:, 2]), figures["table"])
     handles = [_line(name, label=f"trained on {name}") for name in _STYLES]
