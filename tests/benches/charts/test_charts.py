@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benches.charts.choices import Choice, Panel
 from benches.charts.drawing import DPI, chart, draw
-from benches.charts.fronts import Axis, Point, front, shortfalls, unbeaten
+from benches.charts.fronts import Axis, Point, front, shortfalls, pareto_front
 from benches.charts.labels import Label, Placed, place_labels
 from benches.charts.scales import axis_title, scale_of, shown
 from chart_figures import BY_NAME, SOURCE, figures_of, panels_of
@@ -36,8 +36,8 @@ def test_a_front_by_hand() -> None:
 
 def test_what_nothing_beats_comes_by_rising_costs_and_equals_stay_together() -> None:
     rows = [{"a": a, "b": b} for a, b in ((5, 1), (2, 2), (2, 3), (6, 1), (1, 5), (2, 2))]
-    assert unbeaten(rows, lambda row: (row["a"], row["b"])) == [rows[4], rows[1], rows[5], rows[0]]
-    assert unbeaten([3, 1, 2], lambda number: (number,)) == [1]
+    assert pareto_front(rows, lambda row: (row["a"], row["b"])) == [rows[4], rows[1], rows[5], rows[0]]
+    assert pareto_front([3, 1, 2], lambda number: (number,)) == [1]
 
 
 def test_of_points_in_one_place_none_is_lost() -> None:

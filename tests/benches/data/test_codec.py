@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.codec import bench
-from benches.data.codec.baselines import Baseline, rivals
+from benches.data.codec.baselines import Baseline, baselines
 from benches.data.codec.bench import DEFAULT, bench_codec
 from benches.data.codec.figure import draw_codec
 from PIL import Image
@@ -30,8 +30,8 @@ def test_no_views_are_refused() -> None:
         bench_codec(views=0)
 
 
-@pytest.mark.parametrize("rival", rivals(), ids=lambda rival: rival.name)
-def test_every_rival_gives_back_any_image(rival: Baseline) -> None:
+@pytest.mark.parametrize("baseline", baselines(), ids=lambda baseline: baseline.name)
+def test_every_rival_gives_back_any_image(baseline: Baseline) -> None:
     """Else its bytes would say nothing."""
     generator = np.random.default_rng(0)
     slope = (21_000 + np.add.outer(np.arange(40) * 7, np.arange(33) * 3)).astype(np.uint16)
@@ -40,7 +40,7 @@ def test_every_rival_gives_back_any_image(rival: Baseline) -> None:
     noise = generator.integers(0, 65536, (33, 17)).astype(np.uint16)
     labels = np.where(framed > 0, framed // 700, 255).astype(np.uint8)
     for image, background in ((framed, 0), (noise, 0), (labels, 255)):
-        decoded = rival.decode(rival.encode(image, background))
+        decoded = baseline.decode(baseline.encode(image, background))
         assert decoded.dtype == image.dtype and np.array_equal(decoded, image)
 
 
@@ -61,12 +61,12 @@ def test_the_default_is_on_the_front_and_small_enough(figures: dict[str, Any]) -
 
 def test_what_no_other_beats_in_the_figures_that_are_kept_is_still_measured() -> None:
     kept = json.loads((Path(__file__).parents[1] / "docs" / "results" / "codec.json").read_text())
-    assert set(kept["front"]) <= {DEFAULT, *(rival.name for rival in rivals())} <= set(kept["codecs"])
+    assert set(kept["front"]) <= {DEFAULT, *(baseline.name for baseline in baselines())} <= set(kept["codecs"])
 
 
 def test_a_codec_that_loses_anything_stops_the_bench(monkeypatch: pytest.MonkeyPatch) -> None:
     lossy = Baseline("lossy", lambda image, background: b"", lambda data: np.zeros((640, 329), np.uint16))
-    monkeypatch.setattr(bench, "rivals", lambda: [lossy])
+    monkeypatch.setattr(bench, "baselines", lambda: [lossy])
     with pytest.raises(AssertionError, match="lossy is not lossless"):
         bench_codec(views=1)
 

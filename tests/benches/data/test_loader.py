@@ -28,7 +28,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 # webdataset leaves the tars it has read to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
 
-NAMES = [f"ours_{variant}" for variant in ("none", "occ", "noise", "md", "all")] + list(bench.rivals())
+NAMES = [f"ours_{variant}" for variant in ("none", "occ", "noise", "md", "all")] + list(bench.baselines())
 
 
 def absent(*_: Any) -> Any:
@@ -41,7 +41,7 @@ def locks() -> set[str]:
 
 @pytest.fixture(scope="module")
 def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """A whole measurement, where some opponents are not installed."""
+    """A whole measurement, where some baselines are not installed."""
     ticks: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loader_mds, "streaming", absent)
@@ -60,7 +60,7 @@ def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     return found
 
 
-def test_every_contender_is_measured_or_null(figures: dict[str, Any]) -> None:
+def test_every_loader_is_measured_or_null(figures: dict[str, Any]) -> None:
     assert figures["missing"] == ["mds_raw", "mds_zstd", "litdata"]
     for table in ("samples_per_second", "processor_ms_per_sample", "worker_mb", "spread", "rounds_of"):
         assert list(figures[table]) == NAMES
@@ -105,25 +105,25 @@ def test_the_absent_are_named_in_one_line(
     assert capsys.readouterr().err == "mds_raw: not installed: tools/install_rivals (no such package)\n"
 
 
-@pytest.mark.parametrize("name", bench.rivals())
-def test_opponents_deliver_what_was_stored(name: str, figures_set: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", bench.baselines())
+def test_baselines_deliver_what_was_stored(name: str, figures_set: Path, tmp_path: Path) -> None:
     """Webdataset's own decoder, for one, would not: it leaves 8 of 16 bits."""
-    premade, rival = Premade(RangeImages(figures_set)), bench.rivals()[name]
+    premade, baseline = Premade(RangeImages(figures_set)), bench.baselines()[name]
     try:
-        size = rival.write(premade, tmp_path)
+        size = baseline.write(premade, tmp_path)
     except ImportError as error:
         pytest.skip(f"{name} is not installed: {error}")
     before = locks()
     expected = {image.key: checksum_of(image) for image in premade}
     for workers in (0, 2):
-        batches = rival.open(tmp_path, 5, workers)
+        batches = baseline.open(tmp_path, 5, workers)
         _check(name, batches, expected)
         for one in batches:
             assert one["range"].dtype == torch.float32 and one["labels"].dtype == torch.uint8
             assert one["range"].shape[1:] == (1, 640, 329) and one["labels"].shape[1:] == (640, 329)
             assert len(one["range"]) == len(one["labels"]) == len(one["key"]) <= 5
         del batches, one
-        rival.close()
+        baseline.close()
         assert locks() == before
     if name == "mds_zstd":
         assert folder_bytes(tmp_path) > 24 * 640 * 329 * 3 > 5 * size, "it keeps both forms"
@@ -250,7 +250,7 @@ def test_too_little_to_measure_is_refused(views: int, workers: tuple[int, ...], 
         bench.bench_loader(views, workers)
 
 
-def test_a_figure_has_a_row_for_every_contender(figures: dict[str, Any], tmp_path: Path) -> None:
+def test_a_figure_has_a_row_for_every_loader(figures: dict[str, Any], tmp_path: Path) -> None:
     assert sorted(_TITLES) == sorted(NAMES)
     draw_loader(figures, tmp_path / "chart.png")
     with Image.open(tmp_path / "chart.png") as chart:

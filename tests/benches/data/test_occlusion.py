@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
 from benches.data.occlusion import bench
 from benches.data.occlusion.baselines import DEFAULT, METHODS, nearest, plane, votes
 from benches.data.occlusion.bench import bench_occlusion
@@ -55,7 +55,7 @@ def test_what_no_other_beats_in_the_figures_that_are_kept_is_still_measured() ->
     rows = json.loads((RESULTS / "occlusion.json").read_text())["methods"]
     maps = [row for row in rows if row["family"] != "exact mask"]
     measured = {(method.family, method.bias_mm, method.projector_scale, method.facing_bit) for method in METHODS}
-    for row in unbeaten(maps, lambda row: (row["us_per_view"], row["wrong_pixels"])):
+    for row in pareto_front(maps, lambda row: (row["us_per_view"], row["wrong_pixels"])):
         assert (row["family"], row["bias"], row["projector_scale"], row["facing_bit"]) in measured
     assert {row["family"] for row in maps} == {method.family for method in METHODS}
 

@@ -33,7 +33,7 @@ from bodyseg_model.networks.registry import build, predict
 STEPS = 1
 IMAGES = 2
 SETTINGS = {"patch": 16, "widths": [8], "blocks": [0]}
-THING = {thing.name: thing for thing in ROWS}
+ROW = {each.name: each for each in ROWS}
 TRAINED = ("losses", "no_noise", "no_clothes", "no_context", "views_6", "views_1")
 """Things without which, or with which, a network is trained here; the other ones are missing."""
 
@@ -49,12 +49,12 @@ def trained(data: Path, out: Path, arguments: tuple[str, ...]) -> None:
     assert train.run(parse(train.Options, [*words, "--num-workers", "0", "--device", "cpu"], "train", "", "")) == 0
 
 
-def as_if_trained(data: Path, like: Path, out: Path, thing: AblationRow, weights: int) -> None:
-    """A run of other weights, whose card says what `thing` does: as good as trained, and sooner there."""
+def as_if_trained(data: Path, like: Path, out: Path, each: AblationRow, weights: int) -> None:
+    """A run of other weights, whose card says what `each` does: as good as trained, and sooner there."""
     card = read_json(like / "network.json")
-    images = RangeImages(data, thing.variant, "train", int(out.name[-1]), artifacts=thing.artifacts, only=thing.only)
-    card |= {"variant": thing.variant, "data": images.identity()}
-    network = build("compact", {**SETTINGS, **thing.settings}, seed=weights)
+    images = RangeImages(data, each.variant, "train", int(out.name[-1]), artifacts=each.artifacts, only=each.only)
+    card |= {"variant": each.variant, "data": images.identity()}
+    network = build("compact", {**SETTINGS, **each.settings}, seed=weights)
     out.mkdir(parents=True)
     facts = {name: value for name, value in card.items() if name not in ("format", "network", "settings")}
     save_network(out / "network.safetensors", network, "compact", facts)
@@ -75,9 +75,9 @@ def runs(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     """Two folders: the base's trainings, and the others."""
     base, others = (tmp_path_factory.mktemp(name) / "runs" for name in ("base", "others"))
     trained(figures_set, base / "all-0", ())
-    trained(figures_set, others / "losses-0", THING["losses"].arguments or ())
+    trained(figures_set, others / "losses-0", ROW["losses"].arguments or ())
     for number, (name, out) in enumerate([("all", base / "all-1"), *((n, others / f"{n}-0") for n in TRAINED[1:])]):
-        as_if_trained(figures_set, base / "all-0", out, THING.get(name, ROW_OF_BASE), number)
+        as_if_trained(figures_set, base / "all-0", out, ROW.get(name, ROW_OF_BASE), number)
     (others / "no_missing-0").mkdir()  # begun, not finished
     (others / "views_1-old").mkdir()
     return base, others
@@ -170,18 +170,18 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     measured: dict[str, Any], runs: tuple[Path, Path]
 ) -> None:
     missing = {row["name"]: row["command"] for row in measured["missing"]}
-    assert set(missing) == {f"{thing.name}-0" for thing in ROWS if thing.arguments is not None} - {
+    assert set(missing) == {f"{each.name}-0" for each in ROWS if each.arguments is not None} - {
         f"{name}-0" for name in TRAINED
     }
     assert missing["one_distance-0"] == (
         "bodyseg train --data shards --out runs/one_distance-0 --steps 1 --batch-size 2 --only '*-d255-*'"
     )
-    for thing in ROWS:
-        if thing.arguments is not None:
-            options = parse(train.Options, ["--data", "x", "--out", "y", *thing.arguments], "train", "", "")
+    for each in ROWS:
+        if each.arguments is not None:
+            options = parse(train.Options, ["--data", "x", "--out", "y", *each.arguments], "train", "", "")
             artifacts = train._artifacts(options)
-            assert (options.variant, options.only, artifacts) == (thing.variant, thing.only, thing.artifacts), thing
-            assert json.loads(options.settings) == thing.settings
+            assert (options.variant, options.only, artifacts) == (each.variant, each.only, each.artifacts), each
+            assert json.loads(options.settings) == each.settings
 
 
 def test_patterns_choose_what_rows_say() -> None:
@@ -189,11 +189,11 @@ def test_patterns_choose_what_rows_say() -> None:
     views = [(d, a + turn) for turn in range(0, 180, 30) for d, a in places]
     keys = [f"open-C-C-squat-{body:03d}-d{d}-a{a:03d}" for body in range(100) for d, a in views]
     found = {}
-    for thing in ROWS:
-        if thing.group in ("amount", "views") and thing.only:
-            chosen = [key for key in keys if any(Path(key).match(pattern) for pattern in thing.only)]
+    for each in ROWS:
+        if each.group in ("amount", "views") and each.only:
+            chosen = [key for key in keys if any(Path(key).match(pattern) for pattern in each.only)]
             bodies = {key.split("-")[4] for key in chosen}
-            found[thing.name] = (
+            found[each.name] = (
                 len(bodies), len({key[-4:] for key in chosen}), len({key.split("-")[5] for key in chosen})
             )  # fmt: skip
     assert found == {
@@ -216,11 +216,11 @@ def test_patterns_choose_what_rows_say() -> None:
         (
             "no_noise-0",
             {"variant": "all"},
-            r"no_noise-0 must differ .* one thing \(no_noise\): its variant",
+            r"no_noise-0 must differ .* one effect \(no_noise\): its variant",
         ),
         ("no_context-0", {"settings": SETTINGS}, r"\(no_context\): its settings is .*True.*expected .*False"),
         ("views_1-0", {"data": {"set": "x"}}, r"\(views_1\): its data is {'set': 'x'}, expected"),
-        ("all-1", {"data": None}, r"all-1 must differ from the base in one thing \(all\): its data is {}"),
+        ("all-1", {"data": None}, r"all-1 must differ from the base in one effect \(all\): its data is {}"),
         ("all-0", {"network": "fcn_alexnet"}, r"all-0 must be a training of compact, found 'fcn_alexnet'"),
         (
             "all-0",
@@ -257,10 +257,10 @@ def test_without_a_base_nothing_is_compared(runs: tuple[Path, Path], figures_set
         find_runs(runs[1:])
     with pytest.raises(BadConfig, match="the number of test images must be a whole number of at least 1, found 0"):
         bench_ablation(str(figures_set), runs, 0)
-    with pytest.raises(BadConfig, match="clothes are told by two sets, of dressed bodies and of bare ones, found 1"):
+    with pytest.raises(BadConfig, match="--clothes takes two sets, of dressed bodies and of bare ones, found 1"):
         bench_ablation(str(figures_set), runs, clothes=("x",))
     assert [run.path.name for run in find_runs((runs[1], *runs))] == [
-        "all-0", "all-1", *(f"{thing.name}-0" for thing in ROWS if thing.name in TRAINED)
+        "all-0", "all-1", *(f"{each.name}-0" for each in ROWS if each.name in TRAINED)
     ]  # fmt: skip
 
 
@@ -363,14 +363,14 @@ def test_costs_are_of_the_thing(figures_set: Path) -> None:
         "rendering": {"dressed": {"ms": 3.0}, "bare": {"ms": 2.0}},
         "network": {},
     }
-    added = costs_of(THING["losses"], costs, 16, 16, 1e5)[0]
+    added = costs_of(ROW["losses"], costs, 16, 16, 1e5)[0]
     assert (added["with"], added["without"]) == (costs["loader"]["losses"]["ms"], costs["loader"]["all"]["ms"])
-    assert costs_of(THING["no_clothes"], costs, 4, 16, 1e5) == [
+    assert costs_of(ROW["no_clothes"], costs, 4, 16, 1e5) == [
         {"what": "training samples", "with": 16, "without": 4},
         {"what": "MB of them", "with": 1.6, "without": 0.4},
         {"what": "ms to render a sample", "with": 3.0, "without": 2.0},
     ]
-    assert costs_of(THING["noise_50"], costs, 16, 16, 1e5)[0]["what"] == "ms a sample in the loader"
+    assert costs_of(ROW["noise_50"], costs, 16, 16, 1e5)[0]["what"] == "ms a sample in the loader"
 
 
 def test_rendering_needs_anny(monkeypatch: pytest.MonkeyPatch, figures_set: Path) -> None:
@@ -383,16 +383,16 @@ def test_rendering_needs_anny(monkeypatch: pytest.MonkeyPatch, figures_set: Path
 
 
 def some_figures(measured: dict[str, Any]) -> dict[str, Any]:
-    """An answer in which every thing has a row."""
+    """An answer in which every each has a row."""
     (row,) = (row for row in measured["rows"] if row["name"] == "views_6")
     rows = []
-    for number, thing in enumerate(ROWS):
+    for number, each in enumerate(ROWS):
         points = (-3, 0.1, 25, 2.2)[number % 4]
         value = {name: {**each, "points": points} for name, each in row["worth"].items()}
-        facts = {"name": thing.name, "what": thing.what, "group": thing.group, "added": thing.added}
+        facts = {"name": each.name, "what": each.what, "group": each.group, "added": each.added}
         rows.append(
             {**row, **facts, "samples": 16 - number % 15, "bodies": 4, "views": 4, "worth": value,
-             "helps": list(thing.helps), **verdict(value, thing.helps)}
+             "helps": list(each.helps), **verdict(value, each.helps)}
         )  # fmt: skip
     return {**measured, "rows": rows}
 

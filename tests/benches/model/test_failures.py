@@ -18,7 +18,7 @@ from benches.model.failures.causes import (
     ADJOINING,
     CAUSES,
     NAMES,
-    Judged,
+    Prediction,
     edge_distance,
     holds,
     parts_within,
@@ -139,14 +139,14 @@ def test_which_parts_adjoin() -> None:
 
 def judged(
     labels: Labels, said: Labels, shown: NDArray[np.bool_] | None = None, image: NDArray[np.uint16] | None = None
-) -> Judged:
+) -> Prediction:
     body = labels != BACKGROUND
     shown = body if shown is None else shown
     range_steps = np.where(body, np.uint16(25000), np.uint16(0)) if image is None else image
     info = SampleInfo("folder", "folder", "S", "m", "standing", 215, 0, "test")
     clean = Sample("folder-S-m-d215-a000", range_steps, None, labels, body, info)
     seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), 10.0, 0.05)
-    return Judged(clean, seen, np.where(shown, said, np.uint8(BACKGROUND)), 12.0)
+    return Prediction(clean, seen, np.where(shown, said, np.uint8(BACKGROUND)), 12.0)
 
 
 def plain(part: int = KNEE) -> Labels:
@@ -156,7 +156,7 @@ def plain(part: int = KNEE) -> Labels:
     return labels
 
 
-def rule(name: str, case: Judged) -> NDArray[np.bool_]:
+def rule(name: str, case: Prediction) -> NDArray[np.bool_]:
     """Where a rule holds, bool [H, W]."""
     image = np.zeros(case.clean.labels.shape, np.bool_)
     image[case.shown.labels != BACKGROUND] = holds(case, CAMERA)[NAMES.index(name)]
@@ -378,7 +378,7 @@ def check_worst(answer: dict[str, Any], pictures: list[Any]) -> None:
 def test_every_wrong_pixel_mended_is_all_right(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a rule that claims everything, the upper bound is 100 %."""
 
-    def everything(case: Judged, camera: Camera) -> NDArray[np.bool_]:
+    def everything(case: Prediction, camera: Camera) -> NDArray[np.bool_]:
         found = holds(case, camera)
         found[NAMES.index("lost_data")] = True
         return found
@@ -451,5 +451,5 @@ def test_the_figures_show_the_worst(posed: Callable[..., Failures], figures_set:
 def test_what_cannot_be_measured_or_drawn(figures_set: Path, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="the number of images must be"):
         bench_failures(str(figures_set), images=0)
-    with pytest.raises(BadConfig, match="only an answer of bench_failures itself has images to draw, found a dict"):
+    with pytest.raises(BadConfig, match="only the results of bench_failures hold images to draw, found a dict"):
         draw_failures({}, tmp_path / "x.png")

@@ -17,7 +17,7 @@ from benches.model.variants.bench import bench_variants
 from benches.model.variants.claims import claims
 from benches.model.variants.figure import draw_variants
 from benches.model.variants.runs import Run, common_plan, runs_in, train
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Evaluator, Setting, Sweep
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Evaluator, Condition, Sweep
 from PIL import Image
 
 from bodyseg_data import RangeImages
@@ -56,7 +56,7 @@ def trained_by_command(data: Path, out: Path, variant: str) -> None:
 
 def short(sweep: Sweep, *strengths: float) -> Sweep:
     places = [sweep.strengths.index(strength) for strength in strengths]
-    return Sweep(sweep.title, strengths, tuple(sweep.settings[place] for place in places))
+    return Sweep(sweep.title, strengths, tuple(sweep.conditions[place] for place in places))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -159,9 +159,9 @@ def test_scores_are_of_one_network(
         variants_scores, "evaluate", lambda *given, **named: asked.append(named) or evaluate(*given, **named)
     )
 
-    def scores(setting: Setting, extras: bool = False) -> Any:
+    def scores(condition: Condition, extras: bool = False) -> Any:
         evaluator = Evaluator(str(figures_set), IMAGES)
-        return evaluator.scores(folder, load_network(folder).network, setting, extras)
+        return evaluator.scores(folder, load_network(folder).network, condition, extras)
 
     before = scores(TABLE["noise"])
     assert not asked and scores(TABLE["noise"]) == before
@@ -199,7 +199,7 @@ def test_a_training_that_was_cut_goes_on(
 
 def test_the_sweeps_change_one_artifact_of_x_all(figures_set: Path) -> None:
     plain = RangeImages(figures_set, "all", "test", 0)
-    noisy, holed = (setting.open(str(figures_set)) for setting in (Setting("all", 40), Setting("all", None, 0.5)))
+    noisy, holed = (condition.open(str(figures_set)) for condition in (Condition("all", 40), Condition("all", None, 0.5)))
     assert {image.sigma_mm for image in map(noisy.image, range(8))} == {40}
     assert {image.missing_rate for image in map(holed.image, range(8))} == {0.5}
     for index in range(8):
@@ -208,7 +208,7 @@ def test_the_sweeps_change_one_artifact_of_x_all(figures_set: Path) -> None:
         assert before.sigma_mm == emptier.sigma_mm
         both = (before.range > 0) & (emptier.range > 0)
         assert both.any() and np.array_equal(before.range[both], emptier.range[both])
-    assert Setting("all", 40).name == "all, sigma 40 mm" and Setting("md", missing=0.5).name == "md, 50% missing"
+    assert Condition("all", 40).name == "all, sigma 40 mm" and Condition("md", missing=0.5).name == "md, 50% missing"
 
 
 @pytest.mark.parametrize(
@@ -266,10 +266,10 @@ AS_THE_PAPER = {
 }
 
 
-def asker(table: dict[str, tuple[float, float, float]], edge: float = 0.5) -> Callable[[str, Setting], list[Any]]:
-    def ask(variant: str, setting: Setting) -> list[Any]:
+def scores_table(table: dict[str, tuple[float, float, float]], edge: float = 0.5) -> Callable[[str, Condition], list[Any]]:
+    def scores_of(variant: str, condition: Condition) -> list[Any]:
         start, by_noise, by_holes = table[variant]
-        lost = by_noise * (setting.noise_mm or 0) + by_holes * 100 * (setting.missing or 0)
+        lost = by_noise * (condition.noise_mm or 0) + by_holes * 100 * (condition.missing or 0)
         return [
             {
                 "average_per_class_accuracy": start - lost / 100 + 0.01 * seed,
@@ -288,11 +288,11 @@ def asker(table: dict[str, tuple[float, float, float]], edge: float = 0.5) -> Ca
             for seed in (-1, 0, 1)
         ]
 
-    return ask
+    return scores_of
 
 
 def test_claims_hold_where_they_do() -> None:
-    found = claims(asker(AS_THE_PAPER), alone=True)
+    found = claims(scores_table(AS_THE_PAPER), alone=True)
     assert [row["claim"] for row in found if row["holds"] is not True] == []
     assert {row["section"].partition(",")[0] for row in found} == {"4.1", "4.2", "4.3", "4.2 to 4.4"}
     by_text = {row["claim"]: row["ours"] for row in found}
@@ -320,37 +320,37 @@ def test_claims_hold_where_they_do() -> None:
 def test_claims_do_not_hold_where_they_do_not(
     variant: str, values: tuple[float, float, float], texts: list[str]
 ) -> None:
-    found = claims(asker({**AS_THE_PAPER, variant: values}), alone=True)
+    found = claims(scores_table({**AS_THE_PAPER, variant: values}), alone=True)
     broken = [row["claim"] for row in found if row["holds"] is False]
     assert len(broken) == len(texts)
     assert all(text in claim for text, claim in zip(texts, broken, strict=True))
 
 
 def test_claims_of_single_images_and_subsets_can_fail() -> None:
-    def ask(variant: str, setting: Setting) -> list[Any]:
-        (record, *_) = asker(AS_THE_PAPER, edge=0.05)(variant, setting)
+    def scores_of(variant: str, condition: Condition) -> list[Any]:
+        (record, *_) = scores_table(AS_THE_PAPER, edge=0.05)(variant, condition)
         record["subsets"] = {"B": {"average_per_class_accuracy": 0.9}, "C": {"average_per_class_accuracy": None}}
         above = record["confidence"]["above_70_percent"]
         above["share_of_pixels"], above["average_per_class_accuracy"] = 0.5, 0.1
         return [record]
 
-    found = claims(ask, alone=False)
+    found = claims(scores_of, alone=False)
     assert [row["holds"] for row in found[:6]] == [False, False, False, False, None, None]
-    assert len(found) == len(claims(asker(AS_THE_PAPER), alone=True)) - 2
+    assert len(found) == len(claims(scores_table(AS_THE_PAPER), alone=True)) - 2
 
 
 @pytest.mark.parametrize("alone", [False, True])
 def test_the_figure_is_drawn(alone: bool, measured: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    ask = asker(AS_THE_PAPER)
+    scores_of = scores_table(AS_THE_PAPER)
     sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})
     three = {
         "scale": {**measured[1]["scale"], "seeds": 3},
         "table": {
-            train_on: {name: over_seeds(variants.accuracies(ask, train_on, TABLE[name])) for name in VARIANTS}  # type: ignore[arg-type]
+            train_on: {name: over_seeds(variants.accuracies(scores_of, train_on, TABLE[name])) for name in VARIANTS}  # type: ignore[arg-type]
             for train_on in VARIANTS
         },
-        "sweeps": {name: variants._curves(ask, sweep) for name, sweep in sweeps.items()},  # type: ignore[arg-type]
+        "sweeps": {name: variants._curves(scores_of, sweep) for name, sweep in sweeps.items()},  # type: ignore[arg-type]
     }
     sizes = []
     for name, figures in (("one.png", measured[1]), ("three.png", three)):

@@ -246,7 +246,7 @@ CHOICES: Final = (
         "shadow_test",
         "occlusion",
         "Which test for the projector's shadow?",
-        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: other than exact shadow rays.",
+        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: differs from exact shadow rays.",
         Axis("µs of processor a view, decoding and test", "time"),
         Axis("wrong pixels, % of the foreground", "error", factor=100),
         _shadow_test,

@@ -13,6 +13,7 @@ import numpy as np
 from benches.charts.choices import Choice, Panel
 from benches.charts.fronts import Point, front, shortfalls
 from benches.charts.labels import Label, place_labels
+from benches.charts.legends import legend_line, legend_mark
 from benches.charts.scales import axis_title, scale_of
 from bodyseg_data.drawing.style import chart_bytes, new_chart
 
@@ -121,22 +122,16 @@ def _dress(figure: Any, choice: Choice, source: Source, markers: dict[str, str],
 
 
 def _legend(markers: dict[str, str], limits: bool) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    def mark(marker: str, label: str, face: str, edge: str, size: float) -> Any:
-        look: dict[str, Any] = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": size}
-        return Line2D([], [], linestyle="", marker=marker, label=label, **look)
-
     plain = next(iter(markers.values()))
     found = [
-        mark("*", "the default", DEFAULT, "black", 15),
-        mark(plain, "on the front: nothing is better in both", FRONT, "black", 8),
-        mark(plain, "beaten in both, or in one at a draw", "none", BEATEN, 6),
+        legend_mark("the default", "*", DEFAULT, "black", 15),
+        legend_mark("on the front: nothing is better in both", plain, FRONT, "black", 8),
+        legend_mark("beaten in both, or in one at a draw", plain, "none", BEATEN, 6),
     ]
     if limits:
-        found.append(Line2D([], [], color=_LIMIT, linestyle="--", label="a limit, not another way"))
+        found.append(legend_line("a limit, not another way", color=_LIMIT, linestyle="--"))
     if len(markers) > 1:
-        found += [mark(marker, family, "#d8d8d8", "black", 7) for family, marker in markers.items()]
+        found += [legend_mark(family, marker, "#d8d8d8", "black", 7) for family, marker in markers.items()]
     return found
 
 

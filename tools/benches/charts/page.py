@@ -23,6 +23,7 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
+from benches.charts.scales import thousands
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
@@ -75,7 +76,7 @@ def _finished(value: Any) -> Any:
 
 
 def _number(value: Any, decimals: int = 0) -> str:
-    return f"{_checked(value):,.{decimals}f}".replace(",", " ")
+    return thousands(_checked(value), decimals)
 
 
 def _percent(value: Any, decimals: int = 0) -> str:

@@ -63,6 +63,11 @@ def scale_of(values: Iterable[float], axis: Axis) -> Scale:
     return Scale(False, zero, least, low - room, high + room)
 
 
+def thousands(value: float, decimals: int = 0) -> str:
+    """A number with so many decimals and a blank between thousands."""
+    return f"{value:,.{decimals}f}".replace(",", " ")
+
+
 def shown(value: float) -> str:
     """A number with six digits at most and a blank between thousands."""
     return f"{value:,.6g}".replace(",", " ")

@@ -154,7 +154,7 @@ def _writes(arguments: tuple[Any, ...]) -> bool:
 
 
 def _forked(work: Callable[[], None], message_file: Path | None = None) -> int:
-    """Run in a fork: returns 0, 2 for a BodysegError (its line is in `message_file`), 70 for others, or minus a signal."""
+    """Run in a fork: returns 0, 2 for a BodysegError, 70 for others (with the line in a file), or minus a signal."""
     child = os.fork()
     if child == 0:
         status, message = 70, "?"

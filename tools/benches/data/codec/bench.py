@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import os
 import statistics
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
+from benches.measuring import Progress, least_time, mixed, silent
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -61,7 +61,7 @@ class _Costs:
         }
 
 
-def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+def bench_codec(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
     """Every codec on `views` samples: mean bytes, ms to encode and decode, of all three images and of each kind.
 
     front: codecs that none beats in both bytes and decoding. projector: what rounding it to what the shadows need
@@ -107,8 +107,7 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
         with closing(open_renderer("raster", body.mesh)) as renderer:
             sampler = Sampler(renderer, rig, body.mesh, partition(body.mesh, body.landmarks), source.name, ref)
             for turn in range(_VIEWS_A_BODY * number, min(_VIEWS_A_BODY * (number + 1), count)):
-                # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
-                view = grid[turn * 23 % len(grid)]
+                view = mixed(grid, turn)
                 sample = sampler.take(view)
                 _, projector = rig.placed(body.mesh.centre, view)
                 exact = exact_range(
@@ -138,8 +137,8 @@ def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> No
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
         rounds = 1 if "effort" in baseline.name else _ROUNDS  # slow ones' times need no polish
-        encode_s, data = _timed(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
-        decode_s, decoded = _timed(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
+        encode_s, data = least_time(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
+        decode_s, decoded = least_time(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
         if not np.array_equal(decoded, image):
             raise AssertionError(f"{baseline.name} is not lossless")
         cost = costs[kind]
@@ -154,22 +153,13 @@ def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
     nothing = np.zeros_like(projector)
     before = 0, 0.0, 0.0
     for kind, occluder in (("range and labels", nothing), ("projector", projector)):
-        encode_s, data = _timed(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
+        encode_s, data = least_time(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
         wanted = kind == "projector"
-        decode_s, _ = _timed(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
+        decode_s, _ = least_time(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
         costs[kind].bytes.append(len(data) - before[0])
         costs[kind].encode_s.append(encode_s - before[1])
         costs[kind].decode_s.append(decode_s - before[2])
         before = len(data), encode_s, decode_s
-
-
-def _timed(work: Callable[[], Any], rounds: int) -> tuple[float, Any]:
-    best, answer = float("inf"), None
-    for _ in range(rounds):
-        start = time.process_time()
-        answer = work()
-        best = min(best, time.process_time() - start)
-    return best, answer
 
 
 def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
@@ -212,7 +202,7 @@ class _Rounding:
         self._seconds: list[float] = []
 
     def add(self, sample: Sample, image: NDArray[np.uint16], *points: Any) -> None:
-        seconds, coarse = _timed(lambda: coarsened(image, *points), _ROUNDS)
+        seconds, coarse = least_time(lambda: coarsened(image, *points), _ROUNDS)
         self._seconds.append(seconds)
         self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
         self._coarse += len(encode_sample(sample)["bsi"])

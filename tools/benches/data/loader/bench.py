@@ -27,6 +27,7 @@ from benches.data.loader.limits import five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
+from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
@@ -41,8 +42,6 @@ _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
 _PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
 
-Progress = Callable[[int, int], None]
-
 
 def baselines() -> dict[str, Baseline]:
     """The baselines by name."""
@@ -56,9 +55,7 @@ def baselines() -> dict[str, Baseline]:
     }
 
 
-def bench_loader(
-    views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = lambda done, total: None
-) -> dict[str, Any]:
+def bench_loader(views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = silent) -> dict[str, Any]:
     """Samples a second of every loader with each number of workers, medians of seven rounds, and bytes a sample.
 
     views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys
@@ -91,7 +88,7 @@ def measure(
     workers: Sequence[int] = (0, 2),
     batch: int = _BATCH,
     rounds: int = _ROUNDS,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """`bench_loader` on the set in `packed`; the baselines' sets go to new folders in `scratch`."""
     images = {variant: RangeImages(packed, variant) for variant in VARIANTS}

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benches.data.loader.baselines import png
+from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.loading.range_images import RangeImages
 
@@ -51,10 +52,6 @@ def _limit(what: str, measured: float | None, target: float, most: bool = False)
 
 def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:
     """Bytes that PNG images of all five variants take per sample, on at most 60 samples of the set."""
-    total, length = 0, len(images["all"])
-    count = min(_PNG_SAMPLES, length)
-    for seen in images.values():
-        for number in range(count):
-            image = seen.image((2 * number + 1) * length // (2 * count), 0)
-            total += len(png(image.range)) + len(png(image.labels))
-    return total / count
+    chosen = evenly_spaced(range(len(images["all"])), _PNG_SAMPLES)
+    made = (seen.image(index, 0) for seen in images.values() for index in chosen)
+    return sum(len(png(image.range)) + len(png(image.labels)) for image in made) / len(chosen)

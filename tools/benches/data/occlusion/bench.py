@@ -6,7 +6,7 @@ Exact means: a ray from the point that the camera sees, before any rounding, to 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final
 
 from benches.charts.fronts import dominates
@@ -23,6 +23,7 @@ from benches.data.occlusion.views import (
     exact_views,
     with_baseline,
 )
+from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.occlusion import EDGE_M, SURFACE_GAP_M, ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
@@ -32,7 +33,7 @@ _TIMED_EVERY: Final = 5  # one ordinary view in five is timed, and its bytes are
 _COSTS: Final = "wrong_pixels", "us_per_view", "bytes"
 
 
-def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+def bench_occlusion(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
     """Errors, time and bytes of every method: `views` ordinary views, and a quarter as many of each other group.
 
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all ordinary

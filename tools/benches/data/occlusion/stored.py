@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
+from benches.measuring import least_time
 from bodyseg_data.artifacts.occlusion import FARTHEST, Floats, ShadowTest, framed
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import RANGE_STEP_M
@@ -49,7 +48,7 @@ class StoredImage:
 def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
     """Bytes that the shards' codec needs for these images beyond those of empty ones, and seconds to decode them."""
     data = encode_images(camera, labels, projector)
-    return len(data) - _EMPTY_BYTES, least_seconds(lambda: decode_images(data, True), _ROUNDS)
+    return len(data) - _EMPTY_BYTES, least_time(lambda: decode_images(data, True), _ROUNDS)[0]
 
 
 @dataclass
@@ -182,17 +181,7 @@ def exact_masks(view: ExactView) -> dict[str, Cost]:
 
     in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
     return {
-        "bit of the label byte": (in_labels, least_seconds(lambda: split_labels(byte), _ROUNDS)),
+        "bit of the label byte": (in_labels, least_time(lambda: split_labels(byte), _ROUNDS)[0]),
         MASK_IMAGE: coded(_NOTHING, _UNLABELLED, lit.astype(np.uint16)),
-        "packed bits, zstd": (len(packed), least_seconds(from_packed, _ROUNDS)),
+        "packed bits, zstd": (len(packed), least_time(from_packed, _ROUNDS)[0]),
     }
-
-
-def least_seconds(work: Callable[[], Any], rounds: int) -> float:
-    """Seconds of processor that `work` takes when the least interferes."""
-    best = float("inf")
-    for _ in range(rounds):
-        start = time.thread_time()
-        work()
-        best = min(best, time.thread_time() - start)
-    return best

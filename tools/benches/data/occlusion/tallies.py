@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import DEFAULT, METHODS, NEAREST, Images, Method
-from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks, least_seconds
+from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
+from benches.measuring import least_time
 from bodyseg_data.artifacts.occlusion import ShadowTest
 
 WORST_CROP: Final = 100, 80
@@ -80,7 +81,7 @@ class Tally:
 
     def seconds(self, storage: Storage) -> float:
         """Processor time of the test in one view, the least of four runs."""
-        return least_seconds(lambda: self._lit(storage, storage.of(self.method)), _RUNS)
+        return least_time(lambda: self._lit(storage, storage.of(self.method)), _RUNS)[0]
 
     def row(self, facing_bytes: int) -> dict[str, Any]:
         """The method's row of the JSON."""
@@ -153,7 +154,7 @@ class Compiled:
             images = storage.view.range, stored.image, storage.view.facing
             self._differing[method] += int((lit(test, images) != method.lit(test, images)).sum())
             forms = [partial(form, test, images) for form in (lit, method.lit)]
-            fast, plain = (least_seconds(form, _ROUNDS * _RUNS) for form in forms)
+            fast, plain = (least_time(form, _ROUNDS * _RUNS)[0] for form in forms)
             self._times[method].append((fast, plain, stored.cost[1]))
 
     def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:

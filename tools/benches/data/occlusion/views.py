@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import mixed
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import PARTS
@@ -220,8 +221,7 @@ def exact_views(
         renderer = EmbreeRenderer(built.mesh)
         parts = partition(built.mesh, built.landmarks) if labelled else None
         for turn in range(index, count, len(bodies)):
-            # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
-            view = grid[turn * 23 % len(grid)]
+            view = mixed(grid, turn)
             yield exact_view(rig, renderer, built, body, view, parts=parts, source=source, scales=scales)
         renderer.close()
 

@@ -9,6 +9,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Final
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import View, ViewGrid
@@ -21,10 +22,8 @@ _BODIES: Final = 8
 _WRITTEN_BODIES: Final = 80
 _SENT_BODIES: Final = 40
 
-Progress = Callable[[int, int], None]
 
-
-def bench_scaling(views: int = 54, progress: Progress = lambda done, total: None) -> dict[str, Any]:
+def bench_scaling(views: int = 54, progress: Progress = silent) -> dict[str, Any]:
     """Processor milliseconds a view, with `views` views of each body of the open set, and bytes a view.
 
     render_ms: making a sample, in a worker, bodies and labels included. write_ms: in the process that writes shards.

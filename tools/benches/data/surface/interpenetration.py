@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
@@ -75,9 +76,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     return depths, faces
 
 
-def bench_interpenetration(
-    views: int = 5, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def bench_interpenetration(views: int = 5, progress: Progress = silent) -> dict[str, Any]:
     """Measure how deep skin goes through itself: every `views`-th frame of each motion, all other poses.
 
     For every group of poses, in millimetres: "fold_mm", the deepest vertex within 0.45 m of the skin it meets, measured

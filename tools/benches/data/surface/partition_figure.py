@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.charts.fronts import pareto_front
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
@@ -67,7 +68,7 @@ def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:
     axis.set_yticks([_NOTHING, 0.001, 0.01, 0.1], ["none", "0.1 %", "1 %", "10 %"])
     axis.minorticks_off()
     ticks = [tick for tick in _TICKS if low / 2.2 <= tick <= high * 2.2]
-    axis.set_xticks(ticks, [f"{tick:,}".replace(",", " ") for tick in ticks])
+    axis.set_xticks(ticks, [thousands(tick) for tick in ticks])
     axis.set_xlabel("partition of a body, ms; dashed: the front", fontsize=10)
     axis.grid(color="#dddddd", linewidth=0.6)
     axis.set_axisbelow(True)

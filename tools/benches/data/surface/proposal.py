@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -42,9 +43,7 @@ Placed = tuple[str, Mesh, NDArray[np.float64]]
 """Name, mesh and the positions [33, 3] of its landmarks."""
 
 
-def bench_proposal(
-    mit: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def bench_proposal(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
 
     swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that

@@ -15,6 +15,7 @@ from typing import Any, Final
 import torch
 from torch import nn
 
+from benches.measuring import silent
 from benches.model.ablation.conditions import (
     CONDITIONS,
     AblationCondition,
@@ -31,10 +32,10 @@ from benches.model.ablation.runs import (
     find_runs,
     identities,
     missing,
-    origin,
     plan_of,
     sets_of,
 )
+from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.batch_order import whole_number
@@ -56,7 +57,7 @@ def bench_ablation(
     images: int = 200,
     hard: str | None = None,
     clothes: tuple[str, ...] | None = None,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
     """Evaluate every training of `runs` on the same test images, and measure the cost of each effect.
 
@@ -105,7 +106,7 @@ def bench_ablation(
         "enough": {prefix: enough(rows, f"{prefix}_") for prefix in ("bodies", "views")},
         "costs": costs,
         "missing": missing(found, chosen, plan, sets, runs),
-        "networks": [origin(run) for run in found],
+        "networks": [origin(run.path) for run in found],
         "threads": torch.get_num_threads(),
         "seconds": round(time.perf_counter() - start, 1),
     }

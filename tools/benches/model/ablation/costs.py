@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from benches.measuring import evenly_spaced
 from benches.model.ablation.conditions import stepped
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
@@ -64,7 +65,7 @@ def loader_costs(data: str) -> Tree:
     known += [row for row in ROWS if row.group in ("artifacts", "sub-kinds")]
     images = {each.name: RangeImages(data, each.variant, "train", artifacts=each.artifacts) for each in known}
     camera = images[BASE].manifest.rig.camera
-    indices = _spread(len(images[BASE]), SAMPLES)
+    indices = evenly_spaced(range(len(images[BASE])), SAMPLES)
     image, labels = (np.empty((camera.rows, camera.columns), kind) for kind in (np.uint16, np.uint8))
 
     def read(chosen: RangeImages) -> None:
@@ -78,7 +79,7 @@ def byte_costs(data: str) -> Tree:
     """Mean bytes of a sample's images: as stored, without the projector's, and with coarser steps of range."""
     images = RangeImages(data, BASE, "train")
     sizes: dict[str, list[int]] = {}
-    for index in _spread(len(images), SAMPLES):
+    for index in evenly_spaced(range(len(images)), SAMPLES):
         sample = images.clean(index)
         labels, occluder = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
         made = {BASE: encode_images(sample.range, labels, occluder)}
@@ -98,7 +99,7 @@ def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
         if row.settings:
             networks[row.name] = build("compact", {**settings, **row.settings}, seed=0).eval()
     images = RangeImages(data, BASE, "test")
-    frames = [metres(images.image(index).range) for index in _spread(len(images), FRAMES)]
+    frames = [metres(images.image(index).range) for index in evenly_spaced(range(len(images)), FRAMES)]
     cell = Cell("typical", "labels", "cpu", torch.get_num_threads(), "float32")
     batches = [torch.from_numpy(frame)[None, None] for frame in frames]
     return summary(time_cell(cell, networks, batches, 2 * FRAMES, _NETWORK_S), BASE)
@@ -149,8 +150,3 @@ def costs_of(row: AblationRow, costs: Tree, samples: int, base_samples: int, byt
     if row.settings:
         add("ms from image to labels", *(costs["network"][name]["ms"] for name in (BASE, row.name)))
     return found
-
-
-def _spread(length: int, count: int) -> list[int]:
-    """At most `count` of so many indices, evenly."""
-    return sorted({int(index) for index in np.linspace(0, length - 1, count)})

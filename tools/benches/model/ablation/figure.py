@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from benches.model.ablation.rows import BASE, LEAST_POINTS, NEAR_POINTS, Tree
 from bodyseg_data.drawing.style import new_chart, save_chart
 
@@ -122,7 +124,7 @@ def _amounts(axis: Any, figures: Tree, name: str, label: str) -> None:
     near = 100 * full["mean"] - NEAR_POINTS
     axis.axhline(near, color=_FAINT, linewidth=1, linestyle=(0, (5, 3)), zorder=1)
     axis.set_xscale("log")
-    axis.set_xticks(counts, [f"{count:,}".replace(",", " ") for count in counts], fontsize=9)
+    axis.set_xticks(counts, [thousands(count) for count in counts], fontsize=9)
     axis.minorticks_off()
     axis.margins(x=0.08, y=0.15)
     axis.set_xlabel(label, fontsize=10)
@@ -134,27 +136,21 @@ def _amounts(axis: Any, figures: Tree, name: str, label: str) -> None:
 
 
 def _handles() -> list[Any]:
-    from matplotlib.lines import Line2D
-
     colour, marker = _ON_ALL
     other, diamond = _WHERE_MEANT
     plain: dict[str, Any] = {"linewidth": 2.2, "markersize": 7}
     return [
-        Line2D([], [], color=colour, marker=marker, label="test images with all artifacts", **plain),
-        Line2D([], [], color=other, marker=diamond, label="those it is meant to help (named at the right)", **plain),
-        Line2D([], [], color="#444444", marker="o", markerfacecolor="#444444", linewidth=0, label="filled: pays there"),
-        Line2D([], [], color="#444444", linewidth=2.2, alpha=0.45, label="± 1 standard deviation of the difference"),
+        legend_line("test images with all artifacts", color=colour, marker=marker, **plain),
+        legend_line("those it is meant to help (named at the right)", color=other, marker=diamond, **plain),
+        legend_line("filled: pays there", color="#444444", marker="o", markerfacecolor="#444444", linewidth=0),
+        legend_line("± 1 standard deviation of the difference", color="#444444", linewidth=2.2, alpha=0.45),
     ]
 
 
 def _scale(scale: Tree) -> str:
     steps, batch, seeds = scale["steps"], scale["images_a_step"], scale["seeds"]
     return (
-        f"Each training has one effect left out (+: added) and {_thousands(steps)} steps of {batch} images of "
-        f"{_thousands(scale['train_samples'])}; the base has {seeds} seed{'s' if seeds > 1 else ''}; "
-        f"{_thousands(scale['test_images'])} test images of each kind; average per-class accuracy"
+        f"Each training has one effect left out (+: added) and {thousands(steps)} steps of {batch} images of "
+        f"{thousands(scale['train_samples'])}; the base has {seeds} seed{'s' if seeds > 1 else ''}; "
+        f"{thousands(scale['test_images'])} test images of each kind; average per-class accuracy"
     )
-
-
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")

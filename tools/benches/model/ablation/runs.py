@@ -136,8 +136,3 @@ def _command(row: AblationRow, recipe: Recipe, data: str, folder: Path) -> str:
     words += ["--steps", str(recipe.steps), "--batch-size", str(recipe.batch_size)]
     words += ["--no-geometric-augmentation"] if recipe.geometric_augmentation == GeometricAugmentation() else []
     return shlex.join([*words, *(row.arguments or ())])
-
-
-def origin(run: Run) -> Tree:
-    card = read_json(run.path / "network.json")
-    return {"name": run.path.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benches.measuring import Progress, silent
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
@@ -40,7 +41,7 @@ def bench_failures(
     runs: Sequence[Path] = (),
     images: int = 1000,
     hard: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> Failures:
     """Causes, worst images, and accuracy by posture, on variant `all` of the test images.
 

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from benches.measuring import silent
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
@@ -59,7 +60,7 @@ def bench_architectures(
     images: int = 200,
     views: int = 12,
     forest: int = ForestScale.images,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> Tree:
     """Size, milliseconds a frame and accuracy of every network in the folders `runs`, each trained as NAME-SEED.
 

@@ -8,7 +8,6 @@ that a pixel's own path needs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -21,6 +20,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
+from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
@@ -212,7 +212,7 @@ def fit_forest(
     images: RangeImages,
     scale: ForestScale | None = None,
     seed: int = 0,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> DepthForest:
     """A forest grown on pixels of `images` as their epoch shows them, on one processor.
 

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from benches.measuring import silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -57,7 +58,7 @@ def bench_network(
     views: int = 12,
     runs: tuple[Path, ...] = (),
     scores: tuple[Path, ...] = (),
-    progress: Callable[..., None] = lambda done, total: None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
     """Parameters, times and accuracy of every kind of network that is installed, fcn_alexnet at full width.
 

@@ -6,6 +6,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -69,9 +71,7 @@ def _scale(axes: Any) -> None:
     low, high = last.get_xlim()
     last.set_xlim(min(low, 20), max(high, 80))
     last.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    last.xaxis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{value:,.0f}".replace(",", " ") if value >= 1 else f"{value:g}")
-    )
+    last.xaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value) if value >= 1 else f"{value:g}"))
     last.xaxis.set_minor_formatter(NullFormatter())
     last.set_xlabel("milliseconds a batch: median, and from quartile to quartile", fontsize=10)
     for axis in axes:
@@ -104,18 +104,12 @@ def _beside(row: Tree, names: list[str]) -> str:
 
 
 def _handle(position: int, name: str, network: Tree) -> Any:
-    from matplotlib.lines import Line2D
-
     colour, marker = _MARKS[position % len(_MARKS)]
     accuracy = network["accuracy_all"]
     right = "" if accuracy is None else f", {accuracy:.1%} per class on all"
     label = f"{name}: {network['parameters'] / 1e6:.3g} million parameters{right}"
-    return Line2D([], [], color=colour, marker=marker, linewidth=3, markersize=7, label=label)
+    return legend_line(label, color=colour, marker=marker, linewidth=3, markersize=7)
 
 
 def _reference_lines() -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], color=_FAINT, linewidth=0.9, linestyle=dashes, label=text) for _, dashes, text in _REFERENCES
-    ]
+    return [legend_line(text, color=_FAINT, linewidth=0.9, linestyle=dashes) for _, dashes, text in _REFERENCES]

@@ -6,7 +6,7 @@ what is measured is geometry alone. docs/segment.md says how to read the results
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.bodies.source import BodyRef
+from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
@@ -74,7 +74,7 @@ def all_scenes() -> list[Scene]:
 def bench_sensors(
     views: int = 12,
     runs: Sequence[Path] = (),
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Average per-class accuracy in each scene by every one of `METHODS`.
 
@@ -88,7 +88,7 @@ def bench_sensors(
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
     in_view: list[list[float]] = [[] for _ in scenes]
     source = open_source("open")
-    bodies = _spread([body for body in source.bodies() if body.split == "test"], count)
+    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
     for done, body in enumerate(bodies, start=1):
         built = source.build(body)
         parts, renderer = partition(built.mesh, built.landmarks), open_renderer("raster", built.mesh)
@@ -142,9 +142,3 @@ def _share_in_view(mesh: Mesh, placed: PlacedCamera) -> float:
     """The share of a mesh's vertices inside the frame."""
     points, _ = placed.project(mesh.vertices)
     return float(((points >= 0) & (points < (placed.camera.columns, placed.camera.rows))).all(axis=1).mean())
-
-
-def _spread(bodies: Sequence[BodyRef], count: int) -> list[BodyRef]:
-    """`count` of them, or all if there are fewer, evenly over the list."""
-    kept = min(count, len(bodies))
-    return [bodies[(2 * place + 1) * len(bodies) // (2 * kept)] for place in range(kept)]

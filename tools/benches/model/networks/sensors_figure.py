@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -52,16 +53,12 @@ def _curves(axis: Any, scenes: list[Tree], names: list[str], key: str) -> None:
 
 
 def _handles(names: list[str], known: Tree, top: float) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    lines = [Line2D([], [], color=colour, linewidth=3, label=method) for method, colour in _COLOURS.items()]
-    lines += [
-        Line2D([], [], color="#4d4d4d", linestyle=dashes, label=name)
-        for name, dashes in zip(names, _DASHES, strict=False)
+    lines = [legend_line(method, color=colour, linewidth=3) for method, colour in _COLOURS.items()]
+    pairs = zip(names, _DASHES, strict=False)
+    lines += [legend_line(name, color="#4d4d4d", linestyle=dashes) for name, dashes in pairs]
+        legend_line(name, color="#4d4d4d", linestyle=dashes) for name, dashes in zip(names, _DASHES, strict=False)
     ]
     reference = f"{known['sensor']} camera at {known['distance_m']:g} m: {top:.1%}"
-    lines.append(Line2D([], [], color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2)), label=reference))
-    hollow = Line2D(
-        [], [], color="#4d4d4d", marker="o", markerfacecolor="white", linestyle="", label="cut by the frame"
-    )
+    lines.append(legend_line(reference, color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2))))
+    hollow = legend_line("cut by the frame", color="#4d4d4d", marker="o", markerfacecolor="white", linestyle="")
     return [*lines, hollow]

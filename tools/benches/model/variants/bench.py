@@ -14,8 +14,9 @@ from typing import Any, Final
 
 import torch
 
+from benches.measuring import silent
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
-from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, runs_in, train
+from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
@@ -37,7 +38,7 @@ def bench_variants(
     steps: int | None = None,
     images: int = 500,
     alone: bool = False,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
     """Train what is missing in the folder `runs`, then evaluate every network on the first `images` of `data`.
 
@@ -102,7 +103,7 @@ def bench_variants(
         "subsets": _subsets(scores_of),
         "sweeps": {name: _curves(scores_of, sweep) for name, sweep in sweeps.items()},
         "claims": claims(scores_of, alone),
-        "networks": [_origin(run, networks[run].card) for run in trainings],
+        "networks": [origin(run.path) for run in trainings],
     }
 
 
@@ -133,10 +134,6 @@ def _subsets(scores_of: ScoresOf) -> Tree:
         values = {name: [row[name]["average_per_class_accuracy"] for row in rows] for name in rows[0]}
         found[variant] = {name: None if None in each else over_seeds(each) for name, each in values.items()}
     return found
-
-
-def _origin(run: Run, card: dict[str, Any]) -> dict[str, Any]:
-    return {"name": run.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
 
 
 @dataclass

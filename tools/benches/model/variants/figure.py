@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -56,16 +58,10 @@ def draw_variants(figures: Tree, path: Path) -> None:
         if position % 2 == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     _table(figure.add_subplot(grid[:, 2]), figures["table"])
-    handles = [_line(name, label=f"trained on {name}") for name in _STYLES]
+    handles = [legend_line(f"trained on {name}", **_drawn(name)) for name in _STYLES]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=10.5, handlelength=4.5, frameon=False)
     figure.suptitle(_scale(figures["scale"]), x=0.005, ha="left", fontsize=10.5)
     save_chart(figure, path, dpi=110)
-
-
-def _line(name: str, **options: Any) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], **_drawn(name), **options)
 
 
 def _drawn(name: str) -> dict[str, Any]:
@@ -130,10 +126,6 @@ def _scale(scale: Tree) -> str:
     rows, columns = scale["image"]
     steps, batch, views = scale["steps"], scale["images_a_step"], scale["train_images"]
     return (
-        f"{seeds}; {_thousands(steps)} steps of {batch} images ({_thousands(steps * batch)} images of "
-        f"{_thousands(views)} views); {_thousands(scale['test_images'])} test images of {rows} × {columns} pixels"
+        f"{seeds}; {thousands(steps)} steps of {batch} images ({thousands(steps * batch)} images of "
+        f"{thousands(views)} views); {thousands(scale['test_images'])} test images of {rows} × {columns} pixels"
     )
-
-
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")

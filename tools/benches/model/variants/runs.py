@@ -106,6 +106,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     return shared
 
 
+def origin(folder: Path) -> dict[str, Any]:
+    """Name of a training's folder, and the command, commit and hardware on its card."""
+    card = read_json(folder / "network.json")
+    return {"name": folder.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
+
+
 def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Report) -> None:
     """Train to the end, from the folder's last checkpoint if there is one, as `bodyseg train` would.
 
