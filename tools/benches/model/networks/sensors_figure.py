@@ -56,8 +56,6 @@ def _handles(names: list[str], known: Tree, top: float) -> list[Any]:
     lines = [legend_line(method, color=colour, linewidth=3) for method, colour in _COLOURS.items()]
     pairs = zip(names, _DASHES, strict=False)
     lines += [legend_line(name, color="#4d4d4d", linestyle=dashes) for name, dashes in pairs]
-        legend_line(name, color="#4d4d4d", linestyle=dashes) for name, dashes in zip(names, _DASHES, strict=False)
-    ]
     reference = f"{known['sensor']} camera at {known['distance_m']:g} m: {top:.1%}"
     lines.append(legend_line(reference, color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2))))
     hollow = legend_line("cut by the frame", color="#4d4d4d", marker="o", markerfacecolor="white", linestyle="")
