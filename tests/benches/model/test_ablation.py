@@ -27,7 +27,7 @@ from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.registry import build
 from bodyseg_model.training.recipes import PRESETS
 
-IMAGES = 2
+IMAGES = 1
 SETTINGS = {"patch": 16, "widths": [8], "blocks": [0]}
 ROW = {each.name: each for each in ROWS}
 TRAINED = ("losses", "no_noise", "no_context", "views_1")

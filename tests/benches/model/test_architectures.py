@@ -115,6 +115,20 @@ def test_every_network_is_judged_and_timed(figures_set: Path, run: Make) -> None
     assert (scale["forest_images"], scale["shottons_forest_images"]) == (4, 900_000)
 
 
+def test_a_forest_may_be_left_out(figures_set: Path, run: Make) -> None:
+    folder = run("compact_small-0", settings={**TINY, "widths": [4]})  # of another set, which only a forest minds
+    found = bench_architectures(str(figures_set), (folder,), IMAGES, 1, 0)
+    assert list(found["networks"]) == ["compact_small"] and found["scale"]["forest_images"] is None
+    row = found["networks"]["compact_small"]
+    network = load_network(folder / "compact_small-0").network
+    expected = slow_accuracy(network, RangeImages(figures_set, "all", "test", 0), IMAGES)
+    assert row["accuracy_all"] == {"mean": expected, "sd": None, "seeds": [expected]}
+    assert (row["default"], found["reference"], row["gpu_ms"]) == (False, "compact_small", None)
+    assert row["parameters"] == parameters(network) and row["cpu_ms"] > 0 and row["labels_ms"] > 0
+    with pytest.raises(BadConfig, match="a forest learns from what the networks learned from: .* is of the set of the"):
+        bench_architectures(str(figures_set), (folder,), IMAGES, 1, 4)
+
+
 @pytest.mark.parametrize(
     ("kind", "settings", "changes", "message"),
     [

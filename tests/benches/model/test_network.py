@@ -80,7 +80,7 @@ def scores(tmp_path: Path) -> Callable[..., Path]:
 
 
 def test_size_time_and_accuracy_of_both_networks(
-    run: Callable[..., Path], scores: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+    run: Callable[..., Path], scores: Callable[..., Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     threads = torch.get_num_threads()
     seen: list[tuple[int, int]] = []
@@ -107,6 +107,8 @@ def test_size_time_and_accuracy_of_both_networks(
     assert found["frames"]["sensor"] == {"rows": 96, "columns": 72, "count": 1}
     assert torch.get_num_threads() == threads
     assert json.loads(json.dumps(found)) == found
+    draw_network(found, tmp_path / "network.png")
+    assert (tmp_path / "network.png").stat().st_size > 10_000
 
 
 def test_operations_are_counted_as_by_hand() -> None:
@@ -135,9 +137,3 @@ def test_medians_quartiles_and_the_quotient_of_neighbours() -> None:
     found = summary({"slow": [20.0, 30.0, 400.0], "quick": [10.0, 10.0, 100.0]}, "quick")
     assert found["slow"] == {"ms": 30.0, "quartiles": [25.0, 215.0], "rounds": 3, "times_as_long": 3.0}
     assert found["quick"] == {"ms": 10.0, "quartiles": [10.0, 55.0], "rounds": 3, "times_as_long": 1.0}
-
-
-def test_the_figure_is_drawn(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    draw_network(bench_network(1), tmp_path / "network.png")
-    assert (tmp_path / "network.png").stat().st_size > 10_000

@@ -28,7 +28,7 @@ from bodyseg_model.training.loop import RunOptions
 
 SETTINGS = '{"patch": 16, "widths": [8], "blocks": [0]}'
 STEPS = 2
-IMAGES = 2
+IMAGES = 1
 HERE = ProcessGroup(0, 1, torch.device("cpu"))
 
 
