@@ -93,7 +93,7 @@ def _fetch(packing: Packing, rendered: Rendered) -> float:
         message = f"bench scaling needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
         raise MissingLibrary(message) from error
     sizes = tuple(tuple(map(len, members.values())) for _, members in rendered.samples)
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     options["scheduler_kwargs"] = {"dashboard_address": ":0"}  # any free port: another cluster may hold the usual one
     with (
         distributed.LocalCluster(**options) as nodes,
