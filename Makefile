@@ -11,7 +11,7 @@ $(VENV)/.installed: pyproject.toml tools/requirements.lock tools/install_torch
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 tools/install_torch $(BIN)
-	$(BIN)/pip install --quiet --disable-pip-version-check -r tools/requirements.lock
+	$(BIN)/pip install --disable-pip-version-check -r tools/requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 

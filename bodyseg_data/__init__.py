@@ -11,7 +11,8 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, Augmentation
+    from bodyseg_data.artifacts.strengths import Artifacts
+    from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
     from bodyseg_data.core.errors import BodysegError
     from bodyseg_data.core.parts import BACKGROUND, PARTS
     from bodyseg_data.core.rig import Rig, load_rig
@@ -33,7 +34,7 @@ _HOME: Final = {
     "RangeImages": "loading.range_images",
     "loader": "loading.loader",
     "VARIANTS": "artifacts.variants",
-    "Artifacts": "artifacts.variants",
+    "Artifacts": "artifacts.strengths",
     "Augmentation": "artifacts.variants",
 }
 

@@ -1,9 +1,9 @@
 """Pixels lost together, as sensors lose them: whole patches, stripes, and surfaces seen at grazing angles.
 
-Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. What these functions lose hangs together: dark
-cloth that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along
-the camera's ray. Each function loses exactly the share asked for, to the nearest pixel, and a larger share of the same
-image and draws loses the same pixels and more.
+Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. Here neighbouring pixels are lost: dark cloth
+that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along the
+camera's ray. Each function loses exactly the given share, to the nearest pixel, and a larger share of the same image
+and draws loses the same pixels and more.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Camera
 
-KINDS: Final = ("none", "patches", "stripes", "grazing")
+SHAPES: Final = ("patches", "stripes", "grazing")
 
 MOST_PATCHES: Final = 4
 LONGEST: Final = 2.0
@@ -32,11 +34,15 @@ Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
-class Losses:
-    """For training: every image loses patches, stripes, grazing surfaces or nothing, each kind as likely.
+class Losses(Artifact):
+    """Patches, stripes, grazing surfaces or nothing lost, each as likely; the paper has none of it.
 
     most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
     """
+
+    name = "losses"
+    kind = "missing_data"
+    purposes = ("losses",)
 
     most: float = 0.0
 
@@ -46,23 +52,38 @@ class Losses:
     def lost(
         self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
     ) -> NDArray[np.bool_]:
-        """What one image loses, bool [H, W]: pixels of the foreground of a clean range image, uint16 [H, W].
+        """Mark the pixels that one image loses, bool [H, W].
 
-        camera: the one that sees the image. Raises BadConfig for an image that is not the camera's.
+        range_image: the clean one, uint16 [H, W], 0 is background. camera: the one that sees it. generator: draws the
+        shape, the share and the positions. Raises BadConfig for an image that is not the camera's.
         """
         chances = _chances(generator, 2)
-        kind, share = KINDS[int(chances[0] * len(KINDS))], self.most * float(chances[1])
-        if kind == "patches":
-            return lost_patches(range_image, share, generator)
-        if kind == "stripes":
-            return lost_stripes(range_image, share, generator)
-        if kind == "grazing":
-            return lost_grazing(range_image, share, camera)
-        return np.zeros(range_image.shape, np.bool_)
+        shapes, share = (None, *SHAPES), self.most * float(chances[1])
+        shape = shapes[int(chances[0] * len(shapes))]
+        if shape is None:
+            return np.zeros(range_image.shape, np.bool_)
+        return lost(shape, range_image, share, camera, generator)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`. Raises BadConfig for a sample that is not the rig's."""
+        image.range[self.lost(scene.sample.range, scene.rig.camera, draws.generator("losses"))] = 0
+
+
+def lost(
+    shape: str, range_image: NDArray[np.uint16], share: float, camera: Camera, generator: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Mark the pixels lost in one of `SHAPES`, bool [H, W]; other arguments as of `lost_patches` and `lost_grazing`."""
+    if shape == "patches":
+        return lost_patches(range_image, share, generator)
+    if shape == "stripes":
+        return lost_stripes(range_image, share, generator)
+    if shape == "grazing":
+        return lost_grazing(range_image, share, camera)
+    raise BadConfig(f"pixels are lost in one of {', '.join(SHAPES)}, found {shape!r}")
 
 
 def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
-    """One to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
+    """Mark one to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
 
     range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow together until
     they hold it. Raises BadConfig for another share.
@@ -72,11 +93,11 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
-    places = np.flatnonzero(inside)
+    pixels = np.flatnonzero(inside)
     count, *chances = _chances(generator, 1 + 3 * MOST_PATCHES)
     nearest = np.full(inside.shape, np.inf, np.float32)
-    for place, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
-        row, column = divmod(int(places[int(place * len(places))]), inside.shape[1])
+    for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
+        row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
         half = np.exp2(size) * LONGEST ** (length - 0.5)  # of its height; its width is the other way round
         other = np.exp2(size) / LONGEST ** (length - 0.5)
         down = ((np.arange(inside.shape[0]) - row) / half) ** 2
@@ -86,9 +107,9 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
 
 
 def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
-    """Two to twelve horizontal bands of one width, evenly over the foreground's height, lost whole, bool [H, W].
+    """Mark two to twelve horizontal bands of one width, evenly over the foreground's height, lost whole, bool [H, W].
 
-    As `lost_patches`; what is left over of a row of pixels is lost from the left.
+    As `lost_patches`; of a row that is lost in part, pixels are lost from the left.
     """
     _check_share(share)
     lost = np.zeros(range_image.shape, np.bool_)
@@ -102,7 +123,7 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
     from_middle = np.abs((rows * stripes / inside.shape[0] + chances[1]) % 1 - 0.5)
     order = np.argsort(from_middle, kind="stable")
     pixels = inside.sum(axis=1)[order]
-    left = _wanted(share, int(pixels.sum()))
+    left = _rounded(share, int(pixels.sum()))
     before = np.cumsum(pixels) - pixels
     whole = before + pixels <= left
     gone = lost[box]
@@ -114,7 +135,7 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
 
 
 def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) -> NDArray[np.bool_]:
-    """The pixels whose surface lies most nearly along the camera's ray, bool [H, W]; see `slants`.
+    """Mark the pixels whose surface lies most nearly along the camera's ray, bool [H, W]; see `slants`.
 
     As `lost_patches`. Raises BadConfig as well for an image that is not the camera's.
     """
@@ -131,12 +152,12 @@ def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) 
 
 
 def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray[np.float32]:
-    """How slantwise the camera sees each surface: 1 / cos**2 of the angle between normal and ray, float32 [h, w].
+    """The slant of each surface to the camera: 1 / cos**2 of the angle between normal and ray, float32 [h, w].
 
     A surface z(u, v) seen by a pinhole camera with rays (x, y, 1) has the normal (-f z_u, -f z_v, z + f x z_u +
     f y z_v), whose product with the ray is z. Slopes are differences to the neighbour whose range differs less, so that
-    an edge in front of something else counts as what it is and not as a wall between the two. box: of the image, the
-    part to look at, beyond which all is background; values on background mean nothing.
+    no wall is seen between an edge and the surface behind it. box: the part of the image to compute, beyond which all
+    is background; values on background mean nothing.
     """
     rows, columns = box
     focal = np.float32(camera.focal_px)
@@ -166,21 +187,21 @@ def _slope(z: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 def _lose_first(
     range_image: NDArray[np.uint16], box: Box, order: NDArray[np.float32], share: float
 ) -> NDArray[np.bool_]:
-    """The share of the foreground with the lowest `order` [h, w]; of equal pixels the first ones."""
+    """Mark the share of the foreground with the lowest `order` [h, w]; of equal pixels the first ones."""
     lost = np.zeros(range_image.shape, np.bool_)
-    places = np.flatnonzero(range_image[box])
-    values = order.ravel()[places]
-    wanted = _wanted(share, len(places))
-    if wanted:
-        limit = np.partition(values, wanted - 1)[wanted - 1]
+    pixels = np.flatnonzero(range_image[box])
+    values = order.ravel()[pixels]
+    count = _rounded(share, len(pixels))
+    if count:
+        limit = np.partition(values, count - 1)[count - 1]
         gone = values < limit
-        gone[np.flatnonzero(values == limit)[: wanted - np.count_nonzero(gone)]] = True
-        rows, columns = np.divmod(places[gone], order.shape[1])
+        gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
+        rows, columns = np.divmod(pixels[gone], order.shape[1])
         lost[box][rows, columns] = True
     return lost
 
 
-def _wanted(share: float, pixels: int) -> int:
+def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
 
 

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import Draws
 
 
 @dataclass(frozen=True)
-class MissingData:
-    """Which share of the foreground is lost.
+class MissingData(Artifact):
+    """Pixels lost at random: a share of the foreground that is drawn once an image.
 
     The paper's "randomly chosen between 0%, 5% and 50%" is read as one of `rates`, each as likely. With `between` set
     to (low, high), the rate is drawn uniformly from that interval instead.
     """
+
+    name = "missing_data"
+    kind = "missing_data"
+    purposes = ("missing rate", "missing data")
+    drawn: ClassVar[Mapping[str, str]] = {"missing_rate": "{:.0%} missing"}
+    in_paper = True
 
     rates: tuple[float, ...] = (0.0, 0.05, 0.5)
     between: tuple[float, float] | None = None
@@ -34,14 +44,24 @@ class MissingData:
             return low + (high - low) * chance
         return self.rates[int(chance * len(self.rates))]
 
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: "missing_rate", the share of pixels lost."""
+        return {"missing_rate": self.rate(draws.chance("missing rate"))}
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        pixels = scene.pixels
+        kept = kept_pixels(image.drawn["missing_rate"], draws.pixels("missing data", len(pixels), np.uint16))
+        image.range.reshape(-1)[pixels[~kept]] = 0
+
 
 def threshold(rate: float) -> int:
-    """How many of the 65 536 values of 16 random bits lose a pixel: the rate, to the nearest of them."""
+    """The number of the 65 536 values of 16 random bits that lose a pixel: the rate, to the nearest of them."""
     return round(rate * 65536)
 
 
 def kept_pixels(rate: float, draws: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Which foreground pixels survive, bool [N]; draws: uint16 [N], random bits.
+    """Mark the foreground pixels that survive, bool [N]; draws: uint16 [N], random bits.
 
     Each is lost independently with probability `rate`, to the nearest multiple of 2**-16.
     """

@@ -5,20 +5,30 @@ Normals are made of 32 random bits each, by the inverse of their distribution fu
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.sample import RANGE_STEP_M
 
 
 @dataclass(frozen=True)
-class Noise:
-    """How strong the noise may be: sigma is drawn uniformly from [low_mm, high_mm] for every image."""
+class Noise(Artifact):
+    """Gaussian noise of one standard deviation an image, drawn uniformly from [low_mm, high_mm], millimetres."""
+
+    name = "noise"
+    kind = "noise"
+    purposes = ("sigma", "noise")
+    drawn: ClassVar[Mapping[str, str]] = {"sigma_mm": "noise {:.0f} mm"}
+    in_paper = True
+    alters_labels = False
 
     low_mm: float = 0.0
     high_mm: float = 100.0
@@ -33,11 +43,22 @@ class Noise:
         """The standard deviation of one image, millimetres; chance: uniform from 0 to below 1."""
         return self.low_mm + (self.high_mm - self.low_mm) * chance
 
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: "sigma_mm", the standard deviation."""
+        return {"sigma_mm": self.sigma_mm(draws.chance("sigma"))}
 
-# A segment is a float's exponent and the highest four bits of its mantissa, the rest is the place in the segment. The
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        ranges, pixels = image.range.reshape(-1), scene.pixels
+        before = ranges[pixels]
+        noisy = add_noise(before, image.drawn["sigma_mm"], draws.pixels("noise", len(pixels), np.uint32))
+        ranges[pixels] = np.where(before > 0, noisy, 0)
+
+
+# A segment is a float's exponent and the highest four bits of its mantissa, the rest is the offset in the segment. The
 # lowest segment begins at 0.5, the last one is 2**31 alone.
 SEGMENT_SHIFT: Final = 19
-PLACE_MASK: Final = (1 << SEGMENT_SHIFT) - 1
+OFFSET_MASK: Final = (1 << SEGMENT_SHIFT) - 1
 FIRST_SEGMENT: Final = (127 - 1) << 4
 _OCTAVES: Final = 32
 
@@ -45,17 +66,17 @@ _OCTAVES: Final = 32
 def _segments() -> NDArray[np.float32]:
     """Quadratics that meet the inverse distribution function at the three Chebyshev points of every segment.
 
-    float32 [3, segments]: what to multiply 1, place and place**2 by.
+    float32 [3, segments]: the factors of 1, offset and offset**2.
     """
-    places = 0.5 - 0.5 * np.sqrt([0.75, 0.0, 0.75]) * (1, 0, -1)  # cosines of 30, 90 and 150 degrees
+    points = 0.5 - 0.5 * np.sqrt([0.75, 0.0, 0.75]) * (1, 0, -1)  # cosines of 30, 90 and 150 degrees
     starts = np.ldexp(1 + np.arange(16) / 16, np.arange(-1, _OCTAVES - 1)[:, None]).ravel()
     widths = np.repeat(np.ldexp(1 / 16, np.arange(-1, _OCTAVES - 1)), 16)
     inverse = NormalDist().inv_cdf
-    a, b, c = ([-inverse(x) for x in (starts + place * widths) / 2**32] for place in places)
-    slope = np.subtract(b, a) / (places[1] - places[0])
-    bend = (np.subtract(c, b) / (places[2] - places[1]) - slope) / (places[2] - places[0])
-    constant = a - slope * places[0] + bend * places[0] * places[1]
-    linear = slope - bend * (places[0] + places[1])
+    a, b, c = ([-inverse(x) for x in (starts + point * widths) / 2**32] for point in points)
+    slope = np.subtract(b, a) / (points[1] - points[0])
+    bend = (np.subtract(c, b) / (points[2] - points[1]) - slope) / (points[2] - points[0])
+    constant = a - slope * points[0] + bend * points[0] * points[1]
+    linear = slope - bend * (points[0] + points[1])
     scale = 2.0**-SEGMENT_SHIFT
     table = np.stack([constant, linear * scale, bend * scale**2])
     return np.ascontiguousarray(np.pad(table, ((0, 0), (0, 1))), np.float32)
@@ -72,10 +93,10 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     form and machine gives the same bits.
     """
     bits = ((draws & np.uint32(0x7FFFFFFF)).astype(np.float32) + np.float32(0.5)).view(np.int32)
-    place = (bits & PLACE_MASK).astype(np.float32)
+    offset = (bits & OFFSET_MASK).astype(np.float32)
     segment = (bits >> SEGMENT_SHIFT) - FIRST_SEGMENT
     constant, linear, bend = (row.take(segment) for row in SEGMENTS)
-    size = constant + place * (linear + place * bend)
+    size = constant + offset * (linear + offset * bend)
     signed: NDArray[np.float32] = np.where(draws >> np.uint32(31), size, -size)
     return signed
 

@@ -3,43 +3,56 @@
 A shadow map (Williams, "Casting curved shadows on curved surfaces", SIGGRAPH 1978): the projector's range image says
 how far its light gets in every direction. A camera pixel is lit if its surface faces the projector, lies inside the
 projector's frame, and is not behind what that image shows there. The last question is put to the four texels around
-the point. Where they show one surface, their bilinear interpolation is its range, and the point may be at most
-`SURFACE_GAP_M` behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel
-votes instead ("not more than `EDGE_M` in front of the point") with its bilinear weight, and half the weight decides
-(percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). docs/occlusion.md measures this and its
-rivals; `occlusion_reference.py` says the same a pixel at a time.
+the point. Where they show one surface, their bilinear interpolation is its range, and the point may be at most a
+surface gap behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel votes
+instead ("not more than an edge's difference in front of the point") with its bilinear weight, and half the weight
+decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). Both thresholds belong to the format of
+shards (`core.sample.ShadowThresholds`). docs/occlusion.md measures the test beside its rivals.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import RANGE_STEP_M
-
-SURFACE_GAP_M: Final = 0.006
-"""How far behind the surface that the projector sees a point may be and still belong to it."""
-
-EDGE_M: Final = 0.020
-"""From this difference in range on, neighbouring texels show two surfaces and not one."""
+from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M, SHADOW_THRESHOLDS
 
 Floats = NDArray[np.float32]
 
 # Everything below computes in float32, in steps of a stored range image, in one fixed order of operations, so that
 # every form and every machine gives the same bits.
-GAP_STEPS: Final = np.float32(round(SURFACE_GAP_M / RANGE_STEP_M))
-EDGE_STEPS: Final = np.float32(round(EDGE_M / RANGE_STEP_M))
-FARTHEST: Final = np.float32(65535)
+_GAP_STEPS: Final = SHADOW_THRESHOLDS.gap_steps
+_EDGE_STEPS: Final = SHADOW_THRESHOLDS.edge_steps
 _ONE: Final = np.float32(1)
 _HALF: Final = np.float32(0.5)
 
 
+@dataclass(frozen=True)
+class Occlusion(Artifact):
+    """The projector's shadow: pixels are lost where its light does not reach the surface (paper, section 3.1)."""
+
+    name = "occlusion"
+    kind = "occlusion"
+    in_paper = True
+    needs_projector = True
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        sample = scene.sample
+        test = shadow_test(scene.rig)
+        image.range[...] *= test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
+
+
 class ShadowTest:
-    """The shadow test for one rig: built once, asked once a sample.
+    """The shadow test for one rig: built once, applied to every sample.
 
     A camera pixel with ray r = (x, y, 1) and range z sees the point z r, which is z R r + t for the projector. So its
     projector coordinates are quotients (z a + b) / (z c + d), where a and c depend on the pixel only, b and d on
@@ -58,6 +71,9 @@ class ShadowTest:
         self.slopes: Floats = np.ascontiguousarray((rays @ image_plane.T).T, np.float32)
         self.offsets: Floats = (image_plane @ shift_m / RANGE_STEP_M).astype(np.float32)
 
+    def __repr__(self) -> str:
+        return f"ShadowTest(rig {self.rig.name!r}, {SHADOW_THRESHOLDS})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return ShadowTest, (self.rig,)  # a rig is small, the arrays are not
 
@@ -67,7 +83,7 @@ class ShadowTest:
         projector_range: NDArray[np.uint16],
         faces_projector: NDArray[np.bool_],
     ) -> NDArray[np.bool_]:
-        """Which camera pixels see a surface that the projector lights, bool [H, W]; False on background.
+        """Mark the camera pixels that see a surface which the projector lights, bool [H, W]; False on background.
 
         camera_range: uint16 [H, W] and projector_range: uint16 [Hp, Wp], steps of `RANGE_STEP_M` along the optical axis
         of each device, 0 where there is nothing. faces_projector: bool [H, W], whether the triangle seen turns its
@@ -89,8 +105,10 @@ class ShadowTest:
     def project(
         self, camera_range: NDArray[np.uint16], pixels: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-        """Those of the given foreground pixels (flat indices [N]) that fall inside the projector's frame, with their
-        texel coordinates x and y (whole at texel centres) and their range in the projector's frame, in steps.
+        """Project foreground pixels, flat indices [N], into the projector's image.
+
+        Returns the pixels that fall inside its frame, their texel coordinates x and y, float32, whole at texel centres,
+        and their range in the projector's frame, float32, in steps.
         """
         z = camera_range.ravel().take(pixels).astype(np.float32)
         across, down, forward = (slope.take(pixels) for slope in self.slopes)
@@ -107,25 +125,31 @@ class ShadowTest:
         return pixels[inside], x[inside], y[inside], away[inside]
 
 
+@lru_cache(maxsize=8)
+def shadow_test(rig: Rig) -> ShadowTest:
+    """The shadow test of a rig, built once a process."""
+    return ShadowTest(rig)
+
+
 def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
-    """Whether light gets to points inside the projector's frame, bool [N].
+    """Decide whether light reaches points inside the projector's frame, bool [N].
 
     projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
     Wp - 0.5. away: float32 [N], the points' range in the projector's frame. Ranges are in steps of `RANGE_STEP_M`.
     """
     texels, along, below = four_texels(projector_range, x, y)
-    away = np.minimum(away - _ONE, FARTHEST)  # one step off, as the texels are
+    away = np.minimum(away - _ONE, FARTHEST_STEPS)  # one step off, as the texels are
     nearest = np.minimum(np.minimum(texels[0], texels[1]), np.minimum(texels[2], texels[3]))
     farthest = np.maximum(np.maximum(texels[0], texels[1]), np.maximum(texels[2], texels[3]))
 
     # One surface: it is where the interpolated range says.
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= GAP_STEPS
+    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= _GAP_STEPS
 
     # An edge: votes.
-    torn = np.flatnonzero(farthest - nearest >= EDGE_STEPS)
-    limit, right, low = (away - EDGE_STEPS)[torn], along[torn], below[torn]
+    torn = np.flatnonzero(farthest - nearest >= _EDGE_STEPS)
+    limit, right, low = (away - _EDGE_STEPS)[torn], along[torn], below[torn]
     left, high = _ONE - right, _ONE - low
     votes = [
         weight * (texel[torn] >= limit)
@@ -151,7 +175,8 @@ def four_texels(
 
 
 def framed(projector_range: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The image less one step, uint16 [Hp + 2, Wp + 2]; its border is repeated, so each point has four texels around.
+    """A projector image less one step, uint16 [Hp + 2, Wp + 2], with its border repeated: every point in the frame has
+    four texels around it.
 
     One step off, an empty texel wraps round from 0 to 65535, which is behind every point, as it should be.
     """

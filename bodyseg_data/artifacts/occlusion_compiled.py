@@ -12,18 +12,21 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS, ShadowTest
+from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.scratch import constant, scratch_for
 from bodyseg_data.core.kernels import compiled
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
+_GAP_STEPS: Final = SHADOW_THRESHOLDS.gap_steps
+_EDGE_STEPS: Final = SHADOW_THRESHOLDS.edge_steps
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 class Shadow(NamedTuple):
-    """What `mark_lit` reads; flat constant arrays."""
+    """The input of `mark_lit`: flat constant arrays, and the rig's constants."""
 
     camera_range: NDArray[np.uint16]
     facing: NDArray[np.uint8]
@@ -41,7 +44,10 @@ class Shadow(NamedTuple):
 
 @_kernel
 def find_runs(camera_range: Any, changes: Any, edges: Any) -> Any:
-    """Where foreground begins, ends, begins ... in reading order; how many runs. changes: zeros behind the image."""
+    """Find where foreground begins, ends, begins ... in reading order, into `edges`; returns the number of runs.
+
+    changes: zeros behind the image.
+    """
     size = np.uint64(camera_range.size)
     changes[0] = camera_range[0] != 0
     for pixel in range(np.uint64(1), size):
@@ -50,9 +56,9 @@ def find_runs(camera_range: Any, changes: Any, edges: Any) -> Any:
     count: Any = 0
     for word in range(np.uint64(words.size)):
         if words[word] != 0:
-            for place in range(np.uint64(8)):
-                edges[count] = word * np.uint64(8) + place
-                count += np.int64(changes[word * np.uint64(8) + place])
+            for offset in range(np.uint64(8)):
+                edges[count] = word * np.uint64(8) + offset
+                count += np.int64(changes[word * np.uint64(8) + offset])
     if camera_range[size - np.uint64(1)] != 0:
         edges[count] = size
         count += 1
@@ -76,8 +82,8 @@ def find_texels(x: Any, y: Any, away: Any, count: Any, rows: Any, columns: Any, 
 def mark_near(texels: Any, columns: Any, mark: Any, near: Any) -> None:
     """Set `near` to `mark` where one of the four texels that begin here holds anything: elsewhere all points are lit.
 
-    texels: the places of those that do. To the left of the first column is the last one of the row above, where points
-    are then looked at in vain.
+    texels: flat indices of those that do. To the left of the first column is the last one of the row above, where
+    points are then looked at in vain.
     """
     width: Any = np.int64(columns)
     for i in range(np.uint64(texels.size)):
@@ -89,12 +95,14 @@ def mark_near(texels: Any, columns: Any, mark: Any, near: Any) -> None:
 
 
 @_kernel
-def read_texels(projector_range: Any, rows: Any, columns: Any, start: Any, asked: Any, hits: Any, floats: Any) -> None:
-    """Move the asked points to the front of `floats` 0 to 2 and write their four texels, less one step, into 3 to 6."""
+def read_texels(
+    projector_range: Any, rows: Any, columns: Any, start: Any, candidates: Any, hits: Any, floats: Any
+) -> None:
+    """Move the candidates to the front of `floats` 0 to 2 and write their four texels, less one step, into 3 to 6."""
     x, y, away, a, b, c, d = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5], floats[6]
     last_x, last_y = np.float32(columns - 1), np.float32(rows - 1)
     for hit in range(np.uint64(hits)):
-        point = np.uint64(asked[hit])
+        point = np.uint64(candidates[hit])
         x[hit], y[hit], away[hit] = x[point], y[point], away[point]
         # Beyond the border, the texel beside is the same one.
         right = np.uint64((x[point] >= _NONE) & (x[point] < last_x))
@@ -113,15 +121,15 @@ def decide(floats: Any, hits: Any) -> None:
     for hit in range(np.uint64(hits)):
         a, b, c, d = floats[3, hit], floats[4, hit], floats[5, hit], floats[6, hit]
         along, below = floats[0, hit] - np.floor(floats[0, hit]), floats[1, hit] - np.floor(floats[1, hit])
-        away = min(floats[2, hit] - _ONE, FARTHEST)
+        away = min(floats[2, hit] - _ONE, FARTHEST_STEPS)
         upper, lower = a + along * (b - a), c + along * (d - c)
-        surface = away - (upper + below * (lower - upper)) <= GAP_STEPS
-        limit = away - EDGE_STEPS
+        surface = away - (upper + below * (lower - upper)) <= _GAP_STEPS
+        limit = away - _EDGE_STEPS
         votes = (_ONE - below) * (_ONE - along) if a >= limit else _NONE
         votes += (_ONE - below) * along if b >= limit else _NONE
         votes += below * (_ONE - along) if c >= limit else _NONE
         votes += below * along if d >= limit else _NONE
-        torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= EDGE_STEPS
+        torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= _EDGE_STEPS
         floats[0, hit] = _ONE if (votes >= _HALF if torn else surface) else _NONE
 
 
@@ -135,8 +143,8 @@ def mark_lit(shadow: Any, runs: Any, scratch: Any) -> Any:
         shadow.columns,
     )
     across, down, forward = shadow.across, shadow.down, shadow.forward
-    edges, marks, near, start, asked = scratch.edges, scratch.marks, scratch.near, scratch.start, scratch.asked
-    floats = scratch.floats
+    edges, marks, near, start = scratch.edges, scratch.marks, scratch.near, scratch.start
+    candidates, floats = scratch.candidates, scratch.floats
     x, y, away = floats[0], floats[1], floats[2]
     count = np.uint64(0)
     for run in range(np.uint64(runs)):
@@ -155,19 +163,19 @@ def mark_lit(shadow: Any, runs: Any, scratch: Any) -> Any:
     mark_near(shadow.texels, columns, np.uint8(1), near)
     hits = np.uint64(0)
     for point in range(count):
-        asked[hits] = point
+        candidates[hits] = point
         hits += np.uint64(near[np.uint64(start[point])] & marks[point])
     mark_near(shadow.texels, columns, np.uint8(0), near)
-    read_texels(projector_range, rows, columns, start, asked, hits, floats)
+    read_texels(projector_range, rows, columns, start, candidates, hits, floats)
     decide(floats, hits)
     for hit in range(hits):
-        marks[np.uint64(asked[hit])] = np.uint8(floats[0, hit])
+        marks[np.uint64(candidates[hit])] = np.uint8(floats[0, hit])
     return count
 
 
 @_kernel
 def lit_image(shadow: Any, scratch: Any, answer: Any) -> None:
-    """Whether each pixel is lit, into `answer`, flat."""
+    """Mark the pixels that are lit in `answer`, flat."""
     runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
     mark_lit(shadow, runs, scratch)
     answer[:] = False
@@ -185,9 +193,9 @@ def shadow_of(
     faces_projector: NDArray[np.bool_],
     texels: NDArray[np.int32] | None = None,
 ) -> Shadow:
-    """What the compiled test reads, checked: it looks at no length itself. Raises BadSample as `ShadowTest.lit`.
+    """Check and gather the input of the compiled test, which checks no length itself.
 
-    texels: the places of those that hold anything, if they are known.
+    Raises BadSample as `ShadowTest.lit`. texels: flat indices of those that hold anything, if they are known.
     """
     test.check(camera_range, projector_range, faces_projector)
     frame = test.rig.projector.rows, test.rig.projector.columns

@@ -1,4 +1,4 @@
-"""Memory that compiled loops work in, kept from sample to sample: fresh memory costs as much as the work."""
+"""Memory of the compiled loops, kept from sample to sample: fresh memory costs as much as the work."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ class Scratch(NamedTuple):
     """Room for the lists of one image's foreground pixels; pages that are never touched take no memory.
 
     edges: where runs of foreground begin and end; changes: whether a pixel begins or ends one, zeros behind the image;
-    marks: which pixels are kept; start, asked, floats: texels, points and their coordinates; near: where texels are,
-    zeros between samples;
-    words: random bits, and halves and quarters: the same memory in smaller pieces.
+    marks: which pixels are kept; start: the texel of each point; candidates: the points near an occupied texel; floats:
+    coordinates of points, and texels; near: which texels have an occupied one beside them, zeros between samples;
+    words: random bits; halves, quarters: the same memory in smaller pieces.
     """
 
     edges: NDArray[np.int32]
     changes: NDArray[np.uint8]
     marks: NDArray[np.uint8]
     start: NDArray[np.int32]
-    asked: NDArray[np.int32]
+    candidates: NDArray[np.int32]
     floats: NDArray[np.float32]
     near: NDArray[np.uint8]
     words: NDArray[np.uint64]
@@ -42,7 +42,7 @@ def scratch_for(pixels: int, texels: int) -> Scratch:
             changes=np.zeros(pixels // 8 * 8 + 8, np.uint8),
             marks=np.empty(pixels, np.uint8),
             start=np.empty(pixels, np.int32),
-            asked=np.empty(pixels + 1, np.int32),
+            candidates=np.empty(pixels + 1, np.int32),
             floats=np.empty((7, pixels), np.float32),
             near=np.zeros(texels, np.uint8),
             words=words,
@@ -55,13 +55,13 @@ def scratch_for(pixels: int, texels: int) -> Scratch:
 
 
 def constant(array: NDArray[Any]) -> NDArray[Any]:
-    """`array`, flat and read-only: whatever comes, loops see one kind of array and are compiled once."""
+    """`array`, flat and read-only, so that loops always get one kind of array and are compiled once."""
     flat = (array if array.flags.carray else np.require(array, requirements=("C", "A"))).reshape(-1)
     flat.flags.writeable = False
     return flat
 
 
 def copy_unless_same(array: NDArray[Any], to: NDArray[Any]) -> None:
-    """Copy an array, unless it is where it should go."""
+    """Copy an array into another, unless they are the same."""
     if array is not to:
         np.copyto(to, array)

@@ -1,106 +1,87 @@
 """Table 1 of the paper: five data sets from one set of clean samples.
 
-Draws are made for all pixels of the *clean* foreground, in reading order, whichever other artifacts are on. That is
-what makes the five variants of a sample share their draws: where `all` keeps a pixel it has the value that `noise`
-has there, and its silhouette is that of `occ` and `md` together.
+Draws are made for all pixels of the *clean* foreground, in reading order, whichever other artifacts are on. So the five
+variants of a sample share their draws: where `all` keeps a pixel it has the value that `noise` has there, and its
+silhouette is that of `occ` and `md` together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
-from bodyseg_data.artifacts.noise import Noise, add_noise
-from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
+from bodyseg_data.artifacts.strengths import Artifacts
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import Stream, chance, check_epoch, check_seed, generator, pixel_draws, stream
+from bodyseg_data.core.randomness import Draws, check_epoch, check_seed
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample
 
 VariantName = Literal["none", "occ", "noise", "md", "all", "occ+noise", "occ+md", "noise+md"]
 
-
-@dataclass(frozen=True)
-class Variant:
-    """Which artifacts a data set models: a row of Table 1, or two of them."""
-
-    occlusion: bool
-    noise: bool
-    missing_data: bool
-
-
-VARIANTS: Final[dict[VariantName, Variant]] = {
-    "none": Variant(occlusion=False, noise=False, missing_data=False),
-    "occ": Variant(occlusion=True, noise=False, missing_data=False),
-    "noise": Variant(occlusion=False, noise=True, missing_data=False),
-    "md": Variant(occlusion=False, noise=False, missing_data=True),
-    "all": Variant(occlusion=True, noise=True, missing_data=True),
+VARIANTS: Final[dict[VariantName, tuple[Kind, ...]]] = {
+    "none": (),
+    "occ": ("occlusion",),
+    "noise": ("noise",),
+    "md": ("missing_data",),
+    "all": ("occlusion", "noise", "missing_data"),
 }
-"""Table 1."""
+"""Table 1: name -> the kinds of artifacts that its images have."""
 
-PAIRS: Final[dict[VariantName, Variant]] = {
-    "occ+noise": Variant(occlusion=True, noise=True, missing_data=False),
-    "occ+md": Variant(occlusion=True, noise=False, missing_data=True),
-    "noise+md": Variant(occlusion=False, noise=True, missing_data=True),
+PAIRS: Final[dict[VariantName, tuple[Kind, ...]]] = {
+    "occ+noise": ("occlusion", "noise"),
+    "occ+md": ("occlusion", "missing_data"),
+    "noise+md": ("noise", "missing_data"),
 }
-"""`all` without one artifact, to see what that one is worth. The paper has none of them."""
+"""`all` without one kind of artifact, to measure its worth. The paper has none of them."""
 
-_KNOWN: Final = VARIANTS | PAIRS
+_PRESETS: Final = VARIANTS | PAIRS
 
 
 def check_variant(name: str) -> VariantName:
-    """`name` if it is known. Raises BadConfig."""
-    for known in _KNOWN:
+    """`name` if a variant is called so. Raises BadConfig."""
+    for known in _PRESETS:
         if name == known:
             return known
-    raise BadConfig(f"the variant must be one of {', '.join(_KNOWN)}, found {name!r}")
+    raise BadConfig(f"the variant must be one of {', '.join(_PRESETS)}, found {name!r}")
 
 
-def artifacts_of(name: str) -> Variant:
-    """Which artifacts a variant has. Raises BadConfig for an unknown name."""
-    return _KNOWN[check_variant(name)]
+def kinds_of(variant: str) -> tuple[Kind, ...]:
+    """The kinds of artifacts that a variant has. Raises BadConfig for an unknown name."""
+    return _PRESETS[check_variant(variant)]
 
 
-@dataclass(frozen=True)
-class Artifacts:
-    """How strong the artifacts are. The defaults are the paper's.
+def artifacts_for(variant: str, given: Sequence[Artifact]) -> Artifacts:
+    """The paper's artifacts but for those given.
 
-    losses: pixels lost together where a variant has missing data; the paper has none.
+    Raises BadConfig for one whose kind the variant does not have, so that no strength is set in vain; otherwise as
+    `Artifacts`.
     """
-
-    noise: Noise = field(default_factory=Noise)
-    missing_data: MissingData = field(default_factory=MissingData)
-    losses: Losses | None = None
-
-
-@dataclass(frozen=True)
-class RangeImage:
-    """A sample as a sensor would deliver it.
-
-    range: uint16 [H, W], steps of 0.1 mm, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
-    sigma_mm, missing_rate: what was drawn for this image, None where the variant has no such artifact.
-    """
-
-    key: str
-    range: NDArray[np.uint16]
-    labels: NDArray[np.uint8]
-    sigma_mm: float | None
-    missing_rate: float | None
+    strengths = Artifacts(*given)
+    for artifact in given:
+        if artifact.kind not in kinds_of(variant):
+            raise BadConfig(
+                f"a strength of {artifact.name} is for a variant that has {artifact.kind}, found variant {variant!r}"
+            )
+    return strengths
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Turns clean samples of `rig` into one variant. The same (seed, epoch, sample) gives the same bits anywhere."""
+    """Turns clean samples of `rig` into one variant. The same (seed, epoch, sample) gives the same bits anywhere.
+
+    Raises BadConfig for an unknown variant, a bad seed, objects of other classes, or artifacts that share a purpose of
+    random numbers or the name of a drawn quantity.
+    """
 
     rig: Rig
     variant: VariantName
@@ -114,81 +95,106 @@ class Augmentation:
             if not isinstance(getattr(self, name), kind):
                 found = type(getattr(self, name)).__name__
                 raise BadConfig(f"{name} must be of class {kind.__name__}, found {found}")
+        for what in ("purposes", "drawn"):
+            _check_distinct(what, self.artifacts)
+
+    def __repr__(self) -> str:
+        return f"Augmentation(rig {self.rig.name!r}, {self.variant!r}, seed={self.seed}, {self.artifacts})"
+
+    @cached_property
+    def applied(self) -> tuple[Artifact, ...]:
+        """The artifacts that images of the variant get, in the order in which they apply."""
+        return tuple(artifact for artifact in self.artifacts if artifact.kind in kinds_of(self.variant))
+
+    @cached_property
+    def needs_projector(self) -> bool:
+        """True if samples must hold the projector's range."""
+        return any(artifact.needs_projector for artifact in self.applied)
+
+    @cached_property
+    def alters_labels(self) -> bool:
+        """True if images may have other labels than their clean samples, as where pixels are lost."""
+        return any(artifact.alters_labels for artifact in self.applied)
 
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:
         """The sample as the variant shows it, in arrays of its own. Raises as `into`."""
         return self.into(sample, epoch, np.empty(sample.range.shape, np.uint16), np.empty(sample.range.shape, np.uint8))
 
     def into(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
-        """As calling, but into arrays that are there: uint16 and uint8 [H, W], contiguous, whatever they hold.
+        """The sample as the variant shows it, in given arrays, uint16 and uint8 [H, W], contiguous, whatever they hold.
 
         They may be the sample's own, which is then gone.
 
-        Applies the variant's artifacts in the paper's order: occlusion, then noise, then missing data. Raises BadSample
-        for arrays that do not fit the sample, or a sample whose images fit neither each other nor the rig, or that
-        lacks the projector's range.
+        Applies the variant's artifacts in the order of the registry, which begins as the paper's: occlusion, then
+        noise, then missing data. Raises BadSample for arrays that do not fit the sample, or a sample whose images fit
+        neither each other nor the rig, or that lacks the projector's range.
         """
-        epoch = check_epoch(epoch)
+        draws = Draws(self.seed, check_epoch(epoch), sample.key)
         _check_sample(sample)
         _check_fit(sample, "the image", image, np.uint16)
         _check_fit(sample, "the image of labels", labels, np.uint8)
-        variant = artifacts_of(self.variant)
-        sigma_mm = missing_rate = None
-        if variant.noise:
-            sigma_mm = self.artifacts.noise.sigma_mm(chance(self.seed, epoch, sample.key, "sigma"))
-        if variant.missing_data:
-            missing_rate = self.artifacts.missing_data.rate(chance(self.seed, epoch, sample.key, "missing rate"))
-        made = RangeImage(sample.key, image, labels, sigma_mm, missing_rate)
-        lost = None
-        if variant.missing_data and self.artifacts.losses is not None:
-            draws = generator(self.seed, epoch, sample.key, "losses")
-            lost = self.artifacts.losses.lost(sample.range, self.rig.camera, draws)
-        test = _shadow_test(self.rig) if variant.occlusion else None
-        if self.variant == "none":
+        drawn: dict[str, float] = {}
+        for artifact in self.applied:
+            drawn.update(artifact.draw(draws))
+        made = RangeImage(sample.key, image, labels, drawn)
+        covered = self._covered if use_compiled() else 0
+        others = self.applied[covered:]
+        # Artifacts see the clean sample, also where its arrays are to be written.
+        clean = _apart(sample, made) if others else sample
+        if covered:
+            _loops().apply_covered(self.applied[:covered], made, Scene(sample, self.rig), draws)
+        else:
             copy_unless_same(sample.range, image)
             copy_unless_same(sample.labels, labels)
-        elif use_compiled():
-            _loops().apply_artifacts(sample, test, self._streams(sample, epoch), made)
-        else:
-            self._apply_plainly(sample, test, epoch, made)
-        if lost is not None:
-            made.range[lost] = 0
-            made.labels[lost] = BACKGROUND
+        if others:
+            scene = Scene(clean, self.rig)
+            for artifact in others:
+                artifact.apply(made, scene, draws)
+            # A pixel that was lost shows nothing, so there is nothing to classify.
+            np.copyto(labels, np.uint8(BACKGROUND), where=image == 0)
         return made
 
     def prepare(self) -> None:
-        """Load, or make, whatever compiled code is needed, so that workers forked from this process have it too."""
-        if self.variant != "none" and use_compiled():
+        """Compile or load the loops that will be needed, so that workers forked from this process have them too."""
+        if use_compiled() and self._covered:
             _loops().compile_all()
 
-    def _apply_plainly(self, sample: Sample, test: ShadowTest | None, epoch: int, made: RangeImage) -> None:
-        """What the compiled loops do, in NumPy."""
-        where = np.flatnonzero(sample.range != 0)
-        ranges = sample.range.ravel()[where]
-        kept = np.ones(len(where), np.bool_)
-        if test is not None:
-            kept &= test.lit(sample.range, sample.occluder_range(), sample.faces_projector).ravel()[where]
-        noise, missing_data = self._streams(sample, epoch)
-        if made.sigma_mm is not None:
-            ranges = add_noise(ranges, made.sigma_mm, pixel_draws(noise, len(where), np.uint32))
-        if made.missing_rate is not None:
-            kept &= kept_pixels(made.missing_rate, pixel_draws(missing_data, len(where), np.uint16))
-        survivors = where[kept]
-        survivors_labels = sample.labels.ravel()[survivors]
-        made.range.fill(0)
-        made.labels.fill(BACKGROUND)
-        made.range.ravel()[survivors] = ranges[kept]
-        # A pixel that the variant removed shows nothing, so there is nothing to classify.
-        made.labels.ravel()[survivors] = survivors_labels
+    @cached_property
+    def _covered(self) -> int:
+        """The number of artifacts, from the first on, that are applied in one compiled call."""
+        covered: int = _loops().covered(self.applied) if self.applied else 0
+        return covered
 
-    def _streams(self, sample: Sample, epoch: int) -> tuple[Stream, Stream]:
-        """The random words of noise and of missing data."""
-        noise, missing_data = (stream(self.seed, epoch, sample.key, purpose) for purpose in ("noise", "missing data"))
-        return noise, missing_data
+
+def shown_with(artifact: Artifact, sample: Sample, rig: Rig, seed: int, epoch: int = 0) -> RangeImage:
+    """A clean sample with one artifact alone, in arrays of its own; draws are those of a variant that has it."""
+    draws = Draws(check_seed(seed), check_epoch(epoch), sample.key)
+    image = RangeImage(sample.key, sample.range.copy(), sample.labels.copy(), artifact.draw(draws))
+    artifact.apply(image, Scene(sample, rig), draws)
+    np.copyto(image.labels, np.uint8(BACKGROUND), where=image.range == 0)
+    return image
+
+
+def _check_distinct(what: str, artifacts: Artifacts) -> None:
+    """Raise BadConfig for a name that two artifacts have; what: an attribute that lists names."""
+    owners: dict[str, str] = {}
+    for artifact in artifacts:
+        for name in getattr(artifact, what):
+            if owners.setdefault(name, artifact.name) != artifact.name:
+                raise BadConfig(
+                    f"{what} of artifacts must differ, found {name!r} of {owners[name]} and {artifact.name}"
+                )
+
+
+def _apart(sample: Sample, image: RangeImage) -> Sample:
+    """The sample, or a copy of it if an image lies in its arrays."""
+    if not any(np.may_share_memory(a, b) for a, b in ((sample.range, image.range), (sample.labels, image.labels))):
+        return sample
+    return replace(sample, range=sample.range.copy(), labels=sample.labels.copy())
 
 
 def _check_sample(sample: Sample) -> None:
-    """Raise BadSample unless there is a label for every range: compiled loops look at no length."""
+    """Raise BadSample unless there is a label for every range: compiled loops check no length."""
     ranges, labels = sample.range, sample.labels
     if ranges.dtype != np.uint16 or labels.dtype != np.uint8 or ranges.shape != labels.shape:
         raise BadSample(
@@ -208,9 +214,3 @@ def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.gen
 def _loops() -> Any:
     """The compiled loops; they load numba, so not before they are used."""
     return import_module("bodyseg_data.artifacts.compiled")
-
-
-@lru_cache(maxsize=8)
-def _shadow_test(rig: Rig) -> ShadowTest:
-    """Built once a rig and process, not once a sample."""
-    return ShadowTest(rig)

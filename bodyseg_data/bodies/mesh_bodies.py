@@ -29,7 +29,7 @@ from bodyseg_data.bodies.alignment import (
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, Snapped
+from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, SnappedLandmarks
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
 from bodyseg_data.meshes.landmarks.files import load_landmark_file
 from bodyseg_data.meshes.mesh import Mesh
@@ -126,7 +126,7 @@ class MeshBodies:
             mesh = _mesh(body.mesh, vertices, surface[1], file.path)
             built = Body(mesh, landmarks.for_mesh(mesh), self._notes.get(file.landmarks or "", ()))
         else:
-            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.moved(1.0, placement.rotation))
+            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.transformed(1.0, placement.rotation))
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
         return built
@@ -169,7 +169,7 @@ class MeshBodies:
         scale = metres_a_unit(_used(surface), self._units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
         points, rescued = _in_millimetres(points, mesh)
-        landmarks, snapped = points.propagated(mesh, f"meshes numbered like {file.path.name}")
+        landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
         self._notes[source] = (*rescued, f"{_farthest(snapped)} on {file.path.name}")
         return landmarks
 
@@ -253,9 +253,9 @@ def _in_millimetres(landmarks: PointLandmarks, mesh: Mesh) -> tuple[PointLandmar
     if not _IN_METRES[0] < ratio < _IN_METRES[1]:
         return landmarks, ()
     note = "landmarks read as metres: as millimetres they are a thousandth of the body"
-    return landmarks.moved(1000.0, np.eye(3)), (note,)
+    return landmarks.transformed(1000.0, np.eye(3)), (note,)
 
 
-def _farthest(snapped: Snapped) -> str:
+def _farthest(snapped: SnappedLandmarks) -> str:
     worst = int(snapped.distance_m.argmax())
     return f"landmarks snapped by up to {1000 * snapped.distance_m[worst]:.1f} mm ({LANDMARKS[worst]})"

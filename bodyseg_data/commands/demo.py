@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.artifacts.variants import VARIANTS
+from bodyseg_data.bodies.anny.library import fill_cache
 from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
@@ -46,7 +47,8 @@ def run(options: Options) -> int:
     packing = Packing("open", meshes=options.meshes, views=ViewGrid(span_deg=360, count=options.views))
     shards = options.out / "shards"
     _say(f"1/3 packing {options.meshes} bodies x {options.views} views into {shards}")
-    _say("    (the very first time, the body model unpacks its data: about a minute more)")
+    with Progress("    unpacking the body model, once", "files") as progress:
+        fill_cache(progress.update)
     start = time.monotonic()
     with Progress("    packing", "views") as progress:
         manifest = pack_on(PROCESSES, workers, packing, shards, progress)

@@ -9,7 +9,7 @@ from typing import Final
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.drawing.gallery import choose, draw_gallery
+from bodyseg_data.drawing.gallery import choose_views, draw_gallery
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 
@@ -39,7 +39,7 @@ def run(options: Options) -> int:
             raise BadConfig(f"a gallery shows sets of one rig, found another in {images.path} than in {sets[0].path}")
     places = [(images, index) for images in sets for index in range(len(images))]
     count = min(_VIEWS, len(places)) if options.views is None else options.views
-    chosen = choose([key for images in sets for key in images.keys], count)
+    chosen = choose_views([key for images in sets for key in images.keys], count)
     samples = [places[place][0].clean(places[place][1]) for place in chosen]
     title = f"{len(samples)} of {len(places)} views, rig {sets[0].manifest.rig.name}"
     save_picture(draw_gallery(samples, camera, title), options.out)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from bodyseg_data.artifacts import ARTIFACTS
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
@@ -81,7 +82,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
     splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
     pixels = np.zeros(len(PARTS), np.int64)
     clean_pixels = kept_pixels = 0
-    sigmas, rates = [], []
+    drawn: dict[str, list[float]] = {name: [] for artifact in ARTIFACTS.values() for name in artifact.drawn}
     with Progress("inspecting", "samples") as progress:
         for index in range(len(images)):
             sample = images.clean(index)
@@ -92,10 +93,8 @@ def summarise(images: RangeImages) -> dict[str, Any]:
             pixels += np.bincount(image.labels.ravel(), minlength=256)[: len(PARTS)]
             clean_pixels += int(np.count_nonzero(sample.range))
             kept_pixels += int(np.count_nonzero(image.range))
-            if image.sigma_mm is not None:
-                sigmas.append(image.sigma_mm)
-            if image.missing_rate is not None:
-                rates.append(image.missing_rate)
+            for name, value in image.drawn.items():
+                drawn[name].append(value)
             progress.update(index + 1, len(images))
     manifest = images.manifest
     return {
@@ -115,8 +114,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "variant": images.variant,
         "foreground_pixels_per_image": round(clean_pixels / len(images)),
         "kept": round(kept_pixels / max(clean_pixels, 1), 4),
-        "mean_sigma_mm": round(float(np.mean(sigmas)), 2) if sigmas else None,
-        "mean_missing_rate": round(float(np.mean(rates)), 4) if rates else None,
+        **{f"mean_{name}": round(float(np.mean(values)), 4) if values else None for name, values in drawn.items()},
         "part_shares": {
             part.landmark: round(int(count) / max(int(pixels.sum()), 1), 4)
             for part, count in zip(PARTS, pixels, strict=True)

@@ -17,7 +17,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_atomically
 from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.drawing.body_views import HEIGHTS_PX, Sitter, draw_portraits
+from bodyseg_data.drawing.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
@@ -59,21 +59,21 @@ def run(options: Options) -> int:
         raise BadConfig("--path, --landmarks and --meshes belong to --source, not to --mesh")
     if options.mesh is not None and options.propose is None:
         raise BadConfig("--mesh needs --propose; a mesh that has landmarks is drawn by --source folder")
-    sitters = _listed(options) if options.propose is None else [_proposed(options, options.propose)]
-    save_picture(draw_portraits(sitters, [options.height] * len(sitters)), options.out)
+    labelled = _listed(options) if options.propose is None else [_proposed(options, options.propose)]
+    save_picture(draw_body_views(labelled, [options.height] * len(labelled)), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0
 
 
-def _listed(options: Options) -> list[Sitter]:
+def _listed(options: Options) -> list[LabelledBody]:
     """The bodies of a source with their own landmarks."""
     source, bodies = _bodies(options)
-    sitters = []
+    labelled = []
     for body in bodies:
         built = source.build(body)
         parts = partition(built.mesh, built.landmarks)
-        sitters.append((f"{body.subject}, {body.pose}", built.mesh, parts, built.landmarks))
-    return sitters
+        labelled.append((f"{body.subject}, {body.pose}", built.mesh, parts, built.landmarks))
+    return labelled
 
 
 def _bodies(options: Options) -> tuple[BodySource, list[BodyRef]]:
@@ -86,7 +86,7 @@ def _bodies(options: Options) -> tuple[BodySource, list[BodyRef]]:
     return source, [bodies[name] for name in options.meshes or (first,)]
 
 
-def _proposed(options: Options, out: Path) -> Sitter:
+def _proposed(options: Options, out: Path) -> LabelledBody:
     """Propose, write and list the landmarks of one mesh."""
     if out.suffix != ".json":
         raise BadConfig(f"--propose must be a .json file, found {out}")

@@ -1,50 +1,74 @@
-"""Progress of a long command: a bar with time left on a terminal, a line now and then elsewhere."""
+"""Progress of a long command: a bar with time left on a terminal, elsewhere a line at least every five seconds."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import threading
 import time
 from types import TracebackType
-from typing import Final
 
 from tqdm import tqdm
 
-_SECONDS_BETWEEN_LINES: Final = 10.0
-
 
 class Progress:
-    """Shows how much of a known amount is done, on standard error. before: how much was done at the first update."""
+    """Shows on standard error how much of a known amount is done, also while nothing is reported.
 
-    def __init__(self, title: str, unit: str) -> None:
-        self.title, self._unit = title, unit
+    before: how much was done at the first update. interval_s: seconds after which a line is due.
+    """
+
+    def __init__(self, title: str, unit: str, interval_s: float = 4.5) -> None:
+        self.title, self._unit, self._interval_s = title, unit, interval_s
         self.before: int | None = None
         self._bar: tqdm[None] | None = None
         self._start = time.monotonic()
         self._last = float("-inf")
+        self._line = f"{title}: starting"
+        self._lock = threading.RLock()
+        self._ended = threading.Event()
+        self._ticker = threading.Thread(target=self._tick, name="progress", daemon=True)
 
     def __enter__(self) -> Progress:
+        self._ticker.start()
         return self
 
     def update(self, done: int, total: int, note: str = "") -> None:
         """Show that `done` of `total` are done. note: what else there is to say."""
-        self.before = done if self.before is None else self.before
-        if sys.stderr.isatty():
-            if self._bar is None:
-                # What an earlier run finished is no measure of this one's speed.
-                self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
-            self._bar.set_postfix_str(note, refresh=False)
-            self._bar.update(done - self._bar.n)
-            return
-        now = time.monotonic()
-        if done == total or now - self._last >= _SECONDS_BETWEEN_LINES:
-            self._last = now
-            sys.stderr.write(
-                f"{self.title}: {done} of {total} {self._unit}, {now - self._start:.0f} s{note and ': '}{note}\n"
-            )
-            sys.stderr.flush()
+        with self._lock:
+            self.before = done if self.before is None else self.before
+            if sys.stderr.isatty():
+                if self._bar is None:
+                    # What an earlier run finished is no measure of this one's speed.
+                    self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
+                self._bar.set_postfix_str(note, refresh=False)
+                self._bar.update(done - self._bar.n)
+                return
+            self._line = f"{self.title}: {done} of {total} {self._unit}"
+            if done == total or time.monotonic() - self._last >= self._interval_s:
+                self._write(note)
+
+    def _write(self, note: str = "") -> None:
+        self._last = time.monotonic()
+        sys.stderr.write(f"{self._line}, {self._last - self._start:.0f} s{note and ': '}{note}\n")
+        sys.stderr.flush()
+
+    def _tick(self) -> None:
+        """Repeat the last line, with the seconds now, or move the bar's clock on, where no update comes."""
+        while not self._ended.wait(self._interval_s / 9):
+            with self._lock:
+                if self._ended.is_set():
+                    return
+                with contextlib.suppress(OSError, ValueError):  # nobody reads any more: the next update says so
+                    if self._bar is not None:
+                        self._bar.refresh()
+                    elif time.monotonic() - max(self._last, self._start) >= self._interval_s:
+                        self._write()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        self._ended.set()
+        with self._lock:
+            if self._bar is not None:
+                self._bar.close()
+        self._ticker.join()

@@ -18,10 +18,10 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.partition.geodesics import Geodesics
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.rendering import RendererName
@@ -46,8 +46,8 @@ class Options:
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
     azimuths: int = option("how many directions round the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
-    rig: str = option("a rig that ships with the package, or a .toml file", "paper")
-    geodesics: Geodesics = option("how distances along the surface are measured", Packing.geodesics)
+    rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
+    geodesics: GeodesicMethod = option("how distances along the surface are measured", Packing.geodesics)
     tolerance_mm: float | None = option(
         "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
     )

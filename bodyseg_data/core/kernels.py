@@ -1,4 +1,4 @@
-"""Loops over pixels, compiled where numba is installed; every one has a NumPy form that gives the same bits.
+"""Compilation of loops over pixels, where numba is installed; each loop has a NumPy form that gives the same bits.
 
 BODYSEG_KERNELS chooses: `auto` (the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice
 changes how long a sample takes and nothing else.
@@ -30,7 +30,7 @@ _one_at_a_time = threading.Lock()
 
 @lru_cache(maxsize=1)
 def use_compiled() -> bool:
-    """Whether loops are compiled; asked once a process. Raises BadConfig, or MissingLibrary if numba must be there."""
+    """Decide whether loops are compiled, once a process. Raises BadConfig, or MissingLibrary if numba must be there."""
     choice = os.environ.get(VARIABLE, "auto")
     if choice not in _CHOICES:
         raise BadConfig(f"{VARIABLE} must be one of {', '.join(_CHOICES)}, found {choice!r}")
@@ -72,9 +72,9 @@ def _numba(feature: str) -> Any:
 
 
 def _folder(named: str, digest: str) -> Path | None:
-    """The digest's folder, in the one named or in the user's cache folder; None if it cannot be written to.
+    """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
 
-    Only this user may write there, for what lies there is run.
+    Only this user may write there, for its files are run.
     """
     try:
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
@@ -87,9 +87,9 @@ def _folder(named: str, digest: str) -> Path | None:
 
 
 def _digest(loops: Callable[..., Any], numba: Any) -> str:
-    """Of everything that machine code is made of: sources, frozen constants, compiler and processor.
+    """Digest of everything that shapes machine code: sources, frozen constants, compiler and processor.
 
-    numba itself looks at the source of the outermost function alone, and replaces index and code one after the other,
+    numba itself compares the source of the outermost function alone, and replaces index and code one after the other,
     so after a change old code could be run as if it were new. A folder for every state rules both out.
     """
     llvm = import_module("llvmlite.binding")

@@ -1,7 +1,7 @@
-"""The 33 body parts: the only place that knows their names, order, sides and colours.
+"""The 33 body parts: one table of their names, order, sides, mirror images and colours.
 
 A part is the surface nearest to one anatomical landmark. Landmark names are spelled as the CAESAR survey spells
-them; the position in `PARTS` is the label. "Rt." and "Lt." are the subject's own right and left.
+them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's own right and left.
 """
 
 from __future__ import annotations
@@ -22,22 +22,30 @@ BACKGROUND: Final = 255
 
 @dataclass(frozen=True)
 class Part:
-    """One body part. `face` says whether it lies on the front or the back of trunk, head and knees."""
+    """One body part.
+
+    label: value of its pixels in a label image. landmark: name of its landmark. location: where the landmark lies, in
+    words. side: of the subject's own body. face: whether it lies on the front or the back of trunk, head and knees.
+    mirror: label of its counterpart on the other side, its own label if it lies in the middle.
+    """
 
     label: int
     landmark: str
-    place: str
+    location: str
     side: Side
     face: Face
+    mirror: int
 
 
-def _part(label: int, landmark: str, place: str, face: Face) -> Part:
-    side: Side = "right" if landmark.startswith("Rt.") else "left" if landmark.startswith("Lt.") else "middle"
-    return Part(label, landmark, place, side, face)
+def _part(label: int, landmark: str, location: str, face: Face) -> Part:
+    return Part(label, landmark, location, "middle", face, label)
 
 
-def _pair(label: int, landmark: str, place: str, face: Face) -> tuple[Part, Part]:
-    return _part(label, f"Rt. {landmark}", place, face), _part(label + 1, f"Lt. {landmark}", place, face)
+def _pair(label: int, landmark: str, location: str, face: Face) -> tuple[Part, Part]:
+    return (
+        Part(label, f"Rt. {landmark}", location, "right", face, label + 1),
+        Part(label + 1, f"Lt. {landmark}", location, "left", face, label),
+    )
 
 
 PARTS: Final[tuple[Part, ...]] = (
@@ -66,16 +74,21 @@ PARTS: Final[tuple[Part, ...]] = (
 PART_COUNT: Final = len(PARTS)
 LANDMARKS: Final[tuple[str, ...]] = tuple(part.landmark for part in PARTS)
 
+MIRRORED_LABELS: Final[NDArray[np.uint8]] = np.array(
+    [*(part.mirror for part in PARTS), *range(PART_COUNT, 256)], np.uint8
+)
+"""Label -> label in the mirror image (`Part.mirror`), uint8 [256]; `BACKGROUND` and other values stay as they are."""
+
 
 _PAIR_HUES: Final = (2, 10, 5, 12, 8, 4, 11, 7, 0, 3, 9, 6, 1)
 
 
 def _part_colours() -> NDArray[np.uint8]:
-    """Colours [33, 3] in sRGB.
+    """Colours of the parts, sRGB, uint8 [33, 3].
 
-    The 13 pairs have 13 hues, dealt out so that parts that touch are at least three hues apart. Left and right of a
-    pair share the hue, the left one lighter: a swap of sides shows as a change of lightness, which is also visible in
-    grey and to the colour-blind. The 7 parts of the middle have a lightness of their own.
+    The 13 pairs have 13 hues, assigned so that adjacent parts are at least three hues apart. Left and right of a pair
+    share the hue, the left one lighter: exchanged sides show as a change of lightness, which is also visible in grey
+    and to the colour-blind. The 7 parts of the middle have a third lightness.
     """
     colours = np.zeros((PART_COUNT, 3), np.uint8)
     pairs = middles = 0

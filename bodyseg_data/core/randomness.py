@@ -1,4 +1,4 @@
-"""The only place that draws random numbers.
+"""Random numbers: the only module that draws any.
 
 A draw belongs to (seed, epoch, sample key, purpose) and to nothing else: not to a position in the stream, a worker, a
 rank or a shard. So a sample gets the same bits however it is read, and an artifact draws the same in every variant.
@@ -7,6 +7,7 @@ rank or a shard. So a sample gets the same bits however it is read, and an artif
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -59,13 +60,38 @@ def pixel_draws(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint
 
 
 def chance(seed: int, epoch: int, key: str, purpose: str) -> float:
-    """One number, uniform over the multiples of 2**-53 from 0 to below 1: a purpose that draws once a sample."""
+    """One number for a purpose that draws once a sample, uniform over the multiples of 2**-53 from 0 to below 1."""
     return (int.from_bytes(_digest(seed, epoch, key, purpose)[:8], "little") >> 11) * 2.0**-53
 
 
 def generator(seed: int, epoch: int, key: str, purpose: str) -> np.random.Generator:
     """The random generator of one purpose for one sample in one epoch."""
     return np.random.Generator(np.random.Philox(key=stream(seed, epoch, key, purpose)))
+
+
+@dataclass(frozen=True)
+class Draws:
+    """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn."""
+
+    seed: int
+    epoch: int
+    key: str
+
+    def chance(self, purpose: str) -> float:
+        """One number for the sample; see `chance`."""
+        return chance(self.seed, self.epoch, self.key, purpose)
+
+    def stream(self, purpose: str) -> Stream:
+        """The stream of a purpose; see `stream`."""
+        return stream(self.seed, self.epoch, self.key, purpose)
+
+    def pixels(self, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+        """One draw a pixel, [count]; see `pixel_draws`."""
+        return pixel_draws(self.stream(purpose), count, kind)
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """The random generator of a purpose; see `generator`."""
+        return generator(self.seed, self.epoch, self.key, purpose)
 
 
 def permutation(count: int, seed: int, epoch: int) -> NDArray[np.int64]:

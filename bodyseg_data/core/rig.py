@@ -1,4 +1,4 @@
-"""Cameras and the structured-light rig: frozen, validated, read from a TOML file.
+"""Cameras and structured-light rigs: frozen, validated, read from TOML files; those in `rigs/` have names.
 
 Axes follow the field's camera convention: x right, y down, z forward, in metres. Pixel (row r, column c) covers
 [c, c + 1) × [r, r + 1) in image coordinates, so its centre is at (c + 0.5, r + 0.5). *Range* is the z coordinate in
@@ -25,6 +25,9 @@ from bodyseg_data.core.tables import Table
 from bodyseg_data.core.views import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
+PAPER: Final = "paper"
+"""The default rig."""
+
 _MAX_SIDE: Final = 8192
 _MAX_FOCAL_PX: Final = 1e6
 _MAX_DISTANCE_M: Final = 100.0
@@ -87,7 +90,7 @@ class Camera:
         return rays
 
     def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side."""
+        """The same view with `factor` times as many pixels a side. Raises BadConfig for a factor below 1."""
         if factor < 1:
             raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
         return replace(
@@ -130,9 +133,9 @@ def axes_at(azimuth_deg: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Rig:
-    """A structured-light rig: what sees and what lights. The rig's frame is the camera's when its pose is the default.
+    """A structured-light rig: a camera and a projector. The rig's frame is the camera's when its pose is the default.
 
-    stand_off_m: the distance the rig is made for, metres; kept for the record, nothing computes with it.
+    stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
     """
 
     name: str
@@ -141,8 +144,7 @@ class Rig:
     projector: Camera
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            raise BadConfig(f"a rig's name must be one plain word of at most 40 letters, found {self.name[:60]!r}")
+        _check_name(self.name)
         if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
             raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
 
@@ -180,7 +182,7 @@ class Rig:
         return replace(self, projector=self.projector.scaled(factor))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers and strings, for manifests."""
+        """The rig as plain JSON, for manifests."""
         return {"format": RIG_FORMAT, **asdict(self)}
 
     @property
@@ -189,27 +191,66 @@ class Rig:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
 
 
-def load_rig(name_or_path: str | Path = "paper") -> Rig:
+@dataclass(frozen=True)
+class Sensor:
+    """The content of a rig file: a camera, with or without the projector that makes a rig of it.
+
+    title: the sensor's name in prose. rig: None for a camera alone. assumed_for_size: whether frames of the camera's
+    image size are taken to be this sensor's where nobody names a camera.
+    """
+
+    name: str
+    title: str
+    camera: Camera
+    rig: Rig | None
+    assumed_for_size: bool
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+
+
+def rig_names() -> tuple[str, ...]:
+    """Names of the rig files that ship with the package, in alphabetical order."""
+    files = (resources.files(__package__) / "rigs").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_rig(name_or_path: str | Path = PAPER) -> Rig:
     """Read a rig by the name of one that ships with the package, or from a TOML file (docs/rig.md).
 
-    Raises BadConfig, naming file and key, for anything missing, unknown or out of range.
+    Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """
+    return parse_rig(_rig_text(name_or_path), str(name_or_path))
+
+
+def load_sensor(name_or_path: str | Path = PAPER) -> Sensor:
+    """Read a rig file as `load_rig`, with or without a projector. Raises BadConfig."""
+    return parse_sensor(_rig_text(name_or_path), str(name_or_path))
+
+
+def _rig_text(name_or_path: str | Path) -> str:
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        shipped = resources.files(__package__) / "rigs" / f"{name_or_path}.toml"
-        if not shipped.is_file():
-            raise BadConfig(f"no rig is called {str(name_or_path)!r}: give 'paper' or the path of a .toml file")
-        text = shipped.read_text(encoding="utf-8")
-    else:
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadConfig(f"cannot read the rig file {path}: {error}") from error
-    return parse_rig(text, str(name_or_path))
+        if str(name_or_path) not in rig_names():
+            names = ", ".join(rig_names())
+            raise BadConfig(f"no rig is called {str(name_or_path)!r}: give one of {names} or the path of a .toml file")
+        return (resources.files(__package__) / "rigs" / f"{name_or_path}.toml").read_text(encoding="utf-8")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"cannot read the rig file {path}: {error}") from error
 
 
 def parse_rig(text: str, where: str) -> Rig:
-    """A rig from TOML text; `where` names its origin in messages."""
+    """Parse a rig from TOML text; `where` names its origin in messages. Raises BadConfig as `load_rig`."""
+    rig = parse_sensor(text, where).rig
+    if rig is None:
+        raise BadConfig(f"rig {where} is a camera alone: rendering for it needs 'stand_off_m' and [projector]")
+    return rig
+
+
+def parse_sensor(text: str, where: str) -> Sensor:
+    """Parse a rig file's text, with or without a projector; `where` names its origin in messages. Raises BadConfig."""
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
@@ -217,42 +258,50 @@ def parse_rig(text: str, where: str) -> Rig:
     if tree.pop("format", None) != RIG_FORMAT:
         raise BadConfig(f"rig {where}: 'format' must be {RIG_FORMAT!r}")
     table = Table(tree, f"rig {where}")
-    name, stand_off = table.text("name"), table.number("stand_off_m")
-    camera, projector = (_camera(table.table(device)) for device in ("camera", "projector"))
+    name = table.text("name")
+    title = table.text("title") if table.has("title") else name
+    assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False
+    camera, lighting = _camera(table.table("camera"), posed=False), None
+    if table.has("projector") or table.has("stand_off_m"):
+        lighting = table.number("stand_off_m"), _camera(table.table("projector"), posed=True)
     table.finish()
     try:
-        return Rig(name, stand_off, camera, projector)
+        rig = None if lighting is None else Rig(name, lighting[0], camera, lighting[1])
+        return Sensor(name, title, camera, rig, assumed)
     except BadConfig as error:
         raise BadConfig(f"rig {where}: {error}") from None
 
 
 def rig_from_json(tree: Any) -> Rig:
-    """The inverse of `Rig.to_json`. Raises BadConfig."""
+    """Rebuild a rig from what `Rig.to_json` gave. Raises BadConfig."""
     if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
         raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
     table = Table({key: value for key, value in tree.items() if key != "format"}, "a stored rig")
     name, stand_off = table.text("name"), table.number("stand_off_m")
-    camera, projector = (_stored_camera(table.table(device)) for device in ("camera", "projector"))
+    camera, projector = (_camera(table.table(device), posed=True) for device in ("camera", "projector"))
     table.finish()
     return Rig(name, stand_off, camera, projector)
 
 
-def _stored_camera(table: Table) -> Camera:
-    sides = table.whole("rows"), table.whole("columns")
-    lens = table.number("focal_px"), table.numbers("centre_px", 2)
-    pose = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
-    table.finish()
-    return Camera(*sides, *lens, *pose)
-
-
-def _camera(table: Table) -> Camera:
+def _camera(table: Table, posed: bool) -> Camera:
+    """A [camera] or [projector] table; posed: whether it must say where the device is, else its frame is the rig's."""
     rows, columns = table.whole("rows"), table.whole("columns")
-    focal_px = table.positive("focal_length_mm") / table.positive("pixel_pitch_um") * 1000
+    if table.has("focal_px"):
+        focal_px = table.positive("focal_px")
+    else:
+        focal_px = table.positive("focal_length_mm") / table.positive("pixel_pitch_um") * 1000
     # The middle of the image unless a calibration says otherwise.
     centre = table.numbers("centre_px", 2) if table.has("centre_px") else (columns / 2, rows / 2)
-    position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
+    position, aim = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    if posed or table.has("position_m") or table.has("aims_at_m"):
+        position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
     table.finish()
     try:
         return Camera(rows, columns, focal_px, centre, position, aim)
     except BadConfig as error:
         raise BadConfig(f"{table.where}: {error}") from None
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise BadConfig(f"a rig's name must be one plain word of at most 40 letters, found {name[:60]!r}")

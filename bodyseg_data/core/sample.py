@@ -16,12 +16,44 @@ from bodyseg_data.core.splits import SPLITS, Split
 RANGE_STEP_M: Final = 1e-4
 """One step of a stored range image, metres; with 16 bits it reaches 6.5535 m."""
 
+FARTHEST_STEPS: Final = np.float32(65535)
+"""The largest range that a stored image can hold, in steps."""
+
 _KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
 
 
 @dataclass(frozen=True)
+class ShadowThresholds:
+    """The thresholds of the shadow test that the stored projector range is made for.
+
+    With these, and only with these, that range gives the same shadows as the exact one; so they belong to the format of
+    shards (docs/shard_format.md), and packing and the shadow test read them here.
+
+    surface_gap_m: how far behind the surface that the projector sees a point may lie and still belong to it.
+    edge_m: the difference in range from which on neighbouring texels show two surfaces and not one.
+    """
+
+    surface_gap_m: float = 0.006
+    edge_m: float = 0.020
+
+    @property
+    def gap_steps(self) -> np.float32:
+        """`surface_gap_m` in steps of a stored range."""
+        return np.float32(round(self.surface_gap_m / RANGE_STEP_M))
+
+    @property
+    def edge_steps(self) -> np.float32:
+        """`edge_m` in steps of a stored range."""
+        return np.float32(round(self.edge_m / RANGE_STEP_M))
+
+
+SHADOW_THRESHOLDS: Final = ShadowThresholds()
+"""The thresholds of the format of shards."""
+
+
+@dataclass(frozen=True)
 class SampleInfo:
-    """Where a sample comes from. source: "open", "mit"; subset: the paper's group; split: "train" or "test"."""
+    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test"."""
 
     source: str
     subset: str
@@ -34,27 +66,27 @@ class SampleInfo:
 
 
 @dataclass(frozen=True)
-class Known:
-    """What decoding found out about a sample's images and need not be found again; None: not known.
+class Occupancy:
+    """Flat indices of the pixels that hold anything, as decoding found them; None: not found.
 
-    edges: int32 [2 N], where foreground begins, ends, begins ...; texels: int32 [N], where the projector's range is not
-    0. Places in the flat images, in reading order. They are relied on: whoever changes an image must drop them.
+    edges: int32 [2 N], in reading order: where foreground begins, ends, begins ...; texels: int32 [N], ascending, where
+    the projector's range is not 0. Compiled loops rely on both: a sample whose images are changed must drop them.
     """
 
     edges: NDArray[np.int32] | None
     texels: NDArray[np.int32] | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sample:
     """A clean rendering of one body from one view.
 
-    range: uint16 [H, W], what the camera sees, in steps of 0.1 mm along its optical axis; 0 is background.
+    range: uint16 [H, W], the camera's range in steps of 0.1 mm along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
-    known: only of samples read into given arrays.
+    occupancy: only of samples decoded into given arrays.
     """
 
     key: str
@@ -63,7 +95,11 @@ class Sample:
     labels: NDArray[np.uint8]
     faces_projector: NDArray[np.bool_]
     info: SampleInfo
-    known: Known | None = None
+    occupancy: Occupancy | None = None
+
+    def __repr__(self) -> str:
+        projector = "no" if self.projector_range is None else shape_of(self.projector_range)
+        return f"Sample({self.key!r}, camera {shape_of(self.range)}, projector {projector}, {self.info})"
 
     def occluder_range(self) -> NDArray[np.uint16]:
         """The projector's range. Raises BadSample if it was not read."""
@@ -95,6 +131,11 @@ class Sample:
             raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~background].max()}")
         if (self.faces_projector & background).any():
             raise BadSample(f"{self.key}: background cannot face the projector")
+
+
+def shape_of(image: NDArray[Any]) -> str:
+    """The size of an image in words, "640 x 329"."""
+    return " x ".join(map(str, image.shape))
 
 
 def check_key(key: str) -> None:

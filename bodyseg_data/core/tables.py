@@ -1,4 +1,4 @@
-"""Reading tables from files: key by key, with one clear line for whatever is missing, wrong or unknown."""
+"""Reader of tables from files, key by key, with one clear line for a key that is missing, wrong or unknown."""
 
 from __future__ import annotations
 
@@ -8,23 +8,29 @@ from bodyseg_data.core.errors import BadConfig
 
 
 def _is_number(value: Any) -> bool:
-    """Finite, and small enough for a float: TOML allows whole numbers of any length."""
+    """True for a finite number that fits a float: TOML allows whole numbers of any length."""
     return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
 
 
 def _shown(value: Any) -> str:
-    """The beginning of what was found."""
+    """Beginning of a value, for messages."""
     try:
         return str(value)[:60]
-    except ValueError:  # hexadecimal numbers may be longer than Python is willing to print
+    except ValueError:  # hexadecimal numbers may be longer than Python prints
         return "a number of thousands of digits"
 
 
 class Table:
-    """A table of TOML or JSON, read key by key; whatever nobody read is an error, so a misspelt key stops the run."""
+    """A table of TOML or JSON, read key by key; a key that is never read is an error, so a misspelt one stops the run.
+
+    Every method that reads a key removes it, and raises BadConfig, naming `where`, if it is missing or of another kind.
+    """
 
     def __init__(self, tree: dict[str, Any], where: str) -> None:
         self._tree, self.where = dict(tree), where
+
+    def __repr__(self) -> str:
+        return f"Table({self.where!r}, unread: {', '.join(self._tree) or 'none'})"
 
     def _take(self, key: str, kind: str) -> Any:
         try:
@@ -33,44 +39,59 @@ class Table:
             raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
 
     def number(self, key: str) -> float:
+        """Read a finite number."""
         value = self._take(key, "number")
         if not _is_number(value):
             raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {_shown(value)!r}")
         return float(value)
 
     def positive(self, key: str) -> float:
+        """Read a finite number above 0."""
         value = self.number(key)
         if value <= 0:
             raise BadConfig(f"{self.where}: {key!r} must be positive, found {value:g}")
         return value
 
     def whole(self, key: str) -> int:
+        """Read a whole number."""
         value = self.number(key)
         if value != int(value):
             raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
         return int(value)
 
+    def flag(self, key: str) -> bool:
+        """Read true or false."""
+        value = self._take(key, "flag")
+        if not isinstance(value, bool):
+            raise BadConfig(f"{self.where}: {key!r} must be true or false, found {_shown(value)}")
+        return value
+
     def text(self, key: str) -> str:
+        """Read a text."""
         value = self._take(key, "text")
         if not isinstance(value, str):
             raise BadConfig(f"{self.where}: {key!r} must be text, found {_shown(value)}")
         return value
 
     def numbers(self, key: str, count: int) -> Any:
+        """Read a list of `count` finite numbers, as a tuple of floats."""
         values = self._take(key, "list")
         if not isinstance(values, list | tuple) or len(values) != count or not all(map(_is_number, values)):
             raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
         return tuple(float(value) for value in values)
 
     def table(self, key: str) -> Table:
+        """Read a table within this one."""
         value = self._take(key, "table")
         if not isinstance(value, dict):
             raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
         return Table(value, f"{self.where}, [{key}]")
 
     def has(self, key: str) -> bool:
+        """True for a key that is there and not read yet."""
         return key in self._tree
 
     def finish(self) -> None:
+        """Raise BadConfig for keys that were not read."""
         if self._tree:
             raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")

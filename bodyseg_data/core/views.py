@@ -1,4 +1,4 @@
-"""Where a body stands and how it is turned: the distances and azimuths at which each mesh is rendered."""
+"""Views of a body: the distances and azimuths at which each mesh is rendered."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from bodyseg_data.core.errors import BadConfig
 
 @dataclass(frozen=True, order=True)
 class View:
-    """One placement of a body before the camera.
+    """Distance and azimuth of the camera.
 
     distance_cm: from the camera's centre to the centre of the body's bounding box, along the optical axis.
-    azimuth_deg: how far the camera has gone round the body's vertical axis; 0 sees the front, 90 the subject's
-    left side, 180 the back.
+    azimuth_deg: rotation of the camera about the body's vertical axis; 0 shows the front, 90 the subject's left side,
+    180 the back.
     """
 
     distance_cm: int
@@ -22,15 +22,17 @@ class View:
 
     @property
     def name(self) -> str:
+        """Part of a sample's key, like d255-a090."""
         return f"d{self.distance_cm:03d}-a{self.azimuth_deg:03d}"
 
 
 @dataclass(frozen=True)
 class ViewGrid:
-    """Distances × azimuths. The defaults are the paper's 3 × 18 = 54 views, 10° apart.
+    """Views at all distances from all azimuths. The defaults are the paper's 3 × 18 = 54 views, 10° apart.
 
     The paper turns by 10° eighteen times, which covers half a turn, while its results show full turns; the span
-    is therefore a parameter. `count` thins the grid evenly over azimuths, taking the distances in turn.
+    is therefore a parameter. `count` thins the grid evenly over azimuths, with the distances in turn. Raises BadConfig
+    for a value out of range.
     """
 
     distances_cm: tuple[int, ...] = (215, 255, 295)

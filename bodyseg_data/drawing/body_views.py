@@ -1,4 +1,4 @@
-"""Pictures of labelled bodies from four sides, for people who check where the landmarks and parts lie."""
+"""Pictures of labelled bodies from four sides, to check landmarks and parts by eye."""
 
 from __future__ import annotations
 
@@ -19,45 +19,44 @@ from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering import open_renderer
 
-Sitter = tuple[str, Mesh, Partition, NDArray[np.int64]]
-"""Title, mesh, its parts, landmarks int64 [33]."""
+LabelledBody = tuple[str, Mesh, Partition, NDArray[np.int64]]
+"""A body to draw: title, mesh, partition, landmarks int64 [33]."""
 
 SIDES: Final = (("front", 0), ("its left", 90), ("back", 180), ("its right", 270))
 """Caption and azimuth in degrees of each view."""
 
 HEIGHTS_PX: Final = range(100, 4001)
-"""How high a body may be drawn."""
+"""Allowed heights of a body in the picture, pixels."""
 
-_DISTANCE_M: Final = 12.0  # far enough that the four views look drawn to one scale
-_FINER: Final = 3  # rendered so many times finer, then reduced, for smooth outlines
+_DISTANCE_M: Final = 12.0  # far enough that the four views have nearly one scale
+_SUPERSAMPLING: Final = 3  # factor of rendering before reduction, for smooth outlines
 _MARGIN: Final = 26
 _BODY_MARGIN: Final = 34  # room for numbers beside the body
 _TITLE_HEIGHT: Final = 58
 _NUMBER_SIZE: Final = 11
 _DOT: Final = 3
 _FREE_PX: Final = 4  # a number this close to its dot needs no line
-_HIDDEN_M: Final = 0.008
+_OCCLUSION_TOLERANCE_M: Final = 0.008
 
 Box = tuple[float, float, float, float]
 
 
-def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None = None) -> Image.Image:
-    """One picture with a row for each body, seen from its front, left, back and right, and a legend of the parts.
+def draw_body_views(bodies: Sequence[LabelledBody], heights_px: Sequence[int] | None = None) -> Image.Image:
+    """Draw one RGB picture with a row for each body, from its front, left, back and right, and a legend of the parts.
 
-    sitters: title, mesh, parts and landmarks int64 [33] of each body. heights_px: height of each body in
-    the picture, 600 pixels if not given. Returns an RGB image. A dot marks every landmark on the sides it faces, with
-    its label as a number.
+    heights_px: height of each body in the picture, pixels, 600 by default. A dot with the label as a number marks
+    every landmark on the sides that it faces.
 
-    Raises BadConfig if there is nothing to draw or if labels, landmarks or heights do not fit, MissingLibrary without
-    the embree renderer.
+    Raises BadConfig if there are no bodies or if labels, landmarks or heights do not fit, MissingLibrary without
+    embreex.
     """
-    heights = [600] * len(sitters) if heights_px is None else list(heights_px)
-    if not sitters or len(heights) != len(sitters) or not all(height in HEIGHTS_PX for height in heights):
+    heights = [600] * len(bodies) if heights_px is None else list(heights_px)
+    if not bodies or len(heights) != len(bodies) or not all(height in HEIGHTS_PX for height in heights):
         raise BadConfig(
             f"a picture needs one height of 100 to 4000 pixels for each of its bodies and at least one body, "
-            f"found heights {heights} for {len(sitters)} bodies"
+            f"found heights {heights} for {len(bodies)} bodies"
         )
-    rows = [_row(sitter, height) for sitter, height in zip(sitters, heights, strict=True)]
+    rows = [_row(body, height) for body, height in zip(bodies, heights, strict=True)]
     legend = draw_legend(max(max(row.width for row in rows), 1000) - 2 * _MARGIN)
     width = legend.width + 2 * _MARGIN
     picture = Image.new("RGB", (width, sum(row.height for row in rows) + legend.height + 2 * _MARGIN), PAPER)
@@ -69,14 +68,14 @@ def draw_portraits(sitters: Sequence[Sitter], heights_px: Sequence[int] | None =
     return picture
 
 
-def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Image:
-    """One body from one side with dots and numbers, RGB; 0 degrees sees its front, 90 its left, 180 its back."""
-    _, mesh, parts, landmarks = sitter
+def draw_side(body: LabelledBody, azimuth_deg: int, pixels_per_m: float) -> Image.Image:
+    """Draw one body from one side with dots and numbers, RGB. azimuth_deg: 0 front, 90 its left, 180 back."""
+    _, mesh, parts, landmarks = body
     normals = mesh.vertex_normals
     camera = _camera(mesh, azimuth_deg, pixels_per_m)
     renderer = open_renderer("embree", mesh)
-    fine = PlacedCamera(camera.camera.scaled(_FINER), camera.axes, camera.position)
-    seen = renderer.see(fine)
+    fine = PlacedCamera(camera.camera.scaled(_SUPERSAMPLING), camera.axes, camera.position)
+    seen = renderer.render(fine)
     renderer.close()
 
     rows, columns = np.nonzero(seen.face >= 0)
@@ -90,25 +89,25 @@ def draw_side(sitter: Sitter, azimuth_deg: int, pixels_per_m: float) -> Image.Im
     canvas = np.empty((*seen.face.shape, 3), np.uint8)
     canvas[:] = PAPER
     canvas[rows, columns] = np.clip(COLOURS[parts.labels_at(mesh, faces, points)] * brightness[:, None], 0, 255)
-    image = Image.fromarray(canvas).reduce(_FINER)
+    image = Image.fromarray(canvas).reduce(_SUPERSAMPLING)
 
     pixels, ranges = camera.project(mesh.vertices[landmarks])
     towards = -(normals[landmarks] @ camera.axes[2])
-    fine_rows, fine_columns = (np.floor(pixels[:, axis] * _FINER).astype(np.int64) for axis in (1, 0))
+    fine_rows, fine_columns = (np.floor(pixels[:, axis] * _SUPERSAMPLING).astype(np.int64) for axis in (1, 0))
     nearest = seen.range[fine_rows, fine_columns]  # the image holds the whole body, so every landmark is inside
-    visible = (towards > 0.12) & ((nearest == 0) | (ranges < nearest + _HIDDEN_M))
+    visible = (towards > 0.12) & ((nearest == 0) | (ranges < nearest + _OCCLUSION_TOLERANCE_M))
     _mark(image, {int(label): (float(x), float(y)) for label, (x, y) in enumerate(pixels) if visible[label]})
     return image
 
 
-def _row(sitter: Sitter, height_px: int) -> Image.Image:
-    title, mesh, parts, landmarks = sitter
+def _row(body: LabelledBody, height_px: int) -> Image.Image:
+    title, mesh, parts, landmarks = body
     if parts.labels.shape != (len(mesh.vertices),):
         raise BadConfig(f"mesh {mesh.name}: each vertex needs a label, found {parts.labels.shape}")
     if np.shape(landmarks) != (PART_COUNT,) or not 0 <= np.min(landmarks) <= np.max(landmarks) < len(mesh.vertices):
         raise BadConfig(f"mesh {mesh.name}: {PART_COUNT} landmarks must be vertices of it, found {np.shape(landmarks)}")
     pixels_per_m = height_px / float(np.ptp(mesh.surface_vertices[:, 1]))
-    views = [draw_side(sitter, azimuth, pixels_per_m) for _, azimuth in SIDES]
+    views = [draw_side(body, azimuth, pixels_per_m) for _, azimuth in SIDES]
     width = sum(view.width for view in views) + 2 * _MARGIN
     row = Image.new("RGB", (width, _TITLE_HEIGHT + views[0].height), PAPER)
     draw = ImageDraw.Draw(row)
@@ -122,7 +121,7 @@ def _row(sitter: Sitter, height_px: int) -> Image.Image:
 
 
 def _camera(mesh: Mesh, azimuth_deg: int, pixels_per_m: float) -> PlacedCamera:
-    """A camera far off whose image just holds the body, a margin included."""
+    """Distant camera whose image contains the body and a margin."""
     axes = axes_at(azimuth_deg)
     local = (mesh.surface_vertices - mesh.centre) @ axes.T
     size = 2 * np.abs(local[:, :2]).max(axis=0) * pixels_per_m * 1.05 + 2 * _BODY_MARGIN  # nearer looks larger
@@ -132,14 +131,14 @@ def _camera(mesh: Mesh, azimuth_deg: int, pixels_per_m: float) -> PlacedCamera:
 
 
 def _mark(image: Image.Image, dots: dict[int, tuple[float, float]]) -> None:
-    """Draw dots, and each one's number where it covers no other dot or number."""
+    """Draw dots, by label, and their numbers where they cover no other dot or number."""
     draw = ImageDraw.Draw(image)
     small = font(_NUMBER_SIZE)
     taken: list[Box] = [(x - _DOT - 1, y - _DOT - 1, x + _DOT + 1, y + _DOT + 1) for x, y in dots.values()]
     plates: list[tuple[Box, int]] = []
     for label, (x, y) in sorted(dots.items(), key=lambda item: item[1][1]):
         width, height = draw.textlength(str(label), small) + 7, _NUMBER_SIZE + 4
-        plate = _free_place(x, y, width, height, image.size, taken)
+        plate = _label_box(x, y, width, height, image.size, taken)
         taken.append(plate)
         plates.append((plate, label))
     for plate, label in plates:
@@ -155,8 +154,8 @@ def _mark(image: Image.Image, dots: dict[int, tuple[float, float]]) -> None:
         draw.text(middle, str(label), INK, font=small, anchor="mm")
 
 
-def _free_place(x: float, y: float, width: float, height: float, size: tuple[int, int], taken: list[Box]) -> Box:
-    """The nearest place for a plate around (x, y), outwards first; overlapping only if there is no other."""
+def _label_box(x: float, y: float, width: float, height: float, size: tuple[int, int], taken: list[Box]) -> Box:
+    """Nearest free box for a number around (x, y), outwards first; an overlapping one only if none is free."""
     outwards = 1 if x >= size[0] / 2 else -1
     first: Box | None = None
     for gap in (3, 9, 16, 24, 34, 46):

@@ -1,4 +1,4 @@
-"""A contact sheet: what is stored of several samples and what the five variants make of it, side by side."""
+"""Contact sheet: the stored images of several samples and their five variants, side by side."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.variants import VARIANTS, RangeImage, VariantName
+from bodyseg_data.artifacts import caption
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.parts import colour_labels
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
-"""Where nothing was measured."""
+"""Colour of pixels without a range."""
 
 _GAP: Final = 6
 _CAPTION: Final = 20
@@ -33,25 +35,25 @@ _RAMP: Final = np.array(
 
 @dataclass(frozen=True)
 class Row:
-    """One sample: as stored, and as each variant shows it."""
+    """One line of the sheet: a sample as stored, and its range image in each variant."""
 
     sample: Sample
     variants: dict[VariantName, RangeImage]
 
 
 def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.uint8]:
-    """Draw a range image: uint16 [H, W] -> sRGB uint8 [H, W, 3], light at `near` and dark at `far` (steps)."""
-    place = np.clip((image.astype(np.float64) - near) / max(far - near, 1), 0, 1) * (len(_RAMP) - 1)
-    colours = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
+    """Colour a range image uint16 [H, W] as sRGB uint8 [H, W, 3], light at `near` and dark at `far` (in steps)."""
+    position = np.clip((image.astype(np.float64) - near) / max(far - near, 1), 0, 1) * (len(_RAMP) - 1)
+    colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
     colours[image == 0] = _EMPTY
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
     return drawn
 
 
 def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Image:
-    """One line of panels a sample: camera range, projector range, labels, the five variants, labels in `shown`."""
+    """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`."""
     panels = [_panels(row, shown) for row in rows]
-    heads = ["camera range", "projector, where it shades", "labels", *VARIANTS, f"labels in {shown}"]
+    heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
         for column, head in enumerate(heads)
@@ -77,7 +79,7 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Ima
 
 
 def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
-    """Notes and pictures of one line. All range panels share the scale of the clean camera range."""
+    """Captions and pictures of one line. All camera range panels share the scale of the clean one."""
     sample = row.sample
     occluder = sample.occluder_range()
     span, projector_span = _span(sample.range), _span(occluder)
@@ -86,7 +88,7 @@ def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
         (_metres(occluder), colour_range(occluder, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
-    panels += [(_note(image), colour_range(image.range, *span)) for image in row.variants.values()]
+    panels += [(caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
     return [(note, _fit(picture)) for note, picture in panels]
 
@@ -96,7 +98,7 @@ def _text_width(text: str, size: int) -> int:
 
 
 def _span(image: NDArray[np.uint16]) -> tuple[int, int]:
-    """Nearest and farthest range, steps."""
+    """Nearest and farthest range of the foreground, steps; (0, 1) without one."""
     foreground = image[image > 0]
     return (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
 
@@ -107,20 +109,11 @@ def _metres(image: NDArray[np.uint16]) -> str:
 
 
 def _fit(picture: NDArray[np.uint8]) -> Image.Image:
-    """Scale into a panel by picking pixels: averaging would hide missing ones."""
+    """Resize to a panel by nearest neighbour: averaging would hide missing pixels."""
     height, width = picture.shape[:2]
     scale = min(_PANEL_ROWS / height, _PANEL_COLUMNS / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return Image.fromarray(picture).resize(size, Image.Resampling.NEAREST)
-
-
-def _note(image: RangeImage) -> str:
-    drawn = []
-    if image.sigma_mm is not None:
-        drawn.append(f"noise {image.sigma_mm:.0f} mm")
-    if image.missing_rate is not None:
-        drawn.append(f"{image.missing_rate:.0%} missing")
-    return ", ".join(drawn)
 
 
 def _caption(sample: Sample) -> str:
@@ -131,7 +124,7 @@ def _caption(sample: Sample) -> str:
 
 
 def _legend(width: int) -> Image.Image:
-    """The 33 parts, and below them the range ramp."""
+    """Legend of the 33 parts, and below it the colour scale of ranges."""
     parts = draw_legend(width)
     legend = Image.new("RGB", (width, parts.height + 34), PAPER)
     legend.paste(parts, (0, 0))

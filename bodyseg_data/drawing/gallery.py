@@ -1,4 +1,4 @@
-"""A gallery: many views of a set at a glance, each as a shaded surface in the colours of its parts."""
+"""Gallery picture: many views of one or more sets, each as a shaded surface in the colours of its parts."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ _TILE_ROWS: Final = 320
 _CAPTION: Final = 32
 _GAP: Final = 6
 _EDGE_M: Final = 0.03
-"""A step in range beyond which two neighbouring pixels do not lie on one surface."""
+"""Difference in range beyond which neighbouring pixels are on different surfaces."""
 
 _KEY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)-d\d+-a\d+")
 
 
-def choose(keys: Sequence[str], count: int) -> list[int]:
-    """`count` of a set's samples for a gallery, as indices into `keys`, ascending by group and mesh.
+def choose_views(keys: Sequence[str], count: int) -> list[int]:
+    """Choose `count` samples for a gallery, as indices into `keys`, ascending by group and mesh.
 
-    Shared out evenly over groups of subjects (P000, P001, … are one group) and, within each, over its meshes by name;
-    which view of a mesh is drawn from its name. Raises BadConfig for fewer samples than asked for.
+    They are divided evenly among groups of subjects (P000, P001, … are one group) and, within each, among its meshes
+    by name; the view of a mesh is a random draw seeded by its name. Raises BadConfig for a count outside 1 to the
+    number of keys, or a key that names no view.
     """
     if not 1 <= count <= len(keys):
         raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
@@ -50,22 +51,22 @@ def choose(keys: Sequence[str], count: int) -> list[int]:
 
 
 def _from_group(meshes: dict[str, list[int]], share: int) -> list[int]:
-    """One view each of evenly chosen meshes; further views of the same ones if there are not enough."""
+    """Choose one view each of evenly spaced meshes, and more views of the same meshes if there are too few."""
     names = sorted(meshes)
-    rounds: list[int] = []
+    chosen: list[int] = []
     for name in names:
         generator(0, 0, name, "gallery").shuffle(meshes[name])
-    for turn in range(max(map(len, meshes.values()))):
-        left = [meshes[name][turn] for name in names if turn < len(meshes[name])]
-        wanted = min(share - len(rounds), len(left))
-        rounds += [left[(2 * place + 1) * len(left) // (2 * wanted)] for place in range(wanted)]
-    return rounds
+    for round_ in range(max(map(len, meshes.values()))):
+        left = [meshes[name][round_] for name in names if round_ < len(meshes[name])]
+        wanted = min(share - len(chosen), len(left))
+        chosen += [left[(2 * number + 1) * len(left) // (2 * wanted)] for number in range(wanted)]
+    return chosen
 
 
 def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image.Image:
-    """A grid of views, twelve a line, with a caption below each and a legend of the parts; RGB.
+    """Draw a grid of views, twelve a line, with a caption below each and a legend of the parts; RGB.
 
-    camera: the one that took them all.
+    camera: of all samples.
     """
     tiles = [_tile(sample, camera) for sample in samples]
     width = max(tile.width for tile in tiles)
@@ -90,17 +91,17 @@ def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image
 def _tile(sample: Sample, camera: Camera) -> Image.Image:
     foreground = sample.labels != BACKGROUND
     canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
-    shade = shading(sample.range, camera)[foreground]
+    shade = surface_shading(sample.range, camera)[foreground]
     canvas[foreground] = np.clip(COLOURS[sample.labels[foreground]] * (0.35 + 0.7 * shade[:, None]), 0, 255)
     picture = Image.fromarray(canvas)
     return picture.resize((round(picture.width * _TILE_ROWS / picture.height), _TILE_ROWS), Image.Resampling.LANCZOS)
 
 
-def shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
-    """How squarely each pixel's surface faces a light a little above and left of the camera, 0 to 1, [H, W].
+def surface_shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
+    """Lambertian shading, float64 [H, W], 0 to 1, by a light a little above and left of the camera.
 
-    The normal is the cross product of the differences to the neighbours right and below (or left and above, where
-    those lie on another surface); 0 on background.
+    image: uint16 [H, W], range in steps, 0 background. A normal is the cross product of the differences to the
+    neighbours right and below (or left and above, where those are on another surface). Background is 0.
     """
     depth = image.astype(np.float64) * RANGE_STEP_M
     rows, columns = image.shape
@@ -117,7 +118,7 @@ def shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
 
 
 def _slope(points: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Difference to the next point along `axis`, or from the one before where that is nearer in range, [H, W, 3]."""
+    """Difference to the next or from the previous point along `axis`, whichever is nearer in range, [H, W, 3]."""
     change = np.diff(points, axis=axis)
     edge = np.zeros_like(np.take(points, [0], axis))
     ahead, behind = np.concatenate([change, edge], axis), np.concatenate([edge, change], axis)

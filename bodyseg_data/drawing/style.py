@@ -1,4 +1,4 @@
-"""What all pictures share: paper, ink, font, the legend of the 33 parts, and how they are written."""
+"""Shared style of all pictures: colours, font, the legend of the 33 parts, and writing PNG and SVG files."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _LINE: Final = 21
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font, so that pictures look the same on every machine."""
+    """Pillow's built-in font in a size in pixels, so that pictures look the same on every machine."""
     return ImageFont.load_default(size)
 
 
 def draw_legend(width: int) -> Image.Image:
-    """The 33 parts by colour, number and landmark, in as many columns as fit into `width` pixels."""
+    """Draw the legend of the 33 parts (colour, number, landmark), in as many columns as fit into `width` pixels."""
     columns = max(1, width // _COLUMN)
     lines = -(-PART_COUNT // columns)
     columns = -(-PART_COUNT // lines)
@@ -42,20 +42,20 @@ def draw_legend(width: int) -> Image.Image:
 
 
 def check_picture(path: Path, option: str = "--out") -> None:
-    """Raise BadConfig unless `path`, given by `option`, can name a picture."""
+    """Raise BadConfig, naming `option`, unless `path` ends in .png."""
     if path.suffix.lower() != ".png":
         raise BadConfig(f"{option} must be a .png file, found {path}")
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    """Write a picture as PNG, atomically. Raises BadConfig if it cannot be written."""
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     write_result(path, buffer.getvalue())
 
 
 def new_chart(width: float, height: float) -> Any:
-    """An empty figure of matplotlib, inches, that needs no display. Raises MissingLibrary without matplotlib."""
+    """Open an empty matplotlib figure, size in inches, without a display. Raises MissingLibrary without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -67,7 +67,7 @@ def new_chart(width: float, height: float) -> Any:
 
 
 def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
-    """A figure of matplotlib as PNG or SVG: the same bytes for the same figure, by one version of matplotlib."""
+    """Encode a matplotlib figure as PNG or SVG; equal figures give equal bytes under one version of matplotlib."""
     import matplotlib
 
     buffer = io.BytesIO()
@@ -77,5 +77,5 @@ def chart_bytes(figure: Any, kind: Literal["png", "svg"], dpi: int) -> bytes:
 
 
 def save_chart(figure: Any, path: Path, dpi: int) -> None:
-    """Write a figure of matplotlib as PNG at once or not at all. Raises BadConfig if it cannot be written."""
+    """Write a matplotlib figure as PNG, atomically. Raises BadConfig if it cannot be written."""
     write_result(path, chart_bytes(figure, "png", dpi))

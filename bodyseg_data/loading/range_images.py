@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-import json
 import operator
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict
@@ -22,16 +20,18 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from bodyseg_data.artifacts.variants import Artifacts, Augmentation, RangeImage, artifacts_of, check_variant
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.shards.cache.addresses import open_store
-from bodyseg_data.shards.cache.store import keep_shards
+from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import Into
+from bodyseg_data.shards.sample_codec import OutputArrays
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
@@ -107,7 +107,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             raise BadConfig(f"{path} has no sample of split {split!r} that matches {wanted!r}; the set holds {held}")
         self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
         records = [self.manifest.shards[number] for number in np.unique(self._places[:, 0])]
-        self._reader = ShardReader(keep_shards(store, records, cache, cache_bytes), self.manifest)
+        self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -139,10 +139,10 @@ class RangeImages(Dataset[dict[str, Any]]):
         """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
         return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
 
-    def _sample(self, index: int, into: Into | None = None) -> Sample:
+    def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
         """What the variant needs of a stored sample; into: see `decode_sample`."""
         shard, within = self._where(index)
-        return self._reader.read(shard, within, artifacts_of(self.augmentation.variant).occlusion, into)
+        return self._reader.read(shard, within, self.augmentation.needs_projector, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
@@ -191,13 +191,12 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def identity(self) -> dict[str, Any]:
         """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
-        strengths = json.loads(json.dumps(asdict(self.augmentation.artifacts)))
         return {
             "set": self._digest,
             "split": self.split,
             "variant": self.variant,
             "seed": self.seed,
-            "artifacts": {name: strength for name, strength in strengths.items() if strength is not None},
+            "artifacts": self.augmentation.artifacts.to_json(),
         } | ({"only": list(self.only)} if self.only else {})
 
     @cached_property

@@ -1,7 +1,7 @@
-"""What stops or misleads distances along a surface, taken out of their way: vertices keep their numbers.
+"""Removal of defects that prevent or distort distances along a surface; vertex indices do not change.
 
-`mesh_repair` makes a clean mesh of a scan and renumbers it; here a mesh stays as it is, with its landmarks by vertex,
-and only the surface that distances are measured on is mended.
+`meshes.repair` makes a clean mesh of a scan and renumbers its vertices. Here the mesh stays as it is, so landmarks by
+vertex stay valid, and only the faces along which distances are measured are mended.
 """
 
 from __future__ import annotations
@@ -18,32 +18,34 @@ from bodyseg_data.meshes.topology import Edges, components, find_edges
 
 
 @dataclass(frozen=True)
-class Mended:
-    """A surface fit for distances. faces: int64 [N, 3], those left, in their order. place: int64 [V], the vertex that
-    stands for each vertex, mostly itself. notes: what was done, for people; empty for a sound mesh.
+class MendedSurface:
+    """A surface along which distances can be measured.
+
+    faces: int64 [N, 3], the faces kept, in their order. representative: int64 [V], for each vertex the one that
+    replaces it, mostly itself. notes: the changes in words; empty for a sound mesh.
     """
 
     faces: NDArray[np.int64]
-    place: NDArray[np.int64]
+    representative: NDArray[np.int64]
     notes: tuple[str, ...]
 
 
-def mend(vertices: NDArray[np.float64], faces: NDArray[Any], feature: str) -> Mended:
-    """The surface `faces` [F, 3] of `vertices` [V, 3] without what stops distances.
+def mend(vertices: NDArray[np.float64], faces: NDArray[Any], feature: str) -> MendedSurface:
+    """Remove the defects of the surface `faces` [F, 3] of `vertices` [V, 3], metres.
 
-    Vertices in one place (nearer than `SAME_POINT_M`) become one where an edge joins them or where both lie on the
-    surface's rim, as along a seam that was not welded; surfaces that touch stay two. Faces that have a vertex twice
-    and all but one of doubled faces go. Of more than two faces at an edge the two best joined to the rest stay: first
-    those with the fewest open edges, then the largest. feature: as for `Mesh.pieces`, for MissingLibrary.
+    Vertices closer than `SAME_POINT_M` are joined if an edge connects them or if both lie on the boundary of the
+    surface, as along a seam that was not welded; surfaces that only touch stay apart. Faces with a repeated vertex and
+    duplicates of faces are removed. Of more than two faces at an edge two are kept: those with the fewest open edges,
+    then the largest. feature: the feature named by the message of MissingLibrary, raised without scipy.
     """
     edges = find_edges(faces)
-    place = np.arange(len(vertices))
-    joined = _same_place(vertices, edges, feature)
+    representative = np.arange(len(vertices))
+    joined = _coincident_pairs(vertices, edges, feature)
     if len(joined):
         component = components(len(vertices), joined, feature)
         _, first = np.unique(component, return_index=True)
-        place = first[component]
-    kept = place[faces]
+        representative = first[component]
+    kept = representative[faces]
     flat = (kept == np.roll(kept, 1, axis=1)).any(axis=1)
     kept = kept[~flat]
     if len(joined) or flat.any():
@@ -53,25 +55,26 @@ def mend(vertices: NDArray[np.float64], faces: NDArray[Any], feature: str) -> Me
         _, once = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
         doubled = len(kept) - len(once)
         kept = kept[np.sort(once)]
-        needed = _needed(vertices, kept)
+        needed = _kept_at_edges(vertices, kept)
         extra = int((~needed).sum())
         kept = kept[needed]
     done = (
-        (int((place != np.arange(len(place))).sum()), "vertices joined to others in the same place"),
+        (int((representative != np.arange(len(representative))).sum()), "vertices joined to others in the same place"),
         (int(flat.sum()), "faces with no more than two places left out"),
         (doubled, "doubled faces left out"),
         (extra, "faces left out at edges of more than two"),
     )
-    return Mended(kept, place, tuple(f"{count} {what}" for count, what in done if count))
+    return MendedSurface(kept, representative, tuple(f"{count} {what}" for count, what in done if count))
 
 
 def find_fans(faces: NDArray[np.int64], feature: str) -> NDArray[np.int64]:
-    """Which fan the corner of each face belongs to, [F, 3]: faces around a vertex that hang together by edges.
+    """Index of the fan that each corner of `faces` [F, 3] belongs to, int64 [F, 3], from 0.
 
-    Numbered from 0. There are as many as vertices, unless sheets of the surface hang together by single vertices.
+    A fan is the faces around one vertex that are connected through edges. There are as many fans as vertices, unless
+    sheets of the surface are connected by single vertices only. feature: as for `mend`.
     """
     sides = find_edges(faces).two_sides()
-    # Two faces with a common edge hang together at both its ends: corner k of each, and corner k + 1.
+    # Two faces with a common edge are connected at both its ends: corner k of each, and corner k + 1.
     first, second = sides.T
     ahead = [side - side % 3 + (side + 1) % 3 for side in (first, second)]
     same = faces.ravel()[first] == faces.ravel()[second]
@@ -83,8 +86,8 @@ def find_fans(faces: NDArray[np.int64], feature: str) -> NDArray[np.int64]:
     return fans.reshape(-1, 3)
 
 
-def _same_place(vertices: NDArray[np.float64], edges: Edges, feature: str) -> NDArray[np.int64]:
-    """Pairs of vertices [N, 2] that are one place of the surface."""
+def _coincident_pairs(vertices: NDArray[np.float64], edges: Edges, feature: str) -> NDArray[np.int64]:
+    """Pairs of vertices [N, 2] that are the same point of the surface."""
     short = edges.ends[edges.lengths(vertices) < SAME_POINT_M]
     rim = np.unique(edges.ends[edges.faces == 1])
     if not len(rim):
@@ -97,8 +100,8 @@ def _same_place(vertices: NDArray[np.float64], edges: Edges, feature: str) -> ND
     return np.concatenate([short, pairs])
 
 
-def _needed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """The faces, bool [F], that are not too many at any of their edges."""
+def _kept_at_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Mask of the faces that are among the two kept at each of their edges, bool [F]."""
     edges = find_edges(faces)
     needed = np.ones(len(faces), np.bool_)
     sides = np.flatnonzero(edges.faces[edges.of_side.ravel()] > 2)

@@ -1,4 +1,4 @@
-"""The frozen triangle mesh of one body, checked once when it is made.
+"""The immutable triangle mesh of one body, checked once when it is constructed.
 
 Body frame: x to the subject's left, y up, z to the front; metres.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes.topology import components, find_edges
+from bodyseg_data.meshes.topology import check_arrays, components, find_edges
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -24,52 +24,41 @@ _SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an
 
 @dataclass(frozen=True)
 class Mesh:
-    """A body's surface. vertices: float64 [V, 3], metres, body frame; faces: int32 [F, 3], outward by right hand.
+    """The surface of a body. vertices: float64 [V, 3], metres, body frame. faces: int32 [F, 3], vertex indices, ordered
+    so that normals point outwards by the right-hand rule. Both arrays are copied and read-only.
 
     Raises BadMesh, naming the mesh, for: no vertices or faces, coordinates that are not finite, indices outside the
-    vertices, a body not 0.5 to 2.5 m in its largest extent, faces that point inwards or disagree with their neighbours.
+    vertices, a largest extent outside 0.5 to 2.5 m, faces that point inwards or disagree with their neighbours.
     """
 
     name: str
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
+
     def __post_init__(self) -> None:
         vertices: NDArray[np.float64] = np.asarray(self.vertices, np.float64)
         faces: NDArray[Any] = np.asarray(self.faces)
-        self._check(vertices, faces)
+        check_arrays(f"mesh {self.name}", vertices, faces)
+        self._check_extent(vertices, faces)
         for field, array in (("vertices", vertices), ("faces", faces.astype(np.int32))):
             frozen = np.ascontiguousarray(array).copy()
             frozen.flags.writeable = False
             object.__setattr__(self, field, frozen)
         self._check_orientation()
 
-    def _check(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
-        where = f"mesh {self.name}"
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise BadMesh(f"{where}: vertices and faces must have three columns, found {vertices.shape}, {faces.shape}")
-        if len(vertices) == 0 or len(faces) == 0:
-            raise BadMesh(f"{where}: a body needs vertices and faces, found {len(vertices)} and {len(faces)}")
-        if not np.issubdtype(faces.dtype, np.integer):
-            raise BadMesh(f"{where}: faces must be whole numbers, found {faces.dtype}")
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        if len(bad):
-            raise BadMesh(f"{where}: coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
-        bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
-        if len(bad):
-            raise BadMesh(
-                f"{where}: faces must use vertices 0 to {len(vertices) - 1}, found {faces[bad[0]].tolist()} "
-                f"at face {bad[0]}"
-            )
+    def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
         extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
         low, high = HEIGHT_RANGE_M
         if not low <= extent <= high:
-            raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
+            raise BadMesh(f"mesh {self.name}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
 
     def _check_orientation(self) -> None:
-        """Outward means: neighbours agree, every closed piece encloses a positive volume, and so does the whole.
+        """Raise BadMesh unless neighbours agree and the whole and each closed piece enclose a positive volume.
 
-        An open piece has no volume of its own: a mouth's cavity that was cut off would seem inside out.
+        Open pieces are not judged one by one: the cavity of a mouth, cut off, would seem inside out.
         """
         clash = self._clashing_edge()
         if clash is not None:
@@ -85,20 +74,20 @@ class Mesh:
             )
 
     def _clashing_edge(self) -> tuple[int, int] | None:
-        """An edge that exactly two faces share and both go along in the same direction, if there is one."""
+        """The vertices of an edge that exactly two faces share and traverse in the same direction; None without one."""
         edges = find_edges(self.faces)
         forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
         balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
-        real = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
-        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & real)
+        proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
+        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & proper)
         return None if not len(bad) else (int(edges.ends[bad[0], 0]), int(edges.ends[bad[0], 1]))
 
     def signed_volume(self) -> float:
-        """Volume enclosed, m3, about the middle of the vertices; negative if faces point inwards."""
+        """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""
         return float(_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
 
     def _lowest_closed_volume(self) -> float:
-        """Signed volume, m3, of the closed connected piece that has the least; infinite if no piece is closed."""
+        """Smallest signed volume, m3, of all closed connected pieces; infinite if no piece is closed."""
         edges = find_edges(self.faces)
         piece = self.pieces("checking a mesh")
         closed = np.ones(piece.max() + 1, np.bool_)
@@ -107,38 +96,38 @@ class Mesh:
         if not len(faces):
             return np.inf
         numbers, piece_of_face = np.unique(piece[faces[:, 0]], return_inverse=True)
-        # About one vertex of each piece: far from the piece, rounding would drown its volume.
+        # Measured about one vertex of each piece: far from the piece, rounding would exceed its volume.
         origin = self.vertices[np.unique(piece, return_index=True)[1][numbers]]
         corners = self.vertices[faces] - origin[piece_of_face][:, None]
         return float(np.bincount(piece_of_face, weights=_volumes(corners)).min())
 
     def pieces(self, feature: str) -> NDArray[np.int32]:
-        """Which connected piece of the surface each vertex belongs to, [V].
+        """Index of the connected piece of the surface that each vertex belongs to, int32 [V].
 
-        feature: what they are wanted for, for the message of the MissingLibrary that is raised without scipy.
+        feature: the feature that the message names. Raises MissingLibrary without scipy.
         """
         return components(len(self.vertices), self.faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:
-        """Those vertices [N, 3] that faces use."""
+        """The vertices that faces use, float64 [N, 3], metres."""
         return self.vertices[np.unique(self.faces)]
 
     @cached_property
     def centre(self) -> NDArray[np.float64]:
-        """Centre [3] of the bounding box of the surface."""
+        """Centre of the surface's bounding box, float64 [3], metres."""
         middle: NDArray[np.float64] = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
         return middle
 
     @cached_property
     def normals(self) -> NDArray[np.float64]:
-        """Outward normals of all faces, [F, 3]; length twice the face's area, zero for a degenerate face."""
+        """Outward normals of all faces, float64 [F, 3]; length twice the face's area, 0 if degenerate."""
         corners = self.vertices[self.faces]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
-        """Mean outward normal, by area, of the faces around each vertex, [V, 3], unit length; zero without a face."""
+        """Area-weighted mean normals of the faces at each vertex, float64 [V, 3], unit length; zero without faces."""
         normals = np.zeros_like(self.vertices)
         for corner in range(3):
             np.add.at(normals, self.faces[:, corner], self.normals)

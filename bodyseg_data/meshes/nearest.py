@@ -1,4 +1,4 @@
-"""The place of a surface nearest to a point."""
+"""Nearest points of a surface."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from bodyseg_data.core.system_libraries import missing_library
 def nearest_corner(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """For points [P, 3] the nearest corner of the triangle nearest to each, [P], and the distance to that triangle [P].
+    """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
+    distance from the point to the triangle, float64 [P], metres.
 
-    vertices: [V, 3]; faces: [F, 3], each with an area. feature: what they are wanted for, for the message of the
-    MissingLibrary that is raised without trimesh, rtree or scipy.
+    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
+    Raises MissingLibrary without trimesh, rtree or scipy.
     """
     try:
-        import rtree  # noqa: F401  trimesh asks for it late and with a message of its own
+        import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
         import trimesh
         from scipy.spatial import KDTree
     except ImportError as error:
         raise missing_library(feature, error) from error
-    # No point is farther from the surface than from its nearest vertex, so only triangles within that reach of the
-    # points' common box can be the answer: for eyes in a head a few hundred instead of all.
+    # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
+    # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
     reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
     corners = vertices[faces]
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach

@@ -1,7 +1,7 @@
-"""Making a raw scan usable as a surface, with pymeshlab. Nothing else in the project imports pymeshlab.
+"""Repair of raw scans with pymeshlab.
 
-A scan comes as loose triangles, with faces doubled, of no area or turned inside out, and with edges that three faces
-share. None of that stops a renderer, but all of it stops or misleads geodesics, normals and the checks of `Mesh`.
+A scan may consist of unconnected triangles, have duplicate, degenerate or inverted faces, and edges that three faces
+share. A renderer draws these, but geodesics, normals and the checks of `Mesh` fail or go wrong.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.system_libraries import missing_library, require_libraries
-from bodyseg_data.meshes.topology import components
+from bodyseg_data.meshes.topology import check_arrays, components
 
 SAME_POINT_M: Final = 1e-6
-"""Vertices closer than this, in metres, are one vertex: far below what a scanner resolves, above rounding in files."""
+"""Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
 
 _FEATURE: Final = "mesh repair"
 
@@ -24,17 +24,16 @@ _FEATURE: Final = "mesh repair"
 def repair(
     name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices [V, 3] and faces [F, 3] of the same surface, as `Mesh` and geodesics want it.
+    """Repair a surface for `Mesh` and geodesics: returns vertices float64 [V, 3], metres, and faces int32 [F, 3].
 
-    name: the mesh's, for messages. vertices: float [V, 3], metres. faces: whole numbers [F, 3].
-    In this order: vertices in the same place become one; faces without area and doubled faces go; of the faces at an
-    edge that more than two share, the smallest go; pieces that meet in a point only are parted there; neighbouring
-    faces get the same orientation and each connected piece an outward one; vertices that no face uses go.
-    Holes stay holes: what a scanner did not see is not made up.
+    name: of the mesh, for messages. vertices: float [V, 3], metres. faces: int [F, 3].
+    Steps, in this order: join coincident vertices; remove degenerate and duplicate faces; at edges of more than two
+    faces remove the smallest; separate pieces that meet in a single vertex; orient neighbouring faces alike and each
+    connected piece outwards; remove vertices that no face uses. Holes are not filled.
 
-    The numbers of vertices and faces change: landmarks given by vertex index no longer fit, those given by
-    coordinates do. Raises BadMesh for what cannot be repaired (nothing left, coordinates that are not finite, faces
-    without vertices, a surface with one side only), MissingLibrary without pymeshlab or the libraries it loads.
+    Vertex indices change: landmarks by vertex are invalid afterwards, landmarks by coordinates stay valid.
+    Raises BadMesh for a surface that cannot be repaired (no face left, coordinates that are not finite, faces with
+    missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
     """
     vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
     pymeshlab = load_pymeshlab(_FEATURE)
@@ -63,9 +62,9 @@ def repair(
 
 
 def load_pymeshlab(feature: str) -> Any:
-    """The package, imported on first use: it takes a third of a second and loads system libraries.
+    """Import pymeshlab on first use: it takes a third of a second and loads system libraries.
 
-    feature: what it is wanted for, for the message of the MissingLibrary that is raised without it.
+    feature: the feature that the message names. Raises MissingLibrary without pymeshlab or libGL and libOpenGL.
     """
     try:
         # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
@@ -79,30 +78,19 @@ def load_pymeshlab(feature: str) -> Any:
 def _used_part(
     name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Only what faces use: a scan's stray vertices may be anything. Checked, since pymeshlab trusts its input."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise BadMesh(
-            f"mesh {name}: vertices and faces must have three columns and a row, found {vertices.shape}, {faces.shape}"
-        )
-    if not np.issubdtype(faces.dtype, np.integer) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadMesh(
-            f"mesh {name}: faces must be whole numbers from 0 to {len(vertices) - 1}, found {faces.min()} to "
-            f"{faces.max()} ({faces.dtype})"
-        )
+    """Vertices that faces use, and faces with their new indices, checked, since pymeshlab does not check its input."""
+    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)
     used, renumbered = np.unique(faces, return_inverse=True)
-    if not np.isfinite(vertices[used]).all():
-        bad = used[~np.isfinite(vertices[used]).all(axis=1)][0]
-        raise BadMesh(f"mesh {name}: coordinates must be finite, found {vertices[bad].tolist()} at vertex {bad}")
     return vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
 
 
 def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The faces, turned round in every connected piece that encloses a negative volume."""
+    """The faces [F, 3], inverted in every connected piece that encloses a negative volume."""
     # Two edges of a triangle connect its three vertices.
     piece_of_vertex = components(len(vertices), faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
     count = int(piece_of_vertex.max()) + 1
     piece = piece_of_vertex[faces[:, 0]]
-    # About a point of the piece itself, so that the sign is right also for one with small holes.
+    # Measured about the mean vertex of the piece, so that the sign is right also for one with small holes.
     size = np.bincount(piece_of_vertex, minlength=count)
     middle = np.stack([np.bincount(piece_of_vertex, axis, count) for axis in vertices.T], axis=1) / size[:, None]
     corners = vertices[faces] - middle[piece][:, None]

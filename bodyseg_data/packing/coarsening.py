@@ -1,10 +1,10 @@
 """The projector's range with as few bits as the shadows need.
 
-The shadow test (`artifacts/occlusion.py`) compares: four texels with one another, and each of them or what they
-interpolate to with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
+The shadow test (`artifacts/occlusion.py`) compares four texels with one another, and each of them, or their
+interpolation, with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
 within which no pixel's answer can change, whatever the others do within theirs; a texel that may be empty is emptied,
-any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over
-large areas. Whether the answers are the same is then asked, and where they are not, the exact ranges come back.
+any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over large
+areas. Then the test itself is run on both images, and where answers differ, the exact ranges come back.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS, Floats, reached
+from bodyseg_data.artifacts.occlusion import Floats, reached
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 COARSEST_STEP: Final = 1024
 """Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
 
 _EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
-_EDGE, _GAP = int(EDGE_STEPS), int(GAP_STEPS)
+_EDGE, _GAP = int(SHADOW_THRESHOLDS.edge_steps), int(SHADOW_THRESHOLDS.gap_steps)
 _MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
 
 Range = NDArray[np.uint16]
@@ -29,7 +30,7 @@ Ints = NDArray[np.int32]
 
 def coarsened(image: Range, x: Floats, y: Floats, away: Floats) -> Range:
     """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`reached`) as with `image`."""
-    texels = _four_places(image.shape, x, y)
+    texels = _four_indices(image.shape, x, y)
     read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
     texels, points = texels[:, read], (x[read], y[read], away[read])
     answers = reached(image, *points)
@@ -44,8 +45,8 @@ def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return answer
 
 
-def _four_places(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
-    """The four texels around points [4, N] as flat indices, in the order of `four_texels`; the border is repeated."""
+def _four_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+    """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
     columns = [np.clip(left + beside, 0, shape[1] - 1) for beside in (0, 1)]
@@ -55,15 +56,16 @@ def _four_places(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.int
 def _bounds(
     image: Range, texels: NDArray[np.intp], points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
 ) -> tuple[Ints, Ints]:
-    """The least and the greatest that every texel may be, flat [Hp * Wp], less one step as the test has it, if those
-    that may be empty are.
+    """The least and the greatest value of every texel, flat [Hp * Wp], less one step as in the test, if all texels that
+    may be empty are emptied.
 
-    A point stays lit if all its texels are at most the gap before it. That bounds from below only, so every lit point
-    is tried with it, also one whose texels are not there yet; but texels that shade another point may be bounded
-    from above. Points for which that is in the way keep what their texels are now, and may thereby be in others' way.
+    A point stays lit if all its texels are at most the gap before it. That bounds from below only, so it is tried for
+    every lit point first, also where texels are empty; but texels that shade another point are bounded from above, too.
+    Where the two bounds conflict, a lit point keeps its texels as they are, which bounds them from above, and other lit
+    points may conflict with that in turn.
     """
     ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
-    away = np.minimum(points[2] - np.float32(1), FARTHEST)
+    away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
     enough = np.ceil(away).astype(np.int32) - _GAP + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
     hard = np.flatnonzero(~lit | _any(ranges < enough))
@@ -89,8 +91,9 @@ def _bounds(
 
 
 def _as_they_are(ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]) -> tuple[Ints, Ints]:
-    """Bounds [4, N] around the texels [4, N] of each point that keep its answer; points: x, y, and their range as the
-    test has it.
+    """Bounds [4, N] around the texels [4, N] of each point that keep its answer.
+
+    points: x, y, and their range as in the test, less one step.
     """
     nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
     limit = np.ceil(points[2]).astype(np.int32) - _EDGE
@@ -117,12 +120,12 @@ def _as_they_are(ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArr
 
 
 def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
-    """Within the bounds, the roundest numbers, of those the nearest to the ranges; empty where that is within them."""
-    places = np.flatnonzero(highest < _EMPTY)
-    exact = image.ravel()[places].astype(np.int32)
-    low, high = lowest[places] + 1, highest[places] + 1  # stored ranges are one step more than the test's
+    """The roundest numbers within the bounds, of those the nearest to the ranges; empty where the bounds hold that."""
+    indices = np.flatnonzero(highest < _EMPTY)
+    exact = image.ravel()[indices].astype(np.int32)
+    low, high = lowest[indices] + 1, highest[indices] + 1  # stored ranges are one step more than the test's
     chosen, step = exact.copy(), COARSEST_STEP
-    missing = np.ones(len(places), np.bool_)
+    missing = np.ones(len(indices), np.bool_)
     while step > 1:
         rounded = np.clip((exact + step // 2) // step * step, -(-low // step) * step, high // step * step)
         fits = missing & (rounded >= low) & (rounded <= high)
@@ -131,5 +134,5 @@ def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
         step //= 2
     chosen[missing] = np.clip(exact, low, high)[missing]
     coarse: Range = np.zeros(image.shape, np.uint16)
-    coarse.ravel()[places] = chosen
+    coarse.ravel()[indices] = chosen
     return coarse

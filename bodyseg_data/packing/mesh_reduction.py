@@ -1,8 +1,8 @@
-"""No more triangles than the sensor can see: a coarser mesh whose ranges, seen from the rig, stay within a tolerance.
+"""Mesh reduction: fewer triangles, with ranges that, seen from the rig, stay within a tolerance.
 
 Edges are collapsed where that moves the surface least (Garland and Heckbert, Surface simplification using quadric
-error metrics, SIGGRAPH 1997; pymeshlab), some of them at a time, and every stage is judged by what the
-tolerance speaks of: ranges that the rig's camera sees, by casting rays at the coarse mesh and at the whole one.
+error metrics, SIGGRAPH 1997; pymeshlab), some of them at a time. Every stage is judged by the quantity that the
+tolerance limits: ranges that the rig's camera sees, by casting rays at the coarse mesh and at the whole one.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ PAYS_FROM: Final = 150_000
 (docs/mesh_resolution.md)."""
 
 WITHIN: Final = 95
-"""Per cent of the pixels whose range must be right to the tolerance. What is left lies beside edges that hide
-something: the slightest change of the edge shows the surface behind it, however far that is."""
+"""Per cent of the pixels whose range must be right to the tolerance. The others lie beside edges that hide something:
+the slightest change of the edge shows the surface behind it, however far that is."""
 
 _FEATURE: Final = "reducing a mesh (--tolerance-mm 0 keeps meshes whole)"
 _STEP: Final = 0.6  # of the triangles stay at least, each time: gentle steps end with a better mesh than one leap
@@ -52,14 +52,14 @@ _REST: Final = {
     "qualityweight": False,
     "autoclean": True,
 }
-"""The filter's defaults. What a call leaves out it takes from the call before, so nothing may be left out."""
+"""The filter's defaults. A call takes every option that it leaves out from the call before, so none may be left out."""
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """A coarser mesh. landmarks: int64 [33], the vertices at the places of the landmarks. error_m: its `range_error`.
+    """A coarser mesh. landmarks: int64 [33], the vertices that are the landmarks. error_m: its `range_error`.
 
-    note: one line on what was done, or on why nothing could be; None for a mesh that is as coarse as it may be.
+    note: one line on the reduction, or on why none was possible; None for a mesh that is as coarse as it may be.
     """
 
     mesh: Mesh
@@ -75,7 +75,7 @@ def check_tolerance(tolerance_mm: float | None) -> None:
 
 
 def reduced_body(body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: int) -> Body:
-    """`body` with a mesh as coarse as asked for, and a note if that changed it.
+    """`body` with a mesh as coarse as the tolerance permits, and a note if that changed it.
 
     tolerance_mm: of `reduce`; None: `TOLERANCE_M`, for meshes of `PAYS_FROM` triangles and more; 0: no mesh is reduced.
     """
@@ -136,16 +136,16 @@ def probe_cameras(mesh: Mesh, rig: Rig, distance_cm: int) -> tuple[PlacedCamera,
 
 
 def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.float32]]:
-    """What cameras see of a mesh by casting rays: ranges float32 [H, W], metres, 0 where there is no body."""
+    """Ranges that cameras see of a mesh, by casting rays: float32 [H, W], metres, 0 where there is no body."""
     renderer = open_renderer("embree", mesh)
     try:
-        return [renderer.see(camera).range for camera in cameras]
+        return [renderer.render(camera).range for camera in cameras]
     finally:
         renderer.close()
 
 
 def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[np.float32]]) -> float:
-    """The 95th percentile (`WITHIN`), over all pixels where either is not 0, of the difference of two ranges; metres.
+    """The 95th percentile (`WITHIN`) of the difference of ranges, metres, over all pixels where either is not 0.
 
     A pixel that only one of them sees counts with its whole range: 5 % of those break any tolerance.
     """
@@ -156,7 +156,7 @@ def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[
 def _descended(
     best: Reduction, tolerance_m: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
 ) -> tuple[Reduction, Reduction]:
-    """Stage by stage to the coarsest mesh found within the tolerance, and the first beyond it, or the same again."""
+    """Reduce stage by stage; returns the coarsest mesh within the tolerance, and the first beyond it or the same."""
     while (share := max(_STEP, (best.error_m / (_AIM * tolerance_m)) ** (1 / _STEEPEST))) < _LITTLE:
         coarser = _coarser(best, share, cameras, wanted)
         if coarser.error_m > tolerance_m:
@@ -170,7 +170,7 @@ def _descended(
 def _coarser(
     before: Reduction, share: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
 ) -> Reduction:
-    """About `share` of the triangles of `before`; with an infinite error and a note if that makes no sound mesh."""
+    """Reduce `before` to about `share` of its triangles; an infinite error and a note if that makes no sound mesh."""
     try:
         mesh, landmarks = edges_collapsed(before.mesh, before.landmarks, round(len(before.mesh.faces) * share))
     except BadMesh as error:
@@ -196,10 +196,10 @@ def _share_between(finer: Reduction, coarser: Reduction, tolerance_m: float) -> 
 def edges_collapsed(
     mesh: Mesh, landmarks: NDArray[np.int64], count: int, optimal: bool = True
 ) -> tuple[Mesh, NDArray[np.int64]]:
-    """`mesh` with edges collapsed until about `count` triangles are left, and its landmarks' vertices there.
+    """`mesh` with edges collapsed until about `count` triangles are left, and its landmarks' vertices in the result.
 
-    optimal: put what an edge becomes where the error is least; else at one of its ends, so that every vertex left is
-    one of the mesh's. Raises BadMesh if what comes out is no body, MissingLibrary without pymeshlab.
+    optimal: put the vertex that an edge becomes where the error is least; else at one of its ends, so that every vertex
+    left is one of the mesh's. Raises BadMesh if the result is no body, MissingLibrary without pymeshlab.
     """
     pymeshlab = load_pymeshlab(_FEATURE)
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
@@ -232,18 +232,18 @@ def edges_collapsed(
 def _taken_back(
     coarse: Any, mesh: Mesh, landmarks: NDArray[np.int64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[Mesh, NDArray[np.int64]]:
-    """What pymeshlab made, as one of our meshes, within the box of `mesh`, and where the landmarks are in it."""
+    """Convert pymeshlab's mesh, held within the box of `mesh`; returns it and the landmarks' vertices in it."""
     number = np.asarray(coarse.vertex_scalar_array())
     order = np.argsort(number, kind="stable")
-    places = order[np.minimum(np.searchsorted(number[order], landmarks), len(order) - 1)]
+    found = order[np.minimum(np.searchsorted(number[order], landmarks), len(order) - 1)]
     vertices = np.clip(np.asarray(coarse.vertex_matrix(), np.float64), low, high)
-    if not np.array_equal(vertices[places], mesh.vertices[landmarks]):
+    if not np.array_equal(vertices[found], mesh.vertices[landmarks]):
         raise BadMesh("collapsing edges moved a landmark")
-    return Mesh(mesh.name, vertices, np.asarray(coarse.face_matrix(), np.int32)), places.astype(np.int64)
+    return Mesh(mesh.name, vertices, np.asarray(coarse.face_matrix(), np.int32)), found.astype(np.int64)
 
 
 def _edged(mesh: Mesh) -> NDArray[np.int64]:
-    """Vertices at edges without two faces: rims of holes, and seams, whose two sides would part if they moved."""
+    """Vertices at edges that have not two faces: rims of holes, and seams, whose sides would part if they moved."""
     edges = find_edges(mesh.faces)
     return np.unique(edges.ends[edges.faces != 2])
 
@@ -251,6 +251,6 @@ def _edged(mesh: Mesh) -> NDArray[np.int64]:
 def _outermost(mesh: Mesh) -> NDArray[np.int64]:
     """Six vertices that hold the bounding box where it is."""
     used = np.flatnonzero(np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)))
-    places = mesh.vertices[used]
-    outermost: NDArray[np.int64] = used[np.concatenate([places.argmin(axis=0), places.argmax(axis=0)])]
+    points = mesh.vertices[used]
+    outermost: NDArray[np.int64] = used[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]
     return outermost

@@ -1,7 +1,7 @@
-"""What the projector's range image holds: only what can shade a pixel that the camera sees.
+"""The projector's stored range: only texels that can shade a pixel which the camera sees.
 
 The shadow test (`artifacts/occlusion.py`) reads four texels for each camera pixel whose surface faces the projector;
-the projector is asked for those only. If none of the four lies in front of the point by more than the gap that the test
+only those are rendered. If none of the four lies in front of the point by more than the gap that the test
 allows, the test answers "lit" whether they are there or empty. So a texel is kept only if a pixel reads it that has
 such a texel among its four; the test then gives the same bits as from a whole image. What is kept is rounded as far
 as no answer changes (`coarsening.py`).
@@ -10,27 +10,20 @@ as no answer changes (`coarsening.py`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import FARTHEST, GAP_STEPS, Floats, ShadowTest, framed
-from bodyseg_data.core.rig import Rig
+from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 from bodyseg_data.packing.coarsening import coarsened
 
 # The test interpolates in single precision; one step is far more than it can be off by.
-_SURELY_LIT: Final = GAP_STEPS - np.float32(1)
+_SURELY_LIT: Final = SHADOW_THRESHOLDS.gap_steps - np.float32(1)
 
 Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
 """Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
-
-
-@lru_cache(maxsize=2)
-def shadow_test(rig: Rig) -> ShadowTest:
-    """The shadow test of a rig, made once a process."""
-    return ShadowTest(rig)
 
 
 def occluder_range(
@@ -45,9 +38,9 @@ def occluder_range(
 def exact_range(
     test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
 ) -> tuple[NDArray[np.uint16], Floats, Floats, Floats]:
-    """The projector's exact range where it can shade, 0 elsewhere, and the points that it is about (`reached`).
+    """The projector's exact range where it can shade, 0 elsewhere, and the points that it may shade (`reached`).
 
-    camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: asked once, for
+    camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: called once, for
     the texels that the shadow test reads.
     """
     projector = test.rig.projector
@@ -63,7 +56,7 @@ def exact_range(
     nearest = texels.take(start)
     for shift in (1, width, width + 1):
         np.minimum(nearest, texels[shift:].take(start), out=nearest)
-    behind = np.minimum(away - np.float32(1), FARTHEST) - nearest
+    behind = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest
     image[~_footprint(start[behind > _SURELY_LIT], image.shape)] = 0
     return image, x, y, away
 

@@ -1,9 +1,9 @@
 """From bodies to shards, over any `concurrent.futures.Executor`; restartable; the same bytes however it is run.
 
 Work goes out mesh by mesh and comes back as encoded samples; one process writes all shards in their fixed order. So
-the bytes depend on neither the number of workers nor what was finished before a restart, and workers need no shared
-disk. While a packing runs, `OUT/.packing/` holds its plan, a lock, the shard being written and a record of every
-finished one. The manifest is written last; then the folder goes.
+the bytes depend neither on the number of workers nor on a restart, and workers need no shared disk. While a packing
+runs, `OUT/.packing/` holds its plan, a lock, the shard being written and a record of every finished one. The manifest
+is written last; then the folder goes.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from typing import Any, Final
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.geodesics import Geodesics, check_method
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler
@@ -47,7 +48,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Packing:
-    """What to pack. Everything here shapes the bytes; how many workers do it does not.
+    """The options of a packing. All of them shape the bytes; the number of workers does not.
 
     source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
     from every subset; all if None. views: distances and azimuths. renderer, codec: by name. shard_samples: samples a
@@ -66,7 +67,7 @@ class Packing:
     landmarks: Path | None = None
     units: Units = "auto"
     up: UpAxis = "auto"
-    geodesics: Geodesics = "exact"
+    geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:
@@ -80,18 +81,18 @@ class Packing:
         check_codec(self.codec)
 
     def bodies(self) -> list[BodyRef]:
-        """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than asked for."""
+        """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""
         return spread(self.opened().bodies(), self.meshes)
 
     def opened(self, plan: str = "") -> BodySource:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
         if self.path is None:
-            return _source(self.source, None, self.landmarks, self.units, self.up)
+            return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
         return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
 
 
 def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
-    """`count` of `bodies` in their order, shared out evenly over subsets, in each the middles of stretches."""
+    """`count` of `bodies` in their order, shared out evenly over subsets, and evenly spaced in each."""
     if count is None:
         return list(bodies)
     if count > len(bodies):
@@ -114,7 +115,7 @@ def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
 def plan(packing: Packing) -> dict[str, Any]:
     """Counts per subset and split, without reading or rendering any mesh; plain JSON.
 
-    "missing" is there if the source is not complete: what a complete one would have, runs of names in one.
+    "missing" is there if the source is not complete: the bodies that a complete one would have, runs of names in one.
     """
     bodies = packing.bodies()
     views = len(packing.views)
@@ -160,7 +161,7 @@ def _cut(packing: Packing) -> list[_Shard]:
 
 
 def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
-    """Everything that shapes the bytes, as plain JSON."""
+    """Everything that shapes the bytes, as plain JSON; a restart compares it."""
     bodies = packing.bodies()
     described = {
         "format": MANIFEST_FORMAT,
@@ -174,6 +175,7 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "tolerance_mm": packing.tolerance_mm,
         "views": [view.name for view in packing.views],
         "rig": packing.rig.to_json(),
+        "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
         "codec": packing.codec,
         "shards": [shard.name for shard in shards],
@@ -185,7 +187,7 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Rendered:
-    """What comes back of a run. samples: key and members (extension -> bytes). notes: what was noted of the body."""
+    """The result of a run. samples: key and members (extension -> bytes). notes: lines about the body."""
 
     samples: list[tuple[str, dict[str, bytes]]]
     notes: tuple[str, ...]
@@ -211,9 +213,9 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
 
 
 @lru_cache(maxsize=4)
-def _source(name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
-    """A process opens its source once: loading a body model takes seconds."""
-    return open_source(name, path, landmarks, units, up)
+def _source(entry: SourceEntry | None, name: str, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
+    """Open a source once a process, and again once another entry is registered: loading a body model takes seconds."""
+    return open_source(name, None, landmarks, units, up)
 
 
 @lru_cache(maxsize=4)  # several packings may share a worker
@@ -222,7 +224,7 @@ def _read_source(name: str, path: Path, landmarks: Path | None, units: Units, up
 
 
 def forget_sources() -> None:
-    """Have files read again that may have changed since a source was opened; body models stay loaded."""
+    """Close the sources that read files, which may have changed since; body models stay loaded."""
     _read_source.cache_clear()
 
 
@@ -233,8 +235,8 @@ def pack(
 
     executor: runs `render_run`; workers: how many of its workers to keep busy. Raises BadConfig if `out` holds
     something else or another packing is at work there, BadMesh, BadLandmarks or BadSample for a body that cannot be
-    packed. After an error, finished shards stay and the same call carries on from them; what the executor was handed
-    and has not begun is its owner's to cancel. In a finished set, shards that are missing or altered are made again.
+    packed. After an error, finished shards stay and the same call carries on from them; the caller cancels the jobs
+    that the executor has not begun. In a finished set, shards that are missing or altered are made again.
     """
     forget_sources()
     shards = _cut(packing)

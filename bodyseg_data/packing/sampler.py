@@ -1,4 +1,4 @@
-"""From what two cameras see of a labelled body to a stored sample; the same code for every renderer."""
+"""A stored sample from two cameras' views of a labelled body; the same code for every renderer."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
@@ -15,7 +16,7 @@ from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range
 from bodyseg_data.rendering.renderer import Renderer, Surface
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
@@ -28,7 +29,7 @@ def sample_key(source: str, body: BodyRef, view: View) -> str:
 
 
 class Sampler:
-    """Takes samples of one body with one rig; what does not depend on the view is worked out once."""
+    """Takes samples of one body with one rig; everything that does not depend on the view is computed once."""
 
     def __init__(self, renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
@@ -47,7 +48,7 @@ class Sampler:
         """Render one view and label it. Raises BadSample."""
         body, key = self._body, sample_key(self._source, self._body, view)
         camera, projector = self._rig.placed(self._mesh.centre, view)
-        seen = self._renderer.see(camera)
+        seen = self._renderer.render(camera)
         pixels = np.flatnonzero(seen.face >= 0)
         faces = seen.face.take(pixels)
         points = _Points(seen, camera, pixels)
@@ -82,7 +83,7 @@ class Sampler:
         return labels
 
     def _facing(self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """`faces_towards`, asked a triangle at a time wherever rounding of its points cannot change the answer."""
+        """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer."""
         towards = self._normals @ source - self._offsets
         answer: NDArray[np.bool_] = (towards > 0).take(faces)
         unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
@@ -92,7 +93,7 @@ class Sampler:
 
 @dataclass(frozen=True)
 class _Points:
-    """The points that pixels see, worked out when asked for: few are."""
+    """The points that pixels see, computed for the few that are taken."""
 
     seen: Surface
     camera: PlacedCamera
@@ -116,7 +117,7 @@ def surface_points(
 def faces_towards(
     mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64], source: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the triangles seen at `points` [N, 3] turn their outside to a light at `source` [3], bool [N]."""
+    """Mark the triangles seen at `points` [N, 3] that turn their outside to a light at `source` [3], bool [N]."""
     normals = mesh.normals[faces]
     towards: NDArray[np.bool_] = np.einsum("ij,ij->i", normals, source - points) > 0
     return towards

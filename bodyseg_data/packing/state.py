@@ -1,4 +1,4 @@
-"""What a packing leaves in `OUT/.packing/` while it runs, so that it can carry on where it was cut short.
+"""The state of a packing in `OUT/.packing/` while it runs, so that it can carry on where it was cut short.
 
 plan.json           everything that shapes the bytes; another plan may not carry on here
 lock                held while a packing is at work
@@ -40,7 +40,7 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
                 "choose another folder, or delete it"
             )
     elif not state.exists() and out.exists() and any(out.glob("*.tar")):
-        raise BadConfig(f"{out} holds tars that no packing here knows of: choose another folder")
+        raise BadConfig(f"{out} holds tars of no packing: choose another folder")
     state.mkdir(parents=True, exist_ok=True)
     lock = os.open(state / "lock", os.O_CREAT | os.O_RDWR, 0o644)
     try:
@@ -70,7 +70,7 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
 
 
 def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, ShardRecord]:
-    """Records of the shards that an earlier run finished and that are still what it wrote, byte for byte.
+    """Records of the shards that an earlier run finished and that still have the bytes it wrote.
 
     If `out` has a manifest and not all of its shards are intact, the manifest goes: the set is no longer complete.
     """

@@ -1,4 +1,4 @@
-"""Registry of renderers: a new one is a file in this folder and an entry of `RENDERERS`."""
+"""Renderers and their registry: a new one is a file in this folder and an entry of `RENDERERS`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RENDERERS: Final[dict[str, str]] = {
     "embree": "embree.EmbreeRenderer",
     "opengl": "opengl.OpenGLRenderer",
 }
-"""Name -> "module.Class" of this folder, imported when a renderer of that name is opened."""
+"""Name -> "module.Class" in this folder, imported when a renderer of that name is opened."""
 
 if TYPE_CHECKING:
     RendererName = str
@@ -29,7 +29,7 @@ def check_renderer(name: str) -> None:
 
 
 def open_renderer(name: str, mesh: Mesh) -> Renderer:
-    """The renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary if it needs what is not installed."""
+    """Construct the renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary without its libraries."""
     check_renderer(name)
     module, kind = RENDERERS[name].split(".")
     renderer: Renderer = getattr(import_module(f"{__name__}.{module}"), kind)(mesh)

@@ -1,4 +1,4 @@
-"""Ray casting with Intel's Embree; needs nothing from the system. Casts shadow rays, too."""
+"""Ray casting with Intel's Embree, also of shadow rays; needs no system libraries."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ except ImportError as error:
         f"the embree renderer needs the package 'embreex': pip install 'bodyseg[render]' ({error})"
     ) from error
 
-_NOTHING = np.float32(1e37)  # how far Embree's binding says a ray went that met nothing
+_MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives for a ray without a hit
 
 
 class EmbreeRenderer:
-    """One mesh in an Embree tree, built once and asked for any number of cameras.
+    """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras.
 
-    covered: the pixels of a camera through which rays are cast, bool [H, W] (default: those of the mesh's `Outline`).
+    covered: function from a camera to the mask of pixels through which rays are cast, bool [H, W]; default: that of
+    the mesh's `Outline`.
     """
 
     def __init__(self, mesh: Mesh, covered: Callable[[PlacedCamera], NDArray[np.bool_]] | None = None) -> None:
@@ -38,7 +39,7 @@ class EmbreeRenderer:
         TriangleMesh(self._scene, (mesh.vertices - self._origin).astype(np.float32), mesh.faces)
         self._covered = Outline(mesh).covered if covered is None else covered
 
-    def see(self, camera: PlacedCamera) -> Surface:
+    def render(self, camera: PlacedCamera) -> Surface:
         shape = camera.camera.rows, camera.camera.columns
         depth, face = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
         pixels = np.flatnonzero(self._covered(camera))
@@ -51,44 +52,46 @@ class EmbreeRenderer:
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         if not len(pixels):
             return np.zeros(0, np.float32)
-        away: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
-        away[away >= _NOTHING] = 0
-        return away
+        distances: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
+        distances[distances >= _MISS_DISTANCE] = 0
+        return distances
 
     def lit(self, points: NDArray[np.float64], source: NDArray[np.float64], gap_m: float = 1e-4) -> NDArray[np.bool_]:
-        """Exact shadow rays: which of `points` [N, 3] a light at `source` [3] reaches, bool [N].
+        """Cast exact shadow rays: True for each of `points` [N, 3] that a light at `source` [3] reaches, bool [N].
 
-        A point counts as lit if nothing crosses the segment from the source up to `gap_m` metres before the point;
-        the gap keeps a point from being shaded by the very triangle it lies on.
+        A point is lit if no triangle crosses the segment from the source to `gap_m` metres before the point; without
+        the gap, the triangle that contains the point would occlude it.
         """
         if not len(points):
             return np.zeros(0, np.bool_)
-        ways = points - source
-        origins = np.broadcast_to((source - self._origin).astype(np.float32), ways.shape)
-        reach = 1 - gap_m / np.linalg.norm(ways, axis=1)
-        answer = self._scene.run(
-            np.ascontiguousarray(origins), ways.astype(np.float32), dists=reach.astype(np.float32), query="OCCLUDED"
+        directions = points - source
+        origins = np.broadcast_to((source - self._origin).astype(np.float32), directions.shape)
+        fraction = 1 - gap_m / np.linalg.norm(directions, axis=1)
+        occluded = self._scene.run(
+            np.ascontiguousarray(origins),
+            directions.astype(np.float32),
+            dists=fraction.astype(np.float32),
+            query="OCCLUDED",
         )
-        lit: NDArray[np.bool_] = answer < 0  # Embree's binding answers 0 for blocked, -1 for free
+        lit: NDArray[np.bool_] = occluded < 0  # Embree's binding gives 0 for blocked, -1 for free
         return lit
 
     def close(self) -> None:
-        """Nothing is held outside Python's own memory."""
+        """Do nothing: all memory is Python's."""
 
     def _rays(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Origins and directions of the rays through the centres of pixels, float32 [N, 3] each, body frame.
 
-        Directions are `Camera.pixel_rays`, turned; z = 1 in the camera's frame, so Embree's ray parameter is the range
-        itself. A turned ray is a part that depends on its row plus one that depends on its column. All origins are one:
-        nothing is copied.
+        Directions are `Camera.pixel_rays`, rotated; z = 1 in the camera's frame, so Embree's ray parameter is the
+        range. A rotated ray is the sum of a term of its row and one of its column. The common origin is not copied.
         """
         device = camera.camera
         y = (np.arange(device.rows) + 0.5 - device.centre_px[1]) / device.focal_px
         x = (np.arange(device.columns) + 0.5 - device.centre_px[0]) / device.focal_px
         right, down, forward = camera.axes
         rows, columns = np.divmod(pixels, device.columns)
-        ways = np.empty((3, len(pixels)), np.float32)
+        directions = np.empty((3, len(pixels)), np.float32)
         for axis in range(3):
-            ways[axis] = (y * down[axis] + forward[axis]).take(rows) + (x * right[axis]).take(columns)
+            directions[axis] = (y * down[axis] + forward[axis]).take(rows) + (x * right[axis]).take(columns)
         origin = (camera.position - self._origin).astype(np.float32)
-        return np.broadcast_to(origin, (len(pixels), 3)), ways.T
+        return np.broadcast_to(origin, (len(pixels), 3)), directions.T

@@ -1,7 +1,7 @@
-"""Rasterising with OpenGL, through pyrender: the fast renderer where a graphics driver is at hand (docs/renderers.md).
+"""Rasterisation with OpenGL through pyrender: the fast renderer on a graphics card (docs/renderers.md).
 
-Needs system libraries (libEGL and libGL); without them importing this module raises MissingLibrary. Which platform
-draws is pyrender's choice by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, it is EGL.
+Needs the system libraries libEGL and libGL; without them, importing this module raises MissingLibrary. pyrender selects
+the platform by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, it is EGL.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering.renderer import Surface
 
 _FEATURE: Final = "the opengl renderer"
-_EMBREE: Final = "the embree renderer needs nothing from the system"
+_ALTERNATIVE: Final = "the embree renderer needs nothing from the system"
 if sys.platform.startswith("linux") and "DISPLAY" not in os.environ:
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # pyrender and PyOpenGL read it when they are imported
 _PLATFORM: Final = os.environ.get("PYOPENGL_PLATFORM", "")
-_NEEDS: Final = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}.get(_PLATFORM, ("GL", "X11"))
+_SYSTEM_LIBRARIES: Final = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}.get(_PLATFORM, ("GL", "X11"))
 
 try:
     with warnings.catch_warnings():
-        # pyrender and PyOpenGL are no longer maintained, so what Python will drop next shows up in them first.
+        # pyrender and PyOpenGL are no longer maintained and use features that Python deprecates.
         warnings.simplefilter("ignore")
         import pyrender
         from OpenGL import GL
 except (ImportError, OSError, AttributeError) as error:
-    raise MissingLibrary(f"{missing_library(_FEATURE, error, _NEEDS)}; {_EMBREE}") from error
+    raise MissingLibrary(f"{missing_library(_FEATURE, error, _SYSTEM_LIBRARIES)}; {_ALTERNATIVE}") from error
 
 _NEAR_PLANE_M = 1e-2
 _MARGIN_M = 1e-3
@@ -45,34 +45,34 @@ _MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
 
 
 class OpenGLRenderer:
-    """One mesh in the graphics driver's memory, asked for any number of cameras.
+    """Renderer of one mesh, which stays in the graphics driver's memory, for any number of cameras.
 
-    All renderers of a process share one OpenGL context, and use it one at a time, so that threads may share it too.
-    What lies nearer to the camera's plane than 10 mm is cut off, where Embree sees everything in front of that plane.
+    All renderers of a process share one OpenGL context under a lock, so threads may use them at the same time.
+    Surfaces less than 10 mm in front of the camera's plane are clipped; Embree renders all in front of that plane.
 
     Raises BadMesh for a mesh of more than 16.7 million faces, MissingLibrary if no driver can be opened, BadConfig in
-    a process forked from one that has drawn.
+    a process forked from one that has an OpenGL context.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         if len(mesh.faces) > _MOST_FACES:
             raise BadMesh(f"mesh {mesh.name}: OpenGL draws at most {_MOST_FACES} faces, found {len(mesh.faces)}")
-        # Graphics hardware computes in single precision, so coordinates are kept small: around the body's centre.
+        # Graphics hardware computes in single precision, so coordinates are kept small: relative to the body's centre.
         self._origin = mesh.centre
-        self._used = mesh.surface_vertices
+        self._surface_vertices = mesh.surface_vertices
         corners = (mesh.vertices - self._origin)[mesh.faces].reshape(-1, 3)
-        self._drawing = pyrender.Mesh([pyrender.Primitive(positions=corners, color_0=_face_colours(len(mesh.faces)))])
+        self._mesh = pyrender.Mesh([pyrender.Primitive(positions=corners, color_0=_face_colours(len(mesh.faces)))])
         self._scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))
-        self._scene.add(self._drawing)
-        self._eye = self._scene.add(_Projection(np.eye(4)))
-        self._canvas = _shared_canvas()
+        self._scene.add(self._mesh)
+        self._camera_node = self._scene.add(_Projection(np.eye(4)))
+        self._context = _shared_context()
 
-    def see(self, camera: PlacedCamera) -> Surface:
-        """What `camera` sees of the mesh; the range is the depth at the very centre of each pixel."""
+    def render(self, camera: PlacedCamera) -> Surface:
+        """See `Renderer.render`; the range is the depth at the exact centre of each pixel."""
         rows, columns = camera.camera.rows, camera.camera.columns
         surface = Surface(np.zeros((rows, columns), np.float32), np.full((rows, columns), -1, np.int32))
-        local_z = camera.to_local(self._used)[:, 2]
-        # The depth buffer's 24 bits are spread over the body's own depth only.
+        local_z = camera.to_local(self._surface_vertices)[:, 2]
+        # The depth buffer's 24 bits cover the depth of the body only.
         near = max(float(local_z.min()) - _MARGIN_M, _NEAR_PLANE_M)
         far = float(local_z.max()) + _MARGIN_M
         if far <= near:
@@ -80,9 +80,9 @@ class OpenGLRenderer:
         pose = np.eye(4)
         pose[:3, :3] = (camera.axes * [[1], [-1], [-1]]).T  # OpenGL's cameras have y up and look along -z
         pose[:3, 3] = camera.position - self._origin
-        self._scene.set_pose(self._eye, pose)
-        self._eye.camera = _Projection(_projection(camera.camera, near, far))
-        depth, colour = self._canvas.draw(self._scene, rows, columns)
+        self._scene.set_pose(self._camera_node, pose)
+        self._camera_node.camera = _Projection(_projection(camera.camera, near, far))
+        depth, colour = self._context.draw(self._scene, rows, columns)
         body = colour[..., 3] > 0
         surface.face[body] = colour[body][:, :3].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         # Window depth 0 to 1 is linear in 1 / z between the two planes.
@@ -90,16 +90,16 @@ class OpenGLRenderer:
         return surface
 
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """As `see` gives it: a picture is drawn whole, whichever pixels are asked for."""
-        return self.see(camera).range.take(pixels)
+        """See `Renderer.ranges`; OpenGL always draws whole images."""
+        return self.render(camera).range.take(pixels)
 
     def close(self) -> None:
-        """Free the mesh's memory in the driver; the context stays for the process's next mesh. Safe to call twice."""
-        self._canvas.forget(self._drawing)
+        """Free the mesh's memory in the driver; the context stays open for other meshes. Safe to call twice."""
+        self._context.remove_mesh(self._mesh)
 
 
 class _Projection(pyrender.Camera):  # type: ignore[misc]
-    """A camera given by its matrix; pyrender's own changes focal lengths and image sizes on some platforms."""
+    """A camera defined by its projection matrix; pyrender's own depends on the platform's pixel density."""
 
     def __init__(self, matrix: NDArray[np.float64]) -> None:
         super().__init__()
@@ -109,10 +109,10 @@ class _Projection(pyrender.Camera):  # type: ignore[misc]
         return self._matrix
 
 
-class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
-    """pyrender's renderer with one sample a pixel, exact colours, and meshes that stay in memory until forgotten.
+class _SingleSampleRenderer(pyrender.Renderer):  # type: ignore[misc]
+    """pyrender's renderer with one sample a pixel, exact colours, and meshes that stay in memory until removed.
 
-    pyrender draws four samples a pixel and answers with the depth of the first, which lies off the pixel's centre.
+    pyrender draws four samples a pixel and returns the depth of the first, which lies off the pixel's centre.
     The overridden methods are private, but pyrender 0.1.45 is its last release.
     """
 
@@ -121,7 +121,7 @@ class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__(1, 1)
-        self.dpscale = 1  # an image has the size asked for, also on displays with dense pixels
+        self.dpscale = 1  # an image has the requested size, also on displays of high pixel density
 
     def _update_context(self, scene: Any, flags: int) -> None:
         for mesh in scene.meshes - self._meshes:
@@ -129,14 +129,14 @@ class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
                 primitive._add_to_context()
             self._meshes.add(mesh)
 
-    def forget(self, mesh: Any) -> None:
+    def remove_mesh(self, mesh: Any) -> None:
         if mesh in self._meshes:
             self._meshes.remove(mesh)
             for primitive in mesh.primitives:
                 primitive.delete()
 
     def _configure_main_framebuffer(self) -> None:
-        """Make one plain framebuffer, as large as the largest image so far: making one for each view is slow."""
+        """Keep one framebuffer without multisampling, as large as the largest image so far: new ones are slow."""
         width, height = self._main_fb_dims if self._main_fb_ms else (0, 0)
         if self.viewport_width <= width and self.viewport_height <= height:
             return
@@ -145,15 +145,15 @@ class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
         self._main_cb_ms, self._main_db_ms = GL.glGenRenderbuffers(2)
         self._main_fb_ms = GL.glGenFramebuffers(1)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, self._main_fb_ms)
-        for buffer, kind, place in (
+        for buffer, kind, attachment in (
             (self._main_cb_ms, GL.GL_RGBA8, GL.GL_COLOR_ATTACHMENT0),
             (self._main_db_ms, GL.GL_DEPTH_COMPONENT24, GL.GL_DEPTH_ATTACHMENT),
         ):
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
-            GL.glFramebufferRenderbuffer(GL.GL_DRAW_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, buffer)
+            GL.glFramebufferRenderbuffer(GL.GL_DRAW_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
         self._main_fb_dims = size
-        # Colours are numbers here: what the shader wrote must be what is read.
+        # Colours encode face indices and must be read back exactly.
         GL.glDisable(GL.GL_DITHER)
         GL.glDisable(GL.GL_FRAMEBUFFER_SRGB)
 
@@ -164,7 +164,7 @@ class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
             self._main_fb_ms = None
 
     def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Window depth 0 to 1 [H, W] and colour [H, W, 4], first row on top."""
+        """Window depth, float32 [H, W], 0 to 1, and colour, uint8 [H, W, 4]; the first row is the top."""
         width, height = self.viewport_width, self.viewport_height
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
         depth = GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT)
@@ -175,22 +175,22 @@ class _Rasteriser(pyrender.Renderer):  # type: ignore[misc]
         )
 
 
-class _Canvas:
-    """The process's OpenGL context. Any thread may draw; a lock lets them in one by one."""
+class _Context:
+    """The process's OpenGL context, guarded by a lock, so any thread may draw."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process = os.getpid()
         try:
             self._window = pyrender.OffscreenRenderer(1, 1)
-        except Exception as error:  # every platform has its own kinds: EGL errors, assertions, X errors, lookups
+        except Exception as error:  # platforms differ: EGL errors, assertions, X errors, lookups
             raise _no_driver(error) from error
-        self._rasteriser = _Rasteriser()
-        self._window._renderer = self._rasteriser
+        self._renderer = _SingleSampleRenderer()
+        self._window._renderer = self._renderer
         self._release()
 
     def check_process(self) -> None:
-        """Raise BadConfig in a fork of the process that opened the context: drivers hang there without a word."""
+        """Raise BadConfig in a fork of the process that opened the context, where drivers hang."""
         if self._process != os.getpid():
             raise BadConfig(
                 f"{_FEATURE} cannot draw in a process forked from one that has drawn: start workers by 'spawn' or "
@@ -201,17 +201,17 @@ class _Canvas:
         self.check_process()
         flags = pyrender.RenderFlags
         with self._current():
-            self._rasteriser.viewport_width, self._rasteriser.viewport_height = columns, rows
+            self._renderer.viewport_width, self._renderer.viewport_height = columns, rows
             # Embree hits both sides of a triangle, so both are drawn here.
-            picture: tuple[NDArray[np.float32], NDArray[np.uint8]] = self._rasteriser.render(
+            picture: tuple[NDArray[np.float32], NDArray[np.uint8]] = self._renderer.render(
                 scene, flags.OFFSCREEN | flags.FLAT | flags.SKIP_CULL_FACES
             )
         return picture
 
-    def forget(self, mesh: Any) -> None:
-        if self._process == os.getpid():  # in a fork the context, and the mesh in it, are the parent's
+    def remove_mesh(self, mesh: Any) -> None:
+        if self._process == os.getpid():  # in a fork, context and mesh belong to the parent
             with self._current():
-                self._rasteriser.forget(mesh)
+                self._renderer.remove_mesh(mesh)
 
     @contextmanager
     def _current(self) -> Iterator[None]:
@@ -223,7 +223,7 @@ class _Canvas:
                 self._release()
 
     def _release(self) -> None:
-        """Let go of the context, which only one thread at a time may hold."""
+        """Detach the context from this thread: only one thread may have it current."""
         if _PLATFORM == "egl":  # where pyrender does nothing
             from OpenGL import EGL
 
@@ -234,18 +234,18 @@ class _Canvas:
             self._window._platform.make_uncurrent()
 
 
-_canvas: _Canvas | None = None
-_canvas_lock = threading.Lock()
+_context: _Context | None = None
+_context_lock = threading.Lock()
 
 
-def _shared_canvas() -> _Canvas:
-    """One context serves a process: opening one is slow, and closing one on EGL closes the display of all."""
-    global _canvas
-    with _canvas_lock:
-        if _canvas is None:
-            _canvas = _Canvas()
-        _canvas.check_process()
-        return _canvas
+def _shared_context() -> _Context:
+    """The one context of the process: opening one is slow, and closing one on EGL closes the display of all."""
+    global _context
+    with _context_lock:
+        if _context is None:
+            _context = _Context()
+        _context.check_process()
+        return _context
 
 
 def _no_driver(error: Exception) -> MissingLibrary:
@@ -258,18 +258,18 @@ def _no_driver(error: Exception) -> MissingLibrary:
         hint = "OSMesa needs a PyOpenGL newer than the 3.1.0 that pyrender asks for; PYOPENGL_PLATFORM=egl does not"
     else:
         hint = f"no window can be opened on PYOPENGL_PLATFORM={_PLATFORM!r}; PYOPENGL_PLATFORM=egl needs no display"
-    return MissingLibrary(f"{_FEATURE}: {hint} ({cause}); {_EMBREE}")
+    return MissingLibrary(f"{_FEATURE}: {hint} ({cause}); {_ALTERNATIVE}")
 
 
 def _face_colours(count: int) -> NDArray[np.float32]:
-    """Colours 0 to 1, float32 [3 * count, 4]: the bytes of a face's index, the same at its three corners; alpha 1."""
+    """Colours that encode face indices in bytes, float32 [3 * count, 4], 0 to 1, one a corner; alpha is 1."""
     index = np.arange(count)
     parts = np.stack([index & 255, index >> 8 & 255, index >> 16 & 255, np.full(count, 255)], axis=1)
     return np.repeat(parts.astype(np.float32) / np.float32(255), 3, axis=0)
 
 
 def _projection(camera: Camera, near: float, far: float) -> NDArray[np.float64]:
-    """OpenGL's projection matrix [4, 4] of a pinhole camera between two planes."""
+    """OpenGL's projection matrix [4, 4] of a pinhole camera. near, far: its clipping planes, metres."""
     x, y = camera.centre_px
     matrix = np.zeros((4, 4))
     matrix[0, [0, 2]] = 2 * camera.focal_px / camera.columns, 1 - 2 * x / camera.columns

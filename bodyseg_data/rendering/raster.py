@@ -1,9 +1,9 @@
-"""Filling triangles in double precision, compiled with numba: the default renderer; needs nothing from the system.
+"""Rasterisation in double precision, compiled with numba: the default renderer; needs no system libraries.
 
 Seen from the camera's centre, the ray through a pixel meets the triangle a, b, c where the triple products ray.(b x c),
 ray.(c x a) and ray.(a x b) have one sign; there the range is a.(b x c) over their sum (Olano and Greer, "Triangle scan
 conversion using 2D homogeneous coordinates", 1997). Two triangles get exactly opposite numbers for an edge they share,
-so no ray slips between them, and nothing has to be clipped.
+so no ray passes between them, and no clipping is needed.
 """
 
 from __future__ import annotations
@@ -18,38 +18,41 @@ from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering.renderer import Surface
 
-_NEAR_M: Final = 1e-3  # a triangle that comes nearer to the camera's plane is looked for in the whole frame
-_MARGIN_PX: Final = 1e-6  # added to the box of a triangle's pixels, for rounding
+_NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
+_MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding
 
 
 class RasterRenderer:
-    """One mesh, all of whose triangles are drawn for every camera."""
+    """Renderer of one mesh that draws all its triangles for every camera."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._vertices, self._faces = mesh.vertices, mesh.faces
 
-    def see(self, camera: PlacedCamera) -> Surface:
+    def render(self, camera: PlacedCamera) -> Surface:
         device = camera.camera
         shape = device.rows, device.columns
         depth, face = np.full(shape, np.inf), np.full(shape, -1, np.int32)
         local = np.empty_like(self._vertices)
-        place = np.empty((len(local), 2))
+        pixel_xy = np.empty((len(local), 2))
         pinhole = device.focal_px, *device.centre_px
-        _project(self._vertices, camera.position, camera.axes, pinhole, local, place)
-        _fill(local, place, self._faces, pinhole, device.rows, device.columns, depth.ravel(), face.ravel())
+        _project(self._vertices, camera.position, camera.axes, pinhole, local, pixel_xy)
+        _fill(local, pixel_xy, self._faces, pinhole, device.rows, device.columns, depth.ravel(), face.ravel())
         depth[face < 0] = 0
         return Surface(depth.astype(np.float32), face)
 
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """As `see` gives it: choosing triangles would cost as much as drawing them."""
-        return self.see(camera).range.take(pixels)
+        """See `Renderer.ranges`; choosing triangles would cost as much as drawing all."""
+        return self.render(camera).range.take(pixels)
 
     def close(self) -> None:
-        """Nothing is held outside Python's own memory."""
+        """Do nothing: all memory is Python's."""
 
 
-def _project_loop(vertices: Any, position: Any, axes: Any, pinhole: Any, local: Any, place: Any) -> None:
-    """Vertices in the camera's frame, and where pixel centres are whole numbers. A fixed order: no linear algebra."""
+def _project_loop(vertices: Any, position: Any, axes: Any, pinhole: Any, local: Any, pixel_xy: Any) -> None:
+    """Write vertices [V, 3] in the camera's frame, metres, and their pixels [V, 2] (x, y; centres are integers).
+
+    The order of operations is fixed, unlike that of a linear algebra library, so results are the same on any machine.
+    """
     focal, centre_x, centre_y = pinhole
     for vertex in range(len(vertices)):
         x, y, z = (
@@ -60,27 +63,27 @@ def _project_loop(vertices: Any, position: Any, axes: Any, pinhole: Any, local: 
         for axis in range(3):
             local[vertex, axis] = x * axes[axis, 0] + y * axes[axis, 1] + z * axes[axis, 2]
         depth = max(local[vertex, 2], _NEAR_M)
-        place[vertex, 0] = local[vertex, 0] / depth * focal + centre_x - 0.5
-        place[vertex, 1] = local[vertex, 1] / depth * focal + centre_y - 0.5
+        pixel_xy[vertex, 0] = local[vertex, 0] / depth * focal + centre_x - 0.5
+        pixel_xy[vertex, 1] = local[vertex, 1] / depth * focal + centre_y - 0.5
 
 
 def _fill_loop(
-    local: Any, place: Any, faces: Any, pinhole: Any, rows: int, columns: int, depth: Any, face: Any
+    local: Any, pixel_xy: Any, faces: Any, pinhole: Any, rows: int, columns: int, depth: Any, face: Any
 ) -> None:
-    """Write what is nearest into `depth` (infinite) and `face` (-1), flat images."""
+    """Write range and index of the nearest triangle into the flat images `depth` (infinite) and `face` (-1)."""
     focal, centre_x, centre_y = pinhole
     across, down = (np.arange(columns) + 0.5 - centre_x) / focal, (np.arange(rows) + 0.5 - centre_y) / focal
     for number in range(len(faces)):
         i, j, k = faces[number, 0], faces[number, 1], faces[number, 2]
         if max(local[i, 2], local[j, 2], local[k, 2]) <= 0:
-            continue  # behind the camera, where no ray goes
+            continue  # behind the camera
         left, right, top, bottom = 0, columns - 1, 0, rows - 1
         if min(local[i, 2], local[j, 2], local[k, 2]) > _NEAR_M:
-            # Cut to the frame before they become whole numbers, which have an end.
-            left = int(np.ceil(max(min(place[i, 0], place[j, 0], place[k, 0]) - _MARGIN_PX, 0.0)))
-            right = int(np.floor(min(max(place[i, 0], place[j, 0], place[k, 0]) + _MARGIN_PX, columns - 1.0)))
-            top = int(np.ceil(max(min(place[i, 1], place[j, 1], place[k, 1]) - _MARGIN_PX, 0.0)))
-            bottom = int(np.floor(min(max(place[i, 1], place[j, 1], place[k, 1]) + _MARGIN_PX, rows - 1.0)))
+            # Clipped to the frame before the conversion to integers, which may overflow.
+            left = int(np.ceil(max(min(pixel_xy[i, 0], pixel_xy[j, 0], pixel_xy[k, 0]) - _MARGIN_PX, 0.0)))
+            right = int(np.floor(min(max(pixel_xy[i, 0], pixel_xy[j, 0], pixel_xy[k, 0]) + _MARGIN_PX, columns - 1.0)))
+            top = int(np.ceil(max(min(pixel_xy[i, 1], pixel_xy[j, 1], pixel_xy[k, 1]) - _MARGIN_PX, 0.0)))
+            bottom = int(np.floor(min(max(pixel_xy[i, 1], pixel_xy[j, 1], pixel_xy[k, 1]) + _MARGIN_PX, rows - 1.0)))
         if left > right or top > bottom:
             continue
         ax, ay, az = local[i, 0], local[i, 1], local[i, 2]
@@ -90,7 +93,7 @@ def _fill_loop(
         vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         volume = ax * ux + ay * uy + az * uz
-        if volume < 0:  # seen from inside: both sides count
+        if volume < 0:  # seen from inside: both sides are drawn
             volume = -volume
             ux, uy, uz, vx, vy, vz, wx, wy, wz = -ux, -uy, -uz, -vx, -vy, -vz, -wx, -wy, -wz
         for row in range(top, bottom + 1):
@@ -101,8 +104,8 @@ def _fill_loop(
                 u, v, w = ux * x + u_row, vx * x + v_row, wx * x + w_row
                 if min(u, min(v, w)) >= 0:
                     z = volume / (u + v + w)
-                    pixel = np.uint64(row * columns + column)  # unsigned: no code for counting from the end
-                    if z < depth[pixel]:  # not a number for a triangle without area
+                    pixel = np.uint64(row * columns + column)  # unsigned: no code for negative indices
+                    if z < depth[pixel]:  # NaN for a degenerate triangle
                         depth[pixel], face[pixel] = z, number
 
 

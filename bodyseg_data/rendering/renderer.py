@@ -1,7 +1,7 @@
-"""Renderers: what every pixel of a camera sees of one mesh.
+"""The interface of renderers: range and triangle at every pixel of a camera.
 
-A renderer is built once for a mesh and asked for many placed cameras. It answers with geometry only; what is made
-of it (labels, facing, stored integers) is the same code for every renderer (`sampling.py`).
+A renderer is constructed once for a mesh and renders it for many placed cameras. It gives geometry only; labels,
+facing and stored integers are computed from that by the same code for every renderer (`packing/sampler.py`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from bodyseg_data.core.rig import PlacedCamera
 
 @dataclass(frozen=True)
 class Surface:
-    """What a camera sees, pixel by pixel.
+    """The visible surface at each pixel of a camera.
 
     range: float32 [H, W], metres along the optical axis, 0 where there is no body.
-    face: int32 [H, W], index of the triangle seen, -1 where there is no body.
+    face: int32 [H, W], index of the visible triangle, -1 where there is no body.
     """
 
     range: NDArray[np.float32]
@@ -28,16 +28,16 @@ class Surface:
 
 
 class Renderer(Protocol):
-    """Draws one mesh. Rays go through pixel centres; no smoothing, no sampling within a pixel."""
+    """Renderer of one mesh. Rays go through pixel centres; no smoothing, no sampling within a pixel."""
 
-    def see(self, camera: PlacedCamera) -> Surface:
-        """What `camera` sees of the mesh. The camera must stand outside the body."""
+    def render(self, camera: PlacedCamera) -> Surface:
+        """Render the mesh for `camera`, which must be outside the body."""
 
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The range that `see` gives at some pixels only, float32 [N], metres.
+        """Ranges that `render` gives at some pixels only, float32 [N], metres.
 
-        pixels: [N], row * columns + column, ascending.
+        pixels: int [N], row * columns + column, ascending.
         """
 
     def close(self) -> None:
-        """Give back whatever the renderer holds. Safe to call twice."""
+        """Release the renderer's resources. Safe to call twice."""

@@ -1,1 +1,1 @@
-"""Shards: plain tars of samples, their manifest, codecs, stores and cache."""
+"""Shards (plain tars of samples), their manifest, codecs, stores and cache."""

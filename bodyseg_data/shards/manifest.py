@@ -1,4 +1,4 @@
-"""The manifest: the one file that says what a set of shards holds. Written last, so a set that has one is complete."""
+"""The manifest: the index of a set of shards. It is written last, so a set that has one is complete."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bodyseg_data.core.rig import Rig, rig_from_json
 from bodyseg_data.core.sample import RANGE_STEP_M, check_key
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.shards.sample_codec import CODECS
-from bodyseg_data.shards.stores.store import TIMES, Store, store_at
+from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
 MANIFEST_FORMAT: Final = "bodyseg shards 3"
@@ -32,11 +32,11 @@ _LARGEST_MANIFEST: Final = 1 << 28
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """What one shard holds; all lists but the notes run over its samples in order.
+    """Index of one shard. All tuples but `notes` have one entry a sample, in stored order.
 
-    keys: sample keys. offsets: where a sample's first tar header starts, bytes. lengths: bytes up to the end of its
-    last member's padding. crc32: of exactly those bytes. notes: lines "MESH: what was noted" of the meshes whose first
-    view is in this shard: what had to be done to a mesh, or how its parts were found if not in the usual way.
+    size: of the file, bytes. sha256: of the file. keys: sample keys. offsets: of a sample's first tar header, bytes.
+    lengths: from there to the end of the padding of its last member, bytes. crc32: of those bytes. notes: lines
+    "MESH: NOTE" on meshes whose first view is in this shard, such as repairs and changes of method.
     """
 
     name: str
@@ -52,10 +52,13 @@ class ShardRecord:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def __repr__(self) -> str:
+        return f"ShardRecord({self.name!r}, {len(self)} samples, {self.size} bytes)"
+
 
 @dataclass(frozen=True)
 class Manifest:
-    """Rig, codec, how the set was made, and every shard. `plan` is a digest of everything the packing was asked for."""
+    """Rig, codec, origin and shards of a set. plan: digest of all options of the packing."""
 
     rig: Rig
     codec: str
@@ -64,16 +67,20 @@ class Manifest:
     plan: str
     shards: tuple[ShardRecord, ...]
 
+    def __repr__(self) -> str:
+        size = f"{self.samples()} samples in {len(self.shards)} shards"
+        return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
+
     def notes(self) -> list[str]:
-        """What was noted of meshes, in the order of the shards."""
+        """Notes on meshes, in the order of the shards."""
         return [note for shard in self.shards for note in shard.notes]
 
     def samples(self, split: Split | None = None) -> int:
-        """How many samples there are, in one split or in all."""
+        """Number of samples, in one split or in all."""
         return sum(len(shard) for shard in self.shards if split in (None, shard.split))
 
     def to_json(self) -> dict[str, Any]:
-        """The manifest as plain JSON, with a digest over everything else in it."""
+        """Convert to a JSON object, with a digest of its other fields."""
         tree: dict[str, Any] = {
             "format": MANIFEST_FORMAT,
             "range_step_m": RANGE_STEP_M,
@@ -93,12 +100,12 @@ def _digest(tree: dict[str, Any]) -> str:
 
 
 def record_to_json(record: ShardRecord) -> dict[str, Any]:
-    """A shard's record as plain JSON."""
+    """Convert a shard's record to a JSON object."""
     return {"samples": len(record), **asdict(record)}
 
 
 def record_from_json(tree: Any, where: str) -> ShardRecord:
-    """Check and read a shard's record. Raises BadShard, naming `where` and the rule."""
+    """Parse and check a shard's record. Raises BadShard, naming `where` and the rule."""
     columns = ("keys", "offsets", "lengths", "crc32")
     if not isinstance(tree, dict) or set(tree) != {"samples", "name", "split", "size", "sha256", "notes", *columns}:
         raise BadShard(f"{where}: a shard's record has not the fields of format {MANIFEST_FORMAT!r}")
@@ -145,29 +152,29 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
 
 
 def write_manifest(manifest: Manifest, folder: Path) -> None:
-    """Write `folder`/manifest.json at once or not at all."""
+    """Write `folder`/manifest.json atomically."""
     write_atomically(
         folder / MANIFEST_NAME, json.dumps(manifest.to_json(), indent=None, sort_keys=True).encode() + b"\n"
     )
 
 
 def read_manifest(where: Path | Store) -> Manifest:
-    """Read and check the manifest of a set. Raises BadShard with the file and the rule broken, or Unreachable."""
+    """Read and check the manifest of a set. Raises BadShard, naming the file and the broken rule, or Unreachable."""
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
-    for attempt in range(1, TIMES + 1):
+    for attempt in range(1, READ_ATTEMPTS + 1):
         data = _contents(store, path)
         try:
             return _manifest(_tree(data, path), path)
         except BadShard:
-            if attempt == TIMES or not store.doubt(MANIFEST_NAME):
+            if attempt == READ_ATTEMPTS or not store.prepare_reread(MANIFEST_NAME):
                 raise
     raise AssertionError("the last attempt returns or raises")
 
 
 def _contents(store: Store, path: str) -> bytes:
     try:
-        data = store.whole(MANIFEST_NAME, _LARGEST_MANIFEST)
+        data = store.read_file(MANIFEST_NAME, _LARGEST_MANIFEST)
     except OSError as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
     if data is None:
@@ -176,7 +183,7 @@ def _contents(store: Store, path: str) -> bytes:
 
 
 def _tree(data: bytes, path: str) -> dict[str, Any]:
-    """What the file says, as it was written."""
+    """Parse the file as JSON and check format and digest. Raises BadShard."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:

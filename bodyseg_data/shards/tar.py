@@ -1,4 +1,4 @@
-"""Shards: plain tars that WebDataset opens, written atomically, read by offset, checked on reading."""
+"""Writer and reader of shards: plain tars, readable by WebDataset, written atomically, read by offset and checked."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.sample import Sample, check_key
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
-from bodyseg_data.shards.sample_codec import Into, decode_sample
-from bodyseg_data.shards.stores.store import TIMES, Store, open_file, store_at
+from bodyseg_data.shards.sample_codec import OutputArrays, decode_sample
+from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, open_file, store_at
 
 _BLOCK: Final = 512
 
 
 class ShardWriter:
-    """Writes one shard aside and renames it into place when closed without an error; after an error nothing is left.
+    """Writer of one shard to the file `aside`, which is renamed to `path` on success and removed after an error.
 
-    Owners, modes and times in the tar are fixed, so the same samples give the same bytes.
+    Owners, modes and times in the tar are fixed, so the same samples give the same bytes. record: the shard's record
+    once it is closed, None before.
     """
 
     def __init__(self, path: Path, aside: Path, split: Split) -> None:
@@ -46,7 +47,7 @@ class ShardWriter:
         return self
 
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
-        """Append one sample: extension -> bytes. Raises BadSample for a key that cannot name members."""
+        """Append one sample. members: extension -> bytes. Raises BadSample for a key unfit for file names."""
         check_key(key)
         data = _sample_bytes(key, members)
         self._keys.append(key)
@@ -56,7 +57,7 @@ class ShardWriter:
         self._append(data)
 
     def note(self, mesh: str, notes: Sequence[str]) -> None:
-        """Have the shard's record say what was noted of a mesh; see `ShardRecord.notes`."""
+        """Add notes on a mesh to the shard's record; see `ShardRecord.notes`."""
         self._notes.extend(one_line(f"{mesh}: {note}") for note in notes)
 
     def _append(self, data: bytes) -> None:
@@ -69,7 +70,7 @@ class ShardWriter:
     ) -> None:
         try:
             if kind is None:
-                # Two empty blocks end an archive, which is then filled up to whole records.
+                # Two empty blocks end an archive, which is padded to whole records.
                 self._append(
                     bytes(-(-(self._size + 2 * _BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
                 )
@@ -91,7 +92,7 @@ class ShardWriter:
                 )
         finally:
             if self.record is None:
-                # Closing flushes, which fails again on a full disk; the part file goes either way.
+                # Closing flushes, which fails again on a full disk; the file is removed in any case.
                 with contextlib.suppress(OSError):
                     self._file.close()
                 self._aside.unlink(missing_ok=True)
@@ -102,12 +103,12 @@ def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
 
 
 def _member(name: str, data: bytes) -> bytes:
-    """One tar member, padded to whole blocks."""
+    """Encode one tar member, padded to whole blocks."""
     return _header(name, len(data)) + data + bytes(-len(data) % _BLOCK)
 
 
 def _header(name: str, size: int) -> bytes:
-    """A tar header with nothing in it that depends on when or by whom it is written."""
+    """Encode a tar header without any time or owner."""
     header = tarfile.TarInfo(name)
     header.size, header.mode, header.mtime = size, 0o644, 0
     return header.tobuf(tarfile.USTAR_FORMAT)
@@ -115,11 +116,11 @@ def _header(name: str, size: int) -> bytes:
 
 _NAMELESS: Final = _header("", 0)
 _REST: Final = int(_NAMELESS[148:154], 8) - sum(b"0" * 11)
-"""What the checksum is made of besides the name and the digits of the size."""
+"""Contribution to the checksum of all header bytes except the name and the digits of the size."""
 
 
 def _read_header(block: bytes) -> tuple[str, bytes, int]:
-    """Name, type and size from a tar header. Raises tarfile.HeaderError or UnicodeDecodeError."""
+    """Parse name, type and size of a tar header. Raises tarfile.HeaderError or UnicodeDecodeError."""
     name, digits = block[:100].rstrip(b"\0"), block[124:135]
     own = b"".join(
         (
@@ -131,7 +132,7 @@ def _read_header(block: bytes) -> tuple[str, bytes, int]:
             _NAMELESS[154:],
         )
     )
-    # What `_header` writes, to the last bit: tarfile would take a fifth as long as all of decoding to say the same.
+    # Equal in all bits to the output of `_header`: tarfile needs a fifth of the time of all decoding for the same.
     if own == block and name.isascii() and b"\0" not in name and not digits.strip(b"01234567"):
         return name.decode("ascii"), tarfile.REGTYPE, int(digits, 8)
     header = tarfile.TarInfo.frombuf(block, "utf-8", "strict")
@@ -139,23 +140,24 @@ def _read_header(block: bytes) -> tuple[str, bytes, int]:
 
 
 class ShardReader:
-    """Reads single samples of a set by their place in its manifest, each one checked against its CRC.
+    """Reader of single samples by their index in the manifest; each is checked against its CRC-32.
 
-    Holds no open file, so it may be forked, pickled and used by several threads; opening costs a hundredth of decoding.
+    It keeps no open file, so it may be forked, pickled and used by several threads; opening a file for each sample
+    takes a hundredth of the time of decoding.
     """
 
     def __init__(self, where: Path | Store, manifest: Manifest) -> None:
         self._store, self._manifest = store_at(where), manifest
 
-    def read(self, shard: int, index: int, projector: bool = True, into: Into | None = None) -> Sample:
-        """Sample `index` of shard number `shard`, its projector's range only if asked for; into: see `decode_sample`.
+    def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
+        """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
 
-        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or not a sample of the set's
-        rig, and Unreachable if a remote set cannot be reached.
+        Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or no sample of the set's
+        rig; Unreachable if a remote set cannot be reached.
         """
         record = self._manifest.shards[shard]
-        where = place(record, index)
-        for attempt in range(1, TIMES + 1):
+        where = sample_location(record, index)
+        for attempt in range(1, READ_ATTEMPTS + 1):
             try:
                 data = self._store.read(record.name, record.offsets[index], record.lengths[index])
             except OSError as error:
@@ -164,25 +166,25 @@ class ShardReader:
                 check_bytes(data, record, index)
                 break
             except BadShard:
-                if attempt == TIMES or not self._store.doubt(record.name):
+                if attempt == READ_ATTEMPTS or not self._store.prepare_reread(record.name):
                     raise
         key = record.keys[index]
         try:
-            sample = decode_sample(key, parse_members(key, data), projector, into)
+            sample = decode_sample(key, parse_members(key, data), projector, out)
             _check_sizes(self._manifest, sample)
         except BadSample as error:
             raise BadShard(f"{where}: {error}") from error
         return sample
 
 
-def place(record: ShardRecord, index: int) -> str:
-    """Shard, key and offset of a sample, for messages."""
+def sample_location(record: ShardRecord, index: int) -> str:
+    """Describe a sample by shard, key and offset, for messages."""
     return f"{record.name}: {record.keys[index]}: offset {record.offsets[index]}"
 
 
 def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
-    """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is what was written."""
-    where = place(record, index)
+    """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is as it was written."""
+    where = sample_location(record, index)
     if len(data) != record.lengths[index]:
         raise BadShard(f"{where}: cut short: {record.lengths[index]} bytes expected, found {len(data)}")
     found = zlib.crc32(data)
@@ -191,9 +193,9 @@ def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:
-    """The tar members of one sample: extension -> bytes.
+    """Parse the tar members of one sample: extension -> bytes.
 
-    Raises BadSample for anything but plain files whose names start with `key`.
+    Raises BadSample unless they are plain files whose names start with `key`.
     """
     members: dict[str, bytes] = {}
     position = 0
@@ -203,7 +205,7 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
         except (tarfile.HeaderError, UnicodeDecodeError) as error:
             raise BadSample(f"{key}: no tar header at byte {position} of the sample: {error}") from error
         stem, _, extension = name.partition(".")
-        # Not `isreg`, for which sparse files are regular, too.
+        # `isreg` would accept sparse files.
         if kind != tarfile.REGTYPE or stem != key or not extension or extension in members:
             raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {name!r}")
         start = position + _BLOCK
@@ -216,7 +218,7 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class Fault:
-    """Something wrong with a set of shards: which shard, which sample ("-" if none is concerned), where, what."""
+    """A fault in a set of shards: the shard, the sample's key ("-" if none is affected), byte offset, problem."""
 
     shard: str
     key: str
@@ -228,9 +230,9 @@ class Fault:
 
 
 def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
-    """Everything wrong with one shard: its size, every sample's bytes and content, its hash.
+    """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
 
-    A fault inside a sample is reported at that sample; one elsewhere at the end of the archive.
+    A fault inside a sample is reported at that sample, any other at the end of the archive.
     """
     sha256 = hashlib.sha256()
     sound = True
@@ -246,7 +248,7 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
                     _check_content(manifest, shard, key, data)
                 except (BadShard, BadSample) as error:
                     sound = False
-                    problem = str(error).removeprefix(f"{place(shard, index)}: ").removeprefix(f"{key}: ")
+                    problem = str(error).removeprefix(f"{sample_location(shard, index)}: ").removeprefix(f"{key}: ")
                     yield Fault(shard.name, key, shard.offsets[index], problem)
             size = end
             while rest := file.read(1 << 20):

@@ -11,24 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import torch
-
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import Artifacts, VariantName, artifacts_of
+from bodyseg_data.artifacts.strengths import Artifacts, parse_artifacts
+from bodyseg_data.artifacts.variants import VariantName, artifacts_for
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
-from bodyseg_model.networks.pretrained import import_alexnet
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
-from bodyseg_model.training.recipes import PRESETS, recipe_for
+from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
@@ -41,12 +40,13 @@ class Options:
     data: str = option("folder or address of a set of shards; its train split is used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
-    network: Literal["fcn_alexnet", "compact", "segformer", "deeplab"] = option("which network", "compact")
+    network: NetworkName = option("which network", "compact")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
-    recipe: Literal["fcn_alexnet", "compact"] | None = option("whose recipe (default: the network's own)", None)
+    artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
+    recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
@@ -54,7 +54,7 @@ class Options:
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
-    pretrained: Path | None = option("start fcn_alexnet from this AlexNet (.onnx or .caffemodel)", None)
+    pretrained: Path | None = option("weights to start from; fcn_alexnet reads AlexNet's, .onnx or .caffemodel", None)
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     compile: bool = option("compile the network for this machine first", False)
@@ -69,7 +69,7 @@ def run(options: Options) -> int:
     """Train to the end."""
     use_threads(options.threads)
     recipe = recipe_for(
-        options.recipe or (options.network if options.network in PRESETS else "compact"),
+        options.recipe or network_class(options.network).default_recipe,
         steps=options.steps,
         batch_size=options.batch_size,
         accumulate=options.accumulate,
@@ -98,28 +98,20 @@ def _silent(metrics: Metrics) -> None:
 
 
 def _artifacts(options: Options) -> Artifacts:
-    usual = Artifacts()
-    has = artifacts_of(options.variant)
-    for name, value, used in (
-        ("noise-mm", options.noise_mm, has.noise),
-        ("missing", options.missing, has.missing_data),
-        ("losses", options.losses, has.missing_data),
-    ):
-        if value is not None and not used:
-            raise BadConfig(f"--{name} is for a variant that has such an artifact, found variant {options.variant!r}")
-    return Artifacts(
-        usual.noise if options.noise_mm is None else Noise(0.0, options.noise_mm),
-        usual.missing_data if options.missing is None else MissingData(options.missing),
-        None if options.losses is None else Losses(options.losses),
-    )
+    given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts")]
+    if options.noise_mm is not None:
+        given.append(Noise(0.0, options.noise_mm))
+    if options.missing is not None:
+        given.append(MissingData(options.missing))
+    if options.losses is not None:
+        given.append(Losses(options.losses))
+    return artifacts_for(options.variant, given)
 
 
-def _network(options: Options) -> torch.nn.Module:
+def _network(options: Options) -> Network:
     network = build(options.network, _settings(options.settings), options.seed)
     if options.pretrained is not None:
-        if not isinstance(network, FcnAlexnet):
-            raise BadConfig(f"--pretrained is for fcn_alexnet, not {options.network}")
-        import_alexnet(network, options.pretrained)
+        network.load_pretrained(options.pretrained)
     return network
 
 

@@ -1,13 +1,14 @@
-"""Two networks that people would pick today, to compare with: SegFormer and DeepLab, from the package transformers.
+"""Baseline networks in common use: SegFormer and DeepLab, from the package transformers.
 
-They see what `compact` sees, range less the body's mean beside validity, start from random weights, and answer on a
-coarser grid, from which scores are interpolated as `compact`'s are. So what differs in a comparison is the network.
+They get the input of `compact`, range less the body's mean beside validity, start from random weights, and compute
+scores on a coarser grid, which are interpolated as `compact`'s are. So a comparison differs by the network alone.
 """
 
 from __future__ import annotations
 
 import importlib
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -15,76 +16,68 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.compact import relief_of, shrunk
-from bodyseg_model.networks.range_input import check_range_images
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
 
 _INPUTS: Final = 2
 
 
-class Baseline(nn.Module):
-    """Range image -> scores of the 33 parts, at the image's own size, by a network of another package.
+class Baseline(Network):
+    """Range images -> scores of the 33 parts, by a network of the package transformers.
 
-    apart: pixels of its input between two of the network's own answers. shrink: pixels of the image along one side of a
-    square that is averaged to one of its input.
+    network: of two input channels, with 33 output channels as `.logits`. apart: pixels of its input between two of its
+    own scores. shrink: pixels of the image along one side of a square that is averaged to one of its input. Raises
+    BadConfig for a shrink that is not 1, 2 or 4.
     """
 
-    stride: Final = 4
-    """Pixels of the image between two answers of `coarse`."""
+    output_stride: ClassVar[int] = 4
 
-    def __init__(self, network: nn.Module, apart: int, shrink: int, settings: dict[str, Any]) -> None:
-        super().__init__()
+    def __init__(self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any]) -> None:
+        super().__init__({**settings, "shrink": shrink})
         if shrink not in (1, 2, 4):
             raise BadConfig(f"shrink must be 1, 2 or 4, found {shrink!r}")
-        self.network, self.settings = network, {**settings, "shrink": shrink}
+        self.network = network
         self._cell, self._shrink = apart * shrink, shrink
 
-    def coarse(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Scores (logits) of every fourth pixel each way, float [B, 33, ceil(H / 4), ceil(W / 4)], interpolated.
-
-        range_m: as in `forward`.
-        """
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of every fourth pixel each way, interpolated if need be; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        whole = 32 * self._shrink
+        whole, stride = 32 * self._shrink, self.output_stride
         relief = F.pad(relief_of(range_m), (0, -columns % whole, 0, -rows % whole))
         scores: torch.Tensor = self.network(shrunk(relief, self._shrink) if self._shrink > 1 else relief).logits
-        if self._cell != self.stride:
-            factor = self._cell // self.stride
-            scores = F.interpolate(scores, scale_factor=factor, mode="bilinear", align_corners=False)
-        return scores[:, :, : -(-rows // self.stride), : -(-columns // self.stride)]
-
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Scores (logits), float [B, 33, H, W], of range images in metres, float [B, 1, H, W], 0 = nothing measured.
-
-        Raises BadConfig for any other shape.
-        """
-        rows, columns = range_m.shape[2:]
-        full = F.interpolate(self.coarse(range_m), scale_factor=self.stride, mode="bilinear", align_corners=False)
-        return full[:, :, :rows, :columns]
+        if self._cell != stride:
+            scores = F.interpolate(scores, scale_factor=self._cell // stride, mode="bilinear", align_corners=False)
+        return scores[:, :, : -(-rows // stride), : -(-columns // stride)]
 
 
-def segformer(size: int = 0, shrink: int = 1) -> Baseline:
+class Segformer(Baseline):
     """SegFormer (Xie et al., 2021), B0 or B1 by `size`. Raises BadConfig for another, MissingLibrary."""
-    if size not in (0, 1):
-        raise BadConfig(f"size of segformer must be 0 or 1, found {size!r}")
-    transformers = _transformers("segformer")
-    widths = [(32 << size) * factor for factor in (1, 2, 5, 8)]
-    config = transformers.SegformerConfig(num_channels=_INPUTS, hidden_sizes=widths, num_labels=PART_COUNT)
-    return Baseline(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size})
+
+    def __init__(self, size: int = 0, shrink: int = 1) -> None:
+        if size not in (0, 1):
+            raise BadConfig(f"size of segformer must be 0 or 1, found {size!r}")
+        transformers = _transformers("segformer")
+        widths = [(32 << size) * factor for factor in (1, 2, 5, 8)]
+        config = transformers.SegformerConfig(num_channels=_INPUTS, hidden_sizes=widths, num_labels=PART_COUNT)
+        super().__init__(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size})
 
 
-def deeplab(apart: int = 16, shrink: int = 1) -> Baseline:
-    """DeepLabV3+ on MobileNetV2 (Sandler et al., 2018), with an answer every 8 or 16 pixels of its input.
+class Deeplab(Baseline):
+    """DeepLabV3+ on MobileNetV2 (Sandler et al., 2018), with scores every 8 or 16 pixels of its input.
 
     Raises BadConfig for another number, MissingLibrary.
     """
-    if apart not in (8, 16):
-        raise BadConfig(f"deeplab answers every 8 or 16 pixels, found {apart!r}")
-    transformers = _transformers("deeplab")
-    config = transformers.MobileNetV2Config(
-        num_channels=_INPUTS, output_stride=apart, num_labels=PART_COUNT, tf_padding=False
-    )
-    return Baseline(transformers.MobileNetV2ForSemanticSegmentation(config), apart, shrink, {"apart": apart})
+
+    def __init__(self, apart: int = 16, shrink: int = 1) -> None:
+        if apart not in (8, 16):
+            raise BadConfig(f"apart of deeplab must be 8 or 16, found {apart!r}")
+        transformers = _transformers("deeplab")
+        config = transformers.MobileNetV2Config(
+            num_channels=_INPUTS, output_stride=apart, num_labels=PART_COUNT, tf_padding=False
+        )
+        network = transformers.MobileNetV2ForSemanticSegmentation(config)
+        super().__init__(network, apart, shrink, {"apart": apart})
 
 
 def _transformers(name: str) -> Any:

@@ -1,49 +1,33 @@
-"""What is done to a batch on its way to the network: cut to the bodies in it, and held before a mirror."""
+"""Transforms of a batch before the network: cropping to the bodies in it, and mirroring."""
 
 from __future__ import annotations
 
-from typing import Final
-
 import torch
 
-from bodyseg_data.core.parts import PARTS
+from bodyseg_data.core.parts import MIRRORED_LABELS
 from bodyseg_data.core.randomness import chance
 
 
-def _mirrored_parts() -> torch.Tensor:
-    """uint8 [256]: a label -> the label of the same place on the other side of the body."""
-    table = torch.arange(256, dtype=torch.uint8)
-    names = {part.landmark: part.label for part in PARTS}
-    for part in PARTS:
-        table[part.label] = (
-            names[_OTHER[part.landmark[:3]] + part.landmark[3:]] if part.side != "middle" else part.label
-        )
-    return table
-
-
-_OTHER: Final = {"Rt.": "Lt.", "Lt.": "Rt."}
-MIRRORED_PARTS: Final = _mirrored_parts()
-"""uint8 [256]: label -> label of its mirror image; parts of the middle, and what is no part, are their own."""
-
-
-def body_window(measured: torch.Tensor, margin: int) -> tuple[slice, slice] | None:
+def body_window(measured: torch.Tensor, margin: int, multiple: int = 1) -> tuple[slice, slice] | None:
     """Rows and columns around all that is True in bool [B, H, W], with `margin` more on every side; None if nothing is.
 
-    It begins at multiples of `margin`, so that a network that looks at an image cell by cell sees the same cells.
+    The window begins at multiples of `multiple`, so that cells of a network lie in it as they lie in the whole image.
     """
     window = []
     for other, size in ((2, measured.shape[1]), (1, measured.shape[2])):
-        (places,) = torch.nonzero(measured.any(other).any(0), as_tuple=True)
-        if not len(places):
+        (found,) = torch.nonzero(measured.any(other).any(0), as_tuple=True)
+        if not len(found):
             return None
-        first = max(0, int(places[0]) - margin) // margin * margin
-        window.append(slice(first, min(size, int(places[-1]) + 1 + margin)))
+        first = max(0, int(found[0]) - margin) // multiple * multiple
+        window.append(slice(first, min(size, int(found[-1]) + 1 + margin)))
     return window[0], window[1]
 
 
-def cut_to_bodies(range_m: torch.Tensor, labels: torch.Tensor, margin: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """The part of range [B, 1, H, W] and labels [B, H, W] in `body_window`; all of both if there is no body."""
-    window = body_window(range_m[:, 0] > 0, margin)
+def cut_to_bodies(
+    range_m: torch.Tensor, labels: torch.Tensor, margin: int, multiple: int = 1
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Crop range [B, 1, H, W] and labels [B, H, W] to their `body_window`; without a body both stay whole."""
+    window = body_window(range_m[:, 0] > 0, margin, multiple)
     if window is None:
         return range_m, labels
     rows, columns = window
@@ -54,9 +38,9 @@ def mirror(range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor) ->
     """Copies of range [B, 1, H, W] and labels uint8 [B, H, W] in which those `chosen`, bool [B], are mirrored.
 
     A mirrored person's left hand is a right hand, so labels change sides. Shadows change sides, too: such an image is
-    that of a rig whose projector stands on the camera's other side.
+    that of a rig whose projector is on the camera's other side.
     """
-    flipped = MIRRORED_PARTS.to(labels.device)[labels.flip(-1).long()]
+    flipped = torch.from_numpy(MIRRORED_LABELS).to(labels.device)[labels.flip(-1).long()]
     return (
         torch.where(chosen[:, None, None, None], range_m.flip(-1), range_m),
         torch.where(chosen[:, None, None], flipped, labels),
@@ -64,5 +48,5 @@ def mirror(range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor) ->
 
 
 def mirror_draws(seed: int, epoch: int, keys: list[str]) -> torch.Tensor:
-    """Which samples are mirrored in an epoch, bool [B]: every other one by chance, drawn for the sample."""
+    """Draw the samples that are mirrored in an epoch, bool [B], each with a chance of one half."""
     return torch.tensor([chance(seed, epoch, key, "mirror") < 0.5 for key in keys], dtype=torch.bool)

@@ -1,4 +1,4 @@
-"""Networks in files: weights as safetensors, everything else as JSON beside them. No pickle, nothing is run."""
+"""Networks in files: weights as safetensors, all else as JSON beside them. No pickle; nothing in a file is run."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
-from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_model.networks.registry import build, settings_of
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import build
 
 FORMAT: Final = "bodyseg network 1"
 NETWORK: Final = "network.safetensors"
@@ -30,25 +30,29 @@ _LARGEST_FILE: Final = 1 << 31
 
 @dataclass(frozen=True)
 class Trained:
-    """A network in evaluation mode, and its card: which network with which settings, how and on what it was trained."""
+    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained."""
 
-    network: nn.Module
+    network: Network
     card: dict[str, Any]
 
+    def __repr__(self) -> str:
+        facts = {name: self.card.get(name) for name in ("network", "settings", "variant", "seed")}
+        return f"Trained({', '.join(f'{name}={value!r}' for name, value in facts.items())})"
 
-def save_network(path: Path, network: nn.Module, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
+
+def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
     """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
 
     half: filters in 16 bits, for half the bytes; scales, biases and statistics stay in 32.
     """
-    card = {"format": FORMAT, "network": name, "settings": settings_of(network), **facts}
+    card = {"format": FORMAT, "network": name, "settings": network.settings, **facts}
     weights = network.state_dict()
     write_tensors(path, {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()})
     write_json(path.with_suffix(".json"), card)
 
 
 def load_network(path: Path) -> Trained:
-    """The network in a run's folder, or in a .safetensors file with its .json beside it, on the processor.
+    """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card.
     """
@@ -71,7 +75,7 @@ def shipped_network() -> Trained:
     return load_network(SHIPPED)
 
 
-def fill(network: nn.Module, tensors: Mapping[str, torch.Tensor], file: Path) -> None:
+def fill(network: Network, tensors: Mapping[str, torch.Tensor], file: Path) -> None:
     """Put weights read from `file` into a network. Raises BadConfig where a name, shape or kind does not fit."""
     expected = network.state_dict()
     for name in sorted(expected.keys() ^ tensors.keys()):

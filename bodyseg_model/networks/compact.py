@@ -1,16 +1,17 @@
-"""A small network for one job: range image -> 33 parts.
+"""A small network for one task: range image -> 33 parts.
 
-What it leaves out is what a person in a range image does not need. Its first layer looks at patches of 16 x 16 pixels
-at once, so that nothing is computed at full resolution but nothing is thrown away either: noise and missing pixels are
-averaged by filters that are learned. All other layers work where a cell is 16 to 64 pixels wide, since a part is told
-by where it is in the body. Every cell answers for 4 x 4 places within it, and between those answers are interpolated.
+Its first layer reads patches of 16 x 16 pixels, so that nothing is computed at full resolution and no pixel is thrown
+away: noise and missing pixels are averaged by learned filters. All other layers work on cells 16 to 64 pixels wide,
+since a part is recognised by its position in the body. Every cell yields 4 x 4 scores, and scores in between are
+interpolated.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar, Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -18,19 +19,17 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.range_input import check_range_images
-
-_RELIEF: Final = 2.0  # centred ranges are a few decimetres, and layers learn best from numbers near one
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
 
 
 @dataclass(frozen=True)
 class CompactSettings:
     """Shape of the network.
 
-    patch: pixels along one side of what the first layer sees at once; even. widths: channels at 1 / patch,
-    1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every
-    place also learns the mean over the whole body. shrink: pixels along one side of a square that is averaged to one
-    before anything else, 1 for the image as it is.
+    patch: pixels along one side of a patch of the first layer, 2, 4, 8 or 16. widths: channels at 1 / patch,
+    1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every cell also gets the mean
+    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none.
     """
 
     patch: int = 16
@@ -52,23 +51,23 @@ class CompactSettings:
             )
 
 
-class Compact(nn.Module):
-    """Range image -> scores of the 33 parts, at the image's own size, whatever it is.
+class Compact(Network):
+    """Range images -> scores of the 33 parts, for images of any size.
 
-    The input is what was measured and where: each pixel's range less the mean over the body, and whether there is one.
-    Distance itself does not enter, so a person may stand anywhere; his size in pixels does.
+    The input has two channels (`range_input.relief_of`): each pixel's range less the mean over the body, and whether it
+    was measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
     """
 
-    stride: Final = 4
-    """Pixels of the image between two answers of `coarse`."""
-
-    margin: Final = 64
-    """Empty pixels around a body after which more of them hardly matter."""
+    output_stride: ClassVar[int] = 4
+    margin: ClassVar[int] = 64
+    crop_multiple: ClassVar[int] = 64
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
-        super().__init__()
-        self.settings = settings or CompactSettings()
-        patch, widths, blocks = self.settings.patch, self.settings.widths, self.settings.blocks
+        shape = settings or CompactSettings()
+        super().__init__(
+            {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
+        )
+        patch, widths, blocks = shape.patch, shape.widths, shape.blocks
         self.embed = _layer(2 * patch * patch, widths[0], 1)
         self.down = nn.ModuleList(
             nn.Sequential(
@@ -77,71 +76,52 @@ class Compact(nn.Module):
             )
             for level, width in enumerate(widths)
         )
-        self.context = nn.Conv2d(widths[-1], widths[-1], 1) if self.settings.context else None
+        self.context = nn.Conv2d(widths[-1], widths[-1], 1) if shape.context else None
         pairs = list(itertools.pairwise(widths))
         self.narrow = nn.ModuleList(_layer(deep, shallow, 1) for shallow, deep in pairs)
         self.fuse = nn.ModuleList(_layer(shallow, shallow, 3) for shallow, _ in pairs)
-        self._cell = patch * self.settings.shrink
-        self._fine = max(1, self._cell // self.stride)
+        self._patch, self._shrink, self._cell = patch, shape.shrink, patch * shape.shrink
+        self._fine = max(1, self._cell // self.output_stride)
         self.head = nn.Conv2d(widths[0], PART_COUNT * self._fine**2, 1)
 
-    def coarse(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Scores (logits) of every fourth pixel each way, float [B, 33, ceil(H / 4), ceil(W / 4)].
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Self:
+        """Make a network from `CompactSettings` as JSON, tuples as lists. Raises TypeError for an unknown name."""
+        unknown = settings.keys() - {field.name for field in fields(CompactSettings)}
+        if unknown:
+            raise TypeError(f"unknown {min(unknown)!r}")
+        shape: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
+        }
+        return cls(CompactSettings(**shape))
 
-        Answer (i, j) is that of the point (4 i + 2, 4 j + 2) of the image, in pixels from its corner.
-        range_m: as in `forward`.
-        """
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of every fourth pixel each way; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
         relief = F.pad(relief_of(range_m), (0, -columns % self._cell, 0, -rows % self._cell))
-        if self.settings.shrink > 1:
-            relief = shrunk(relief, self.settings.shrink)
-        x = F.pixel_unshuffle(relief, self.settings.patch).contiguous(memory_format=torch.channels_last)
+        if self._shrink > 1:
+            relief = shrunk(relief, self._shrink)
+        x = F.pixel_unshuffle(relief, self._patch).contiguous(memory_format=torch.channels_last)
         x = self.embed(x)
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(_mean_over_body(x, relief[:, 1:], self.settings.patch << (len(seen) - 1)))
+            x = x + self.context(_mean_over_body(x, relief[:, 1:], self._patch << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = F.pixel_shuffle(self.head(x), self._fine) if self._fine > 1 else self.head(x)
-        if self._cell < self.stride:
-            x = F.avg_pool2d(x, self.stride // self._cell, ceil_mode=True)
-        return x[:, :, : -(-rows // self.stride), : -(-columns // self.stride)]
-
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Scores (logits), float [B, 33, H, W], of range images in metres, float [B, 1, H, W], 0 = nothing measured.
-
-        Raises BadConfig for any other shape.
-        """
-        coarse = self.coarse(range_m)
-        rows, columns = range_m.shape[2:]
-        full = F.interpolate(coarse, scale_factor=self.stride, mode="bilinear", align_corners=False)
-        return full[:, :, :rows, :columns]
-
-
-def relief_of(range_m: torch.Tensor) -> torch.Tensor:
-    """[B, 2, H, W]: range less its mean over what was measured, scaled; and whether it was measured.
-
-    Added up in float32 whatever comes in: the ranges of a body are too many for float16.
-    """
-    metres, measured = range_m.float(), (range_m > 0).float()
-    count = measured.sum((1, 2, 3), keepdim=True).clamp(min=1)
-    mean = metres.sum((1, 2, 3), keepdim=True) / count
-    return torch.cat([(metres - mean) * measured * _RELIEF, measured], 1).to(range_m.dtype)
-
-
-def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:
-    """Means over squares: of what was measured in them, and of how much was."""
-    mean = F.avg_pool2d(relief, side)
-    return torch.cat([mean[:, :1] / mean[:, 1:].clamp(min=1 / side**2), mean[:, 1:]], 1)
+        stride = self.output_stride
+        if self._cell < stride:
+            x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
+        return x[:, :, : -(-rows // stride), : -(-columns // stride)]
 
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:
-    """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], each weighing as much as was measured in it: how much empty
-    space lies around a body must not matter. measured: [B, 1, H, W]; cell: pixels along one side of a cell.
+    """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], weighted by the share of each cell that was measured, so that
+    empty space around a body does not change it. measured: [B, 1, H, W]; cell: pixels along one side of a cell.
     """
     weight = F.avg_pool2d(measured, cell, ceil_mode=True, count_include_pad=False)
     return (x * weight).sum((2, 3), keepdim=True) / weight.sum((2, 3), keepdim=True).clamp(min=1e-6)

@@ -3,14 +3,15 @@
 Widths, groups and rounding are those of the AlexNet that was published with Caffe, whose weights the paper starts from:
 conv2, conv4 and conv5 have two groups, and pooling counts a last window that is not full.
 
-Two things Fig. 4 leaves open. It gives upfeat a stride of 16, but the strides before it multiply to 4 * 2 * 2 * 2 = 32
-and a bilinear kernel of 63 = 2 * 32 - 1 belongs to 32: upfeat has a stride of 32 here. And it does not say how layers
-are padded: as in Caffe's FCN-AlexNet, conv1 is padded by 100, so that any image gets an answer, which is then cropped.
+Fig. 4 leaves two things open. It gives upfeat a stride of 16, but the strides before it multiply to 4 * 2 * 2 * 2 = 32
+and a bilinear kernel of 63 = 2 * 32 - 1 belongs to 32: upfeat has a stride of 32 here. And it does not state the
+padding: as in Caffe's FCN-AlexNet, conv1 is padded by 100, so that images of any size get scores, which are cropped.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from pathlib import Path
+from typing import ClassVar, Final
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -18,6 +19,8 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.pretrained import import_alexnet
 from bodyseg_model.networks.range_input import check_range_images
 
 STRIDE: Final = 32
@@ -29,26 +32,27 @@ _KERNEL: Final = 2 * STRIDE - 1
 _CROP: Final = 18
 
 RANGE_SCALE: Final = 50.0
-"""Ranges are multiplied by this, per metre: a person at 2.5 m is then as bright as the pictures AlexNet knows."""
+"""Factor on ranges in metres: a person at 2.5 m is then as bright as the images AlexNet was trained on."""
 
 
-class FcnAlexnet(nn.Module):
-    """Range image -> scores of the 33 parts, at the image's own size, whatever it is.
+class FcnAlexnet(Network):
+    """Range images -> scores of the 33 parts, one for every pixel, for images of any size.
 
     normalise: AlexNet's local response normalisation after conv1 and conv2. It has no parameters; Fig. 4 does not list
     it, but weights imported from AlexNet were learned with it. width: a share of all channel counts up to conv7, for
     measuring what width is worth; the paper's network is 1.
 
     New layers are drawn from a Gaussian of standard deviation 0.01, those of AlexNet as in `nn.Conv2d` until
-    `pretrained.import_alexnet` fills them. Upfeat is bilinear and frozen; its filters are stored between all 16 x 16
-    channels, as Caffe stores them, which makes 57.9 million parameters in all.
+    `load_pretrained` fills them. Upfeat is bilinear and frozen; its filters are stored between all 16 x 16 channels, as
+    Caffe stores them, which makes 57.9 million parameters in all. Raises BadConfig for a width out of range.
     """
 
+    default_recipe: ClassVar[str] = "fcn_alexnet"
+
     def __init__(self, normalise: bool = False, width: float = 1.0) -> None:
-        super().__init__()
+        super().__init__({"normalise": normalise, "width": width})
         if not 1 / 16 <= width <= 4:
             raise BadConfig(f"width must be from 1/16 to 4, found {width!r}")
-        self.normalise, self.width = normalise, width
         c1, c2, c3, c4, c5, c6 = (2 * round(count * width / 2) for count in (96, 256, 384, 384, 256, 4096))
         self.conv1 = nn.Conv2d(1, c1, 11, stride=4, padding=_PADDING)
         self.conv2 = nn.Conv2d(c1, c2, 5, padding=2, groups=2)
@@ -68,20 +72,18 @@ class FcnAlexnet(nn.Module):
         self._norm = nn.LocalResponseNorm(5, alpha=1e-4, beta=0.75) if normalise else nn.Identity()
         self._drop = nn.Dropout(0.5)
 
-    def forward(
-        self, range_m: torch.Tensor, rows: torch.Tensor | None = None, columns: torch.Tensor | None = None
-    ) -> torch.Tensor:
-        """Scores (logits), float [B, 33, H, W], of range images in metres, float [B, 1, H, W], 0 = nothing measured.
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of every pixel; see `Network.scores`."""
+        check_range_images(range_m)
+        rows, columns = (torch.arange(side, device=range_m.device) for side in range_m.shape[2:])
+        return self.scores_at(range_m, rows, columns)
 
-        rows, columns: int64 [h] and [w], the pixels of the image to answer, [B, 33, h, w]; None: all. The last layer
-        sees every pixel by itself, so training, which looks at one in sixteen, need not pay for the others.
-        Raises BadConfig for any other shape.
+    def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Compute scores at some rows and columns; see `Network.scores_at`.
+
+        The last layer computes every pixel by itself, so training, which needs one in sixteen, does without the others.
         """
         check_range_images(range_m)
-        rows, columns = (
-            torch.arange(side, device=range_m.device) if asked is None else asked
-            for asked, side in zip((rows, columns), range_m.shape[2:], strict=True)
-        )
         x = self._pool(self._norm(self.conv1(range_m * RANGE_SCALE).relu()))
         x = self._pool(self._norm(self.conv2(x).relu()))
         x = self.conv4(self.conv3(x).relu()).relu()
@@ -91,10 +93,15 @@ class FcnAlexnet(nn.Module):
         scores: torch.Tensor = self.score(self._upsampled(self.conv8(x).relu(), rows, columns))
         return scores
 
+    def load_pretrained(self, path: Path) -> None:
+        """Fill conv1 to conv7 from a file of AlexNet's weights; see `pretrained.import_alexnet`. Raises BadConfig."""
+        import_alexnet(self, path)
+
     def _upsampled(self, x: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """What upfeat makes of x, at some rows and columns of the image. It is frozen, the same for all channels, and a
-        product of a filter down and one across: so two small matrices do, and gradients need not pass through 256
-        filters of 63 x 63.
+        """Output of upfeat for x at some rows and columns of the image, [B, 16, h, w].
+
+        Upfeat is frozen, the same for all channels, and a product of a filter down and one across: so two small
+        matrices replace it, and gradients need not pass through 256 filters of 63 x 63.
         """
         filter_down = self.upfeat.weight[0, 0, :, STRIDE - 1]
         down, across = (

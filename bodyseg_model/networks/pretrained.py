@@ -1,8 +1,8 @@
-"""AlexNet's weights from a file that the user has -> the paper's network.
+"""AlexNet's published weights, read from a file that the user has, for the paper's network.
 
 Reads the AlexNet that was published with Caffe, as `bvlc_alexnet.caffemodel` (either of Caffe's layer formats) or as
-`bvlcalexnet-12.onnx` of the ONNX model zoo. Both are Protocol Buffers, of which a few fields are looked at; nothing in
-the file is run.
+`bvlcalexnet-12.onnx` of the ONNX model zoo. Both are Protocol Buffers, of which a few fields are read; nothing in the
+file is run.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 
 _LARGEST_FILE: Final = 1 << 31
 
@@ -39,8 +39,8 @@ Arrays = dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 Field = tuple[int, int | memoryview]
 
 
-def import_alexnet(network: FcnAlexnet, path: Path) -> None:
-    """Fill conv1 to conv7 of `network` from the AlexNet in the file `path` (.onnx or .caffemodel).
+def import_alexnet(network: nn.Module, path: Path) -> None:
+    """Fill conv1 to conv7 of `network`, a `FcnAlexnet`, from the AlexNet in the file `path` (.onnx or .caffemodel).
 
     conv1 becomes the mean of its three channels, for a range image has one; fc6 becomes the 6 x 6 convolution and fc7
     the 1 x 1 convolution that give the same numbers (section 3.5). Raises BadConfig, naming file and layer; then the
@@ -88,7 +88,7 @@ def read_alexnet(path: Path) -> Arrays:
 
 
 class _NotProtobufError(ValueError):
-    """Bytes that no writer of Protocol Buffers makes."""
+    """Bytes that are not Protocol Buffers."""
 
 
 def _onnx_tensors(data: memoryview) -> Iterator[tuple[str, NDArray[np.float32]]]:
@@ -147,46 +147,47 @@ def _inside(message: memoryview, number: int) -> list[memoryview]:
 
 
 def _fields(message: memoryview) -> Iterator[Field]:
-    """The fields of a message (protobuf.dev, "Encoding"): number, and an int or the bytes inside. Raises
-    _NotProtobufError.
+    """Fields of a message (protobuf.dev, "Encoding"): number, and an int or the bytes inside.
+
+    Raises _NotProtobufError.
     """
-    place = 0
-    while place < len(message):
-        tag, place = _varint(message, place)
+    offset = 0
+    while offset < len(message):
+        tag, offset = _varint(message, offset)
         number, wire = tag >> 3, tag & 7
         if wire == 0:
-            value, place = _varint(message, place)
+            value, offset = _varint(message, offset)
             yield number, value
             continue
         if wire not in (1, 2, 5) or not number:
-            raise _NotProtobufError(f"a field of wire type {wire} at byte {place}")
-        size, place = _varint(message, place) if wire == 2 else (8 if wire == 1 else 4, place)
-        if size > len(message) - place:
-            raise _NotProtobufError(f"a field of {size} bytes, {len(message) - place} are left")
-        yield number, message[place : place + size]
-        place += size
+            raise _NotProtobufError(f"a field of wire type {wire} at byte {offset}")
+        size, offset = _varint(message, offset) if wire == 2 else (8 if wire == 1 else 4, offset)
+        if size > len(message) - offset:
+            raise _NotProtobufError(f"a field of {size} bytes, {len(message) - offset} are left")
+        yield number, message[offset : offset + size]
+        offset += size
 
 
-def _varint(message: memoryview, place: int) -> tuple[int, int]:
+def _varint(message: memoryview, offset: int) -> tuple[int, int]:
     value = 0
     for shift in range(0, 70, 7):
-        if place >= len(message):
+        if offset >= len(message):
             raise _NotProtobufError("it ends within a number")
-        byte = message[place]
-        place += 1
+        byte = message[offset]
+        offset += 1
         value |= (byte & 0x7F) << shift
         if not byte & 0x80:
-            return value, place
-    raise _NotProtobufError(f"a number of more than 10 bytes before byte {place}")
+            return value, offset
+    raise _NotProtobufError(f"a number of more than 10 bytes before byte {offset}")
 
 
 def _whole_numbers(value: int | memoryview) -> list[int]:
-    """A repeated whole number: one a field, or packed."""
+    """Values of a repeated whole number: one a field, or packed."""
     if isinstance(value, int):
         return [value]
-    numbers, place = [], 0
-    while place < len(value):
-        number, place = _varint(value, place)
+    numbers, offset = [], 0
+    while offset < len(value):
+        number, offset = _varint(value, offset)
         numbers.append(number)
     return numbers
 

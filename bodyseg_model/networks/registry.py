@@ -1,10 +1,10 @@
-"""The networks by name, and how to ask them."""
+"""Registry of networks, and their predictions: a new network is a file in this folder and an entry of `NETWORKS`."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -13,101 +13,77 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.baselines import Baseline, deeplab, segformer
 from bodyseg_model.networks.batch_transforms import body_window
-from bodyseg_model.networks.compact import Compact, CompactSettings
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 
 
 class Prediction(NamedTuple):
-    """labels: uint8 [B, H, W], 0..32, 255 where nothing was measured. confidence: float32 [B, H, W], the probability
-    that the network gives to that label; 0 where nothing was measured.
+    """Labels of range images, and how sure the network is of them.
+
+    labels: uint8 [B, H, W], 0..32, 255 where nothing was measured. confidence: float32 [B, H, W], the probability (of
+    softmax) of that label; 0 where nothing was measured.
     """
 
     labels: torch.Tensor
     confidence: torch.Tensor
 
 
-def _compact(**settings: Any) -> Compact:
-    known = {field.name for field in dataclasses.fields(CompactSettings)}
-    if not settings.keys() <= known:
-        raise TypeError(f"unknown {sorted(settings.keys() - known)[0]!r}")
-    for name, value in settings.items():
-        settings[name] = tuple(value) if isinstance(value, list) else value
-    return Compact(CompactSettings(**settings))
-
-
-NETWORKS: Final[dict[str, Callable[..., nn.Module]]] = {
-    "fcn_alexnet": FcnAlexnet,
-    "compact": _compact,
-    "segformer": segformer,
-    "deeplab": deeplab,
+NETWORKS: Final[dict[str, str]] = {
+    "fcn_alexnet": "fcn_alexnet.FcnAlexnet",
+    "compact": "compact.Compact",
+    "segformer": "baselines.Segformer",
+    "deeplab": "baselines.Deeplab",
 }
-"""Name -> what makes it of its settings."""
+"""Name -> "module.Class" of this folder, imported when a network of that name is built."""
+
+if TYPE_CHECKING:
+    NetworkName = str
+else:
+    NetworkName = Literal[tuple(NETWORKS)]
 
 
-def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None = None) -> nn.Module:
-    """A network with new weights, those of `seed`; None: of torch's generator as it stands.
-
-    Raises BadConfig for what it does not know.
-    """
-    if seed is not None:
-        torch.manual_seed(int(generator(seed, 0, "", "weights").integers(2**62)))
+def network_class(name: str) -> type[Network]:
+    """The class of the network called `name`. Raises BadConfig for an unknown name."""
     if name not in NETWORKS:
         raise BadConfig(f"the network must be one of {', '.join(NETWORKS)}, found {name!r}")
+    module, kind = NETWORKS[name].split(".")
+    found: type[Network] = getattr(import_module(f"{__package__}.{module}"), kind)
+    return found
+
+
+def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None = None) -> Network:
+    """A network with new weights, drawn for `seed`; None: drawn from torch's generator in its present state.
+
+    settings: see `Network.settings`; those left out have their defaults. Raises BadConfig for an unknown name, or
+    settings that are unknown or out of range.
+    """
+    kind = network_class(name)
+    if seed is not None:
+        torch.manual_seed(int(generator(seed, 0, "", "weights").integers(2**62)))
     try:
-        return NETWORKS[name](**dict(settings or {}))
+        return kind.from_settings(dict(settings or {}))
     except TypeError as error:
         raise BadConfig(f"settings of {name} that it does not take: {dict(settings or {})!r} ({error})") from error
 
 
-def settings_of(network: nn.Module) -> dict[str, Any]:
-    """What `build` needs to make `network` again, as plain JSON."""
-    if isinstance(network, Compact):
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in dataclasses.asdict(network.settings).items()
-        }
-    if isinstance(network, FcnAlexnet):
-        return {"normalise": network.normalise, "width": network.width}
-    if isinstance(network, Baseline):
-        return dict(network.settings)
-    return {}
-
-
 def parameters(network: nn.Module) -> int:
-    """How many numbers a network has learned, or keeps fixed as filters."""
+    """Number of a network's parameters, frozen ones counted."""
     return sum(weight.numel() for weight in network.parameters())
 
 
 def device_of(network: nn.Module) -> torch.device:
-    """Where a network computes; the processor for one without weights."""
+    """Device of a network's weights; the processor for one without weights."""
     return next((weight.device for weight in network.parameters()), torch.device("cpu"))
 
 
-def coarse(network: nn.Module, range_m: torch.Tensor) -> tuple[torch.Tensor, int]:
-    """Scores at the resolution at which a network computes them, float [B, 33, h, w], and the image's pixels a step.
-
-    Answer (i, j) is that of the point ((i + 1/2) step, (j + 1/2) step) of the image, in pixels from its corner.
-    """
-    if isinstance(network, Compact | Baseline):
-        return network.coarse(range_m), network.stride
-    return network(range_m), 1
-
-
-def margin(network: nn.Module) -> int:
-    """Empty pixels around a body after which more of them do not matter to a network; 2 ** 16 if they always do."""
-    return network.margin if isinstance(network, Compact) else 1 << 16
-
-
 @torch.inference_mode()
-def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
+def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     """Labels and confidences of range images in metres, float32 [B, 1, H, W], 0 = nothing measured.
 
-    `network` must be in evaluation mode. It is shown the bodies of the batch with its `margin` around them, not the
-    whole image; where its scores are coarser than the image, they are interpolated, as they were in training. Raises
-    BadConfig for a wrong shape or a network in training mode.
+    network: in evaluation mode. Its input is cropped to the bodies of the batch with its `margin` around them; scores
+    that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a wrong shape or a
+    network in training mode.
     """
     check_range_images(range_m)
     if network.training:
@@ -115,15 +91,14 @@ def predict(network: nn.Module, range_m: torch.Tensor) -> Prediction:
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     confidence = torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device)
-    window = body_window(measured, margin(network))
+    window = body_window(measured, network.margin, network.crop_multiple)
     if window is None:
         return Prediction(labels, confidence)
     rows, columns = window
     seen = measured[:, rows, columns]
-    scores, step = coarse(network, range_m[:, :, rows, columns])
-    scores = scores.float().contiguous(memory_format=torch.channels_last)
-    if step > 1:
-        scores = F.interpolate(scores, scale_factor=step, mode="bilinear", align_corners=False)
+    scores = network.scores(range_m[:, :, rows, columns]).float().contiguous(memory_format=torch.channels_last)
+    if network.output_stride > 1:
+        scores = F.interpolate(scores, scale_factor=network.output_stride, mode="bilinear", align_corners=False)
     scores = scores.permute(0, 2, 3, 1)[:, : seen.shape[1], : seen.shape[2]][seen]
     best, label = scores.max(1)
     labels[:, rows, columns][seen] = label.to(torch.uint8)

@@ -1,27 +1,24 @@
-"""Which camera took a sequence of frames."""
+"""The camera of a sequence of frames: named, given by its numbers, or assumed from the frames' size."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, load_rig
-
-SENSORS: Final = {(480, 640): ("Kinect v1", 525.0), (424, 512): ("Kinect v2", 365.0)}
-"""Image sizes that one widespread sensor has -> its name and nominal focal length, pixels."""
+from bodyseg_data.core.rig import PAPER, Camera, Sensor, load_sensor, rig_names
 
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A camera and where its numbers are from; an assumed one was told by the frames' size alone."""
+    """A camera and the origin of its numbers. assumed: whether they follow from the frames' size alone."""
 
     camera: Camera
     origin: str
     assumed: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """What counts for a frame; poses do not."""
+        """Intrinsics and their origin as plain JSON; the pose does not matter to a frame."""
         camera = self.camera
         return {
             "rows": camera.rows,
@@ -32,6 +29,16 @@ class FrameCamera:
         }
 
 
+def assumed_sensors() -> tuple[Sensor, ...]:
+    """The sensors that frames are assumed to be from by their size, in alphabetical order of their names."""
+    return tuple(sensor for sensor in map(load_sensor, rig_names()) if sensor.assumed_for_size)
+
+
+def other_sensors() -> tuple[Sensor, ...]:
+    """`assumed_sensors` but the paper's, whose images the networks are trained on."""
+    return tuple(sensor for sensor in assumed_sensors() if sensor.name != PAPER)
+
+
 def frame_camera(
     shape: tuple[int, int],
     where: str,
@@ -39,17 +46,17 @@ def frame_camera(
     focal_px: float | None = None,
     centre_px: tuple[float, ...] = (),
 ) -> FrameCamera:
-    """The camera of frames of `shape` (rows, columns): that of a rig (its name or a TOML file), or one of given focal
-    length and principal point (x, y; the middle if left out), or that of a sensor with such images.
+    """The camera of frames of `shape` (rows, columns): that of a rig file (one of `rig_names`, or a path), or one of
+    given focal length and principal point (x, y; the middle if left out), or that of the sensor assumed for the size.
 
-    where: a frame, for messages. Raises BadConfig for a rig of another image size, a size that tells no sensor, or
-    options that contradict each other.
+    where: a frame, for messages. Raises BadConfig for a rig of another image size, a size that no sensor is assumed
+    for, or options that contradict each other.
     """
     rows, columns = shape
     if rig is not None:
         if focal_px is not None or centre_px:
             raise BadConfig("give either --rig or --focal and --centre")
-        camera = load_rig(rig).camera
+        camera = load_sensor(rig).camera
         if (camera.rows, camera.columns) != shape:
             raise BadConfig(
                 f"frames must have the size of the rig's camera, {camera.rows} x {camera.columns}, "
@@ -62,13 +69,10 @@ def frame_camera(
         return FrameCamera(_camera(shape, focal_px, centre_px), "given")
     if centre_px:
         raise BadConfig("--centre needs --focal")
-    paper = load_rig().camera
-    if shape == (paper.rows, paper.columns):
-        return FrameCamera(paper, "assumed: the paper's rig, by the frames' size", True)
-    if shape not in SENSORS:
-        raise BadConfig(f"frames of {rows} x {columns} pixels tell no sensor: give --focal or --rig ({where})")
-    name, focal = SENSORS[shape]
-    return FrameCamera(_camera(shape, focal, ()), f"assumed: {name}, by the frames' size", True)
+    for sensor in assumed_sensors():
+        if (sensor.camera.rows, sensor.camera.columns) == shape:
+            return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True)
+    raise BadConfig(f"no sensor is assumed for frames of {rows} x {columns} pixels: give --focal or --rig ({where})")
 
 
 def _camera(shape: tuple[int, int], focal_px: float, centre_px: tuple[float, ...]) -> Camera:

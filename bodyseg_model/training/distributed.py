@@ -1,4 +1,4 @@
-"""One process or several: torchrun's surroundings, and which device each process computes on."""
+"""Distributed training: torchrun's process group, and the device of each process."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class ProcessGroup:
 
     @property
     def first(self) -> bool:
-        """Whether this is the process that writes files and talks."""
+        """True in the one process that writes files and reports."""
         return self.rank == 0
 
     def add_up(self, values: torch.Tensor) -> torch.Tensor:
-        """The sum of `values` over all processes, in every one of them."""
+        """Sum `values` over all processes, in place; every process gets the sum."""
         if self.world_size > 1:
             torch.distributed.all_reduce(values)
         return values
@@ -36,7 +36,7 @@ class ProcessGroup:
 
 @contextlib.contextmanager
 def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
-    """Join torchrun's other processes, if there are any, for as long as the context lasts.
+    """Join torchrun's process group, if there is one, while the context lasts.
 
     device: see `find_device`. Raises BadConfig.
     """
@@ -52,7 +52,7 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 
 def use_threads(count: int | None) -> None:
-    """Let torch compute in so many threads of the processor; None: as it is. Raises BadConfig for less than one."""
+    """Set the number of threads in which torch computes; None leaves it. Raises BadConfig for less than one."""
     if count is None:
         return
     if count < 1:
@@ -62,7 +62,7 @@ def use_threads(count: int | None) -> None:
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """So many threads of the processor for torch, and afterwards as many as before."""
+    """Set the number of threads in which torch computes while the context lasts."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -72,9 +72,9 @@ def threads(count: int) -> Iterator[None]:
 
 
 def find_device(name: str | None = None) -> torch.device:
-    """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's number, else the processor.
+    """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's local rank, else the processor.
 
-    Raises BadConfig for a device that is not there.
+    Raises BadConfig for a device that is absent.
     """
     if name is None:
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"

@@ -1,6 +1,4 @@
-"""Bodies turned, zoomed and cut in the image plane: a camera that hangs askew, people near and far, large and small,
-and partly out of sight.
-"""
+"""Geometric augmentation: images rotated, zoomed and cut, as by a tilted camera or people partly out of view."""
 
 from __future__ import annotations
 
@@ -17,11 +15,11 @@ from bodyseg_data.core.randomness import chance
 
 @dataclass(frozen=True)
 class GeometricAugmentation:
-    """How far images are moved; 0 for not at all.
+    """Ranges of random rotation, zoom and cuts of images; 0 for none.
 
-    roll_deg: each is turned by up to so many degrees either way. zoom: its scale, drawn for height and together with
-    `stretch` for width, is up to 1 + zoom times larger or smaller. stretch: how much more the width may differ. cut:
-    share of the images of which one side, up to half of the height or width, is out of sight.
+    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom. stretch:
+    the scale of the width is further multiplied by up to 1 + stretch, or divided by it. cut: share of the images of
+    which one side, up to half of the height or width, is out of view. Raises BadConfig for a value out of range.
     """
 
     roll_deg: float = 0.0
@@ -37,9 +35,9 @@ class GeometricAugmentation:
     def __call__(
         self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epoch: int, keys: list[str]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], moved as drawn for (seed, epoch, key).
+        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key).
 
-        Values are taken from the nearest pixel, so that no range is made up between two surfaces.
+        Values are taken from the nearest pixel, so that none is interpolated between two surfaces.
         """
         if self == GeometricAugmentation():
             return range_m, labels
@@ -65,14 +63,14 @@ class GeometricAugmentation:
 
 
 def _source_map(angle: float, down: float, across: float, rows: int, columns: int) -> list[list[float]]:
-    """Where in the image, from -1 to 1 each way, a pixel of the moved image comes from: [2, 3], (x, y, 1) -> (x, y)."""
+    """Affine map from the transformed image to the source, both from -1 to 1 each way: [2, 3], (x, y, 1) -> (x, y)."""
     cosine, sine = math.cos(angle), math.sin(angle)
     aspect = rows / columns
     return [[cosine / across, -sine * aspect / across, 0.0], [sine / aspect / down, cosine / down, 0.0]]
 
 
 def _cut_side(kept: torch.Tensor, side: int, share: float) -> None:
-    """Mark a share of bool [H, W] at its top, bottom, left or right as out of sight."""
+    """Mark a share of bool [H, W] at its top, bottom, left or right as out of view."""
     rows, columns = kept.shape
     down, across = int(share * rows), int(share * columns)
     if side == 0:

@@ -1,8 +1,8 @@
-"""Training: a set of shards and a recipe -> a network. Carries on after a kill with the same bits.
+"""Training loop: a set of shards and a recipe -> a network. A killed training resumes with the same bits.
 
-All that a step does follows from seed and step number: which images (their order belongs to seed and epoch), which are
-mirrored, which pixels are looked at, and what dropout drops. So a checkpoint needs weights, the optimiser's memory and
-a place in the data, and no state of a random generator.
+Seed and step number determine all that a step does: its images (their order belongs to seed and epoch), which of them
+are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimiser's state and
+the loader's state, and no state of a random generator.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bodyseg_data.loading.range_images import Batch
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import margin, settings_of
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
@@ -39,8 +39,11 @@ _SAMPLES_FOR_WEIGHTS: Final = 128
 
 @dataclass(frozen=True)
 class Metrics:
-    """What a stretch of steps was like. loss, accuracy (average per class) and pixels right: means over the window, of
-    the images trained on. waited: share of the time that the network waited for data.
+    """Metrics of the steps since the last line of the log, on the images trained on.
+
+    step: number of steps done. loss: mean over the steps. accuracy: average per class; pixel_accuracy: share of the
+    selected pixels that are right. learning_rate: of the last layer, in the last step. images_per_second: over all
+    processes. data_wait: share of the time spent waiting for data.
     """
 
     step: int
@@ -57,7 +60,11 @@ Report = Callable[[Metrics], None]
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What does not change the result: steps between lines of the log, and checkpoints; loader's workers; compiling."""
+    """Options that are not part of a training's plan: a resumed training may have others.
+
+    log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers: processes that
+    load images, 0 for none. compile: whether the network is compiled first. Raises BadConfig for a value out of range.
+    """
 
     log_every: int = 20
     checkpoint_every: int = 500
@@ -73,13 +80,14 @@ class RunOptions:
 class Training:
     """One training, from its first step or its last checkpoint to its end.
 
-    network: with the weights to start from; name: as in `networks.NETWORKS`. seed: of mirrors, dropout and the pixels
-    looked at; order and artifacts are the images' own.
+    network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
+    dropout and the pixels that the loss selects; order and artifacts have the images' own. Raises BadConfig for batches
+    that cannot be divided evenly between the processes.
     """
 
     def __init__(
         self,
-        network: nn.Module,
+        network: Network,
         name: str,
         images: RangeImages,
         recipe: Recipe,
@@ -90,7 +98,7 @@ class Training:
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
-                f"a batch of {recipe.batch_size} images cannot be shared out evenly to {processes.world_size} processes"
+                f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
@@ -98,11 +106,14 @@ class Training:
         self.optimiser = make_optimiser(self.network, recipe)
         self.step = 0
 
+    def __repr__(self) -> str:
+        return f"Training({self.name!r}, {self.folder!r}, step {self.step} of {self.recipe.steps})"
+
     def plan(self) -> dict[str, Any]:
-        """What is trained on what, as plain JSON: two trainings with one plan have one result."""
+        """Network, settings, variant, seed, recipe and data as plain JSON: the same plan gives the same result."""
         return {
             "network": self.name,
-            "settings": settings_of(self.network),
+            "settings": self.network.settings,
             "variant": self.images.variant,
             "seed": self.seed,
             "recipe": asdict(self.recipe),
@@ -112,19 +123,19 @@ class Training:
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
-        report: called with metrics every `log_every` steps, in the first process only. Raises BadConfig for a folder
-        that does not fit, Diverged for a loss that is not finite, and what the loader raises.
+        report: called with metrics every `log_every` steps, in the first process only. Raises BadConfig for a folder of
+        another plan, Diverged for a loss that is not finite, and as the loader.
         """
-        place = self._begin(resume)
+        loader_state = self._begin(resume)
         batch = self.recipe.batch_size // self.processes.world_size
         pin = self.processes.device.type == "cuda"
-        feed = loader(self.images, batch, self.run_options.num_workers, drop_last=True, pin_memory=pin)
-        if place is not None:
-            feed.load_state_dict(place)
+        data_loader = loader(self.images, batch, self.run_options.num_workers, drop_last=True, pin_memory=pin)
+        if loader_state is not None:
+            data_loader.load_state_dict(loader_state)
         objective = self._objective()
         self.network.train()
         window = _MetricsWindow(self.processes)
-        batches = _endless(feed)
+        batches = _endless(data_loader)
         while self.step < self.recipe.steps:
             set_learning_rate(self.optimiser, self.recipe.learning_rate_at(self.step))
             torch.manual_seed(
@@ -140,31 +151,31 @@ class Training:
                     report(metrics)
                 window = _MetricsWindow(self.processes)
             if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
-                self.folder.keep(self._checkpoint(feed))
+                self.folder.keep(self._checkpoint(data_loader))
         if self.processes.first:
             save_network(self.folder.network, self.network, self.name, {**self.plan(), **facts})
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
-        """Open the folder; the place in the data to go on from."""
+        """Open the folder and restore its last checkpoint; returns the loader's state, None at the beginning."""
         checkpoint = self.folder.begin(self.plan(), resume) if self.processes.first else self.folder.last()
         if checkpoint is None:
             return None
         weights = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("network.")}
-        memory = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("optimiser.")}
+        state = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("optimiser.")}
         try:
             self.network.load_state_dict(weights)
         except RuntimeError as error:
-            raise BadConfig(f"{self.folder.path}: the checkpoint is of another network: {error}") from error
-        fill_optimiser(self.optimiser, memory)
+            raise BadConfig(f"{self.folder.path}: the checkpoint must be of this network: {error}") from error
+        fill_optimiser(self.optimiser, state)
         self.step = checkpoint.step
         if self.processes.first:
             self.folder.forget_after(self.step)
-        return checkpoint.place
+        return checkpoint.loader_state
 
-    def _checkpoint(self, feed: Loader) -> Checkpoint:
+    def _checkpoint(self, data_loader: Loader) -> Checkpoint:
         weights = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        memory = {f"optimiser.{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
-        return Checkpoint(self.step, feed.state_dict(), weights | memory)
+        state = {f"optimiser.{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
+        return Checkpoint(self.step, data_loader.state_dict(), weights | state)
 
     def _objective(self) -> nn.Module:
         weights = torch.ones(PART_COUNT)
@@ -182,20 +193,24 @@ class Training:
     def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], window: _MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
         self.optimiser.zero_grad(set_to_none=True)
-        for turn in range(recipe.accumulate):
+        for index in range(recipe.accumulate):
             with window.waiting():
                 epoch, batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
             if recipe.crop:
-                range_m, labels = cut_to_bodies(range_m, labels, margin(self.network))
+                network = self.network
+                range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
             if recipe.mirror:
                 range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
             range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])
-            name = f"pixels {turn}"
-            place = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
-            with self._gathered_at(objective, turn), torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16):
-                loss, counts = objective(range_m, labels, place)
+            name = f"pixels {index}"
+            offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
+            with (
+                self._gradient_sync(objective, index),
+                torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16),
+            ):
+                loss, counts = objective(range_m, labels, offset)
                 if not torch.isfinite(loss):
                     raise Diverged(
                         f"the loss is {loss.item()} in step {self.step + 1}, with the samples {', '.join(batch['key'])}"
@@ -206,16 +221,16 @@ class Training:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.clip)
         self.optimiser.step()
 
-    def _gathered_at(self, objective: nn.Module, turn: int) -> contextlib.AbstractContextManager[None]:
-        """Gradients are exchanged between processes once a step, in its last turn."""
-        if self.processes.world_size > 1 and turn < self.recipe.accumulate - 1:
+    def _gradient_sync(self, objective: nn.Module, index: int) -> contextlib.AbstractContextManager[None]:
+        """Context in which gradients are exchanged between processes in the last batch of a step only."""
+        if self.processes.world_size > 1 and index < self.recipe.accumulate - 1:
             quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
             return quiet
         return contextlib.nullcontext()
 
 
 class _MetricsWindow:
-    """Adds up what happens between two lines of the log."""
+    """Sums over the steps between two lines of the log."""
 
     def __init__(self, processes: ProcessGroup) -> None:
         self._processes = processes
@@ -254,11 +269,11 @@ class _MetricsWindow:
         )
 
 
-def _endless(feed: Loader) -> Iterator[tuple[int, Batch]]:
-    """Batches with their epochs, pass after pass."""
+def _endless(data_loader: Loader) -> Iterator[tuple[int, Batch]]:
+    """Batches with their epochs, epoch after epoch."""
     while True:
-        epoch = feed.epoch
-        for batch in feed:
+        epoch = data_loader.epoch
+        for batch in data_loader:
             yield epoch, batch
 
 

@@ -1,4 +1,4 @@
-"""What training makes small: the network's mean surprise at the labels of the body's pixels."""
+"""Loss of a training step: cross-entropy over the pixels of the body, or over an even selection of them."""
 
 from __future__ import annotations
 
@@ -10,51 +10,58 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
-from bodyseg_model.networks.registry import coarse
+from bodyseg_model.networks.network import Network
 
 
-class Outcome(NamedTuple):
-    """loss: scalar. counts: int64 [33, 33], pixels by true and predicted part, of those that were looked at."""
+class LossAndCounts(NamedTuple):
+    """Result of a step.
+
+    loss: scalar. counts: int64 [33, 33], confusion matrix of the selected pixels, rows truth, columns prediction.
+    """
 
     loss: torch.Tensor
     counts: torch.Tensor
 
 
 class NetworkWithLoss(nn.Module):
-    """A network and its loss as one module, which is what gets shared out over processes.
+    """A network and its loss as one module, as distributed training wraps it.
 
-    Softmax cross-entropy over 33 parts, background ignored (section 3.5). Where scores are coarser than the image, a
-    step looks at one pixel in each cell of step x step, all at the same place within their cells, with scores
-    interpolated as they will be in use. Over all places within a cell that is the loss of the whole image, at a
-    sixteenth of the price.
+    Softmax cross-entropy over 33 parts, background ignored (section 3.5). A step selects one pixel of every cell of
+    stride x stride pixels, where stride is the larger of `loss_stride` and the network's output stride: the pixels at
+    the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
+    selected once; a stride of 4 makes a sixteenth of the cost.
 
-    weights: float32 [33], what a pixel of each part counts. compiled: whether the network is compiled first, for every
-    size of images anew.
+    weights: float32 [33], weight of a pixel of each part. compiled: whether the network is compiled first, anew for
+    every size of images.
     """
 
     weights: torch.Tensor
 
-    def __init__(self, network: nn.Module, weights: torch.Tensor, loss_stride: int = 1, compiled: bool = False) -> None:
+    def __init__(self, network: Network, weights: torch.Tensor, loss_stride: int = 1, compiled: bool = False) -> None:
         super().__init__()
         self.network, self.loss_stride = network, loss_stride
-        self._ask = torch.compile(_scores, dynamic=False) if compiled else _scores
+        self._scores = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
-    def forward(self, range_m: torch.Tensor, labels: torch.Tensor, place: torch.Tensor) -> Outcome:
-        """range_m: float32 [B, 1, H, W]; labels: uint8 [B, H, W]; place: float [2], from 0 to below 1, down and across.
+    def extra_repr(self) -> str:
+        """Stride of the selected pixels, for `repr`."""
+        return f"loss_stride={self.loss_stride}"
 
-        The loss is the mean over images of each image's mean over its body, which is 0 for an image without one. So it
-        is the same however a batch is cut up, between processes or into turns.
+    def forward(self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor) -> LossAndCounts:
+        """Compute the loss, the mean over images of each image's weighted mean over its body; 0 without a body.
+
+        It does not depend on how a batch is divided, between processes or for accumulation. range_m: float32
+        [B, 1, H, W], metres; labels: uint8 [B, H, W]; offset: float [2], position of the selected pixels in their
+        cells, down and across, as shares of a cell from 0 to below 1.
         """
-        pixels = (  # as tensors, not slices: compiled code would be made anew for each place at which a slice begins
-            torch.arange(side, device=range_m.device)[int(part * self.loss_stride) :: self.loss_stride]
-            for part, side in zip(place.tolist(), labels.shape[1:], strict=True)
+        pixels = (  # as tensors, not slices: compiled code would be made anew for each pixel at which a slice begins
+            torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
+            for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
         )
-        scores, step = self._ask(self.network, range_m, *pixels)
-        scores, apart = scores.float(), max(step, self.loss_stride)
-        row, column = (int(part * apart) for part in place.tolist())
-        truth = labels[:, row::apart, column::apart].long()
+        scores, step = self._scores(self.network, range_m, *pixels).float(), self.network.output_stride
+        stride = max(step, self.loss_stride)
+        row, column = (int(share * stride) for share in offset.tolist())
+        truth = labels[:, row::stride, column::stride].long()
         if step > 1:
             scores = shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
         scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
@@ -65,21 +72,16 @@ class NetworkWithLoss(nn.Module):
         with torch.no_grad():
             pairs = truth[body] * PART_COUNT + scores.argmax(1)[body]
             counts = torch.bincount(pairs, minlength=PART_COUNT**2).reshape(PART_COUNT, PART_COUNT)
-        return Outcome(loss, counts)
+        return LossAndCounts(loss, counts)
 
 
-def _scores(
-    network: nn.Module, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor
-) -> tuple[torch.Tensor, int]:
-    """As `coarse`; where there is a score for every pixel of the image, those at `rows` and `columns` only."""
-    if isinstance(network, FcnAlexnet):
-        return network(range_m, rows, columns), 1
-    scores, step = coarse(network, range_m)
-    return (scores if step > 1 else scores[:, :, rows][..., columns]), step
+def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+    """All scores of a network that are coarser than the image; else those at `rows` and `columns` only."""
+    return network.scores(range_m) if network.output_stride > 1 else network.scores_at(range_m, rows, columns)
 
 
 def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:
-    """Scores interpolated `by` cells further along an axis, -1 < by < 1; the edge goes on for ever."""
+    """Scores interpolated linearly, `by` cells further along an axis, -1 < by < 1; beyond the edge its value holds."""
     if by == 0:
         return scores
     size = scores.shape[axis]
@@ -91,9 +93,10 @@ def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:
 
 
 def part_weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: float) -> torch.Tensor:
-    """float32 [33]: the share of all pixels that a part has, to the power of -balance, scaled to a mean pixel of 1.
+    """Weights of the parts, float32 [33]: each part's share of all pixels to the power of -balance, scaled so that the
+    mean weight of a pixel is 1.
 
-    Parts that were not counted weigh as much as the rarest that was.
+    counts: int64 [33], pixels of each part. Parts without a pixel weigh as much as the rarest with any.
     """
     shares = np.maximum(counts, counts[counts > 0].min() if counts.any() else 1).astype(np.float64)
     shares /= shares.sum()

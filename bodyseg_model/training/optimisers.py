@@ -13,9 +13,10 @@ from bodyseg_model.training.recipes import Recipe
 
 
 def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
-    """An optimiser with one group a layer, deepest first; a group's `share` is that of the last layer's rate.
+    """Make a recipe's optimiser, with one or two parameter groups a layer, deepest first.
 
-    Biases and the scales of normalisation do not decay with adamw, as is usual; with sgd everything does, as in Caffe.
+    A group's `share` is its learning rate as a share of the last layer's (`Recipe.layer_decay`). With adamw biases and
+    the scales of normalisation have no weight decay, as is usual; with sgd all weights have it, as in Caffe.
     """
     layers = list(_layers(network))
     groups: list[dict[str, Any]] = []
@@ -31,13 +32,13 @@ def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
 
 
 def set_learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
-    """Set the last layer's rate, and the others' by their shares."""
+    """Set the last layer's learning rate, and the other layers' by their shares."""
     for group in optimiser.param_groups:
         group["lr"] = rate * group["share"]
 
 
 def _layers(network: nn.Module) -> Iterator[list[nn.Parameter]]:
-    """The trainable weights of each layer, in the order in which layers were made, which is that of the data."""
+    """Trainable weights of each layer, in the order of construction, which is that of the data flow."""
     for module in network.modules():
         weights = [weight for weight in module.parameters(recurse=False) if weight.requires_grad]
         if weights:
@@ -45,26 +46,26 @@ def _layers(network: nn.Module) -> Iterator[list[nn.Parameter]]:
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """All that an optimiser remembers, by number of the weight and name."""
+    """State tensors of an optimiser, named "index of the weight.name"."""
     return {
         f"{number}.{name}": value
-        for number, memory in optimiser.state_dict()["state"].items()
-        for name, value in memory.items()
+        for number, entries in optimiser.state_dict()["state"].items()
+        for name, value in entries.items()
         if isinstance(value, torch.Tensor)
     }
 
 
 def fill_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Put back what `optimiser_tensors` gave. Raises BadConfig if it is of other weights."""
+    """Restore the state that `optimiser_tensors` gave. Raises BadConfig if it belongs to other weights."""
     weights = [weight for group in optimiser.param_groups for weight in group["params"]]
-    memories: dict[int, dict[str, torch.Tensor]] = {}
+    states: dict[int, dict[str, torch.Tensor]] = {}
     for name, value in tensors.items():
         number, _, kind = name.partition(".")
         if not number.isdecimal() or int(number) >= len(weights):
-            raise BadConfig(f"an optimiser's memory of {len(weights)} weights has no place for {name!r}")
+            raise BadConfig(f"the state of an optimiser of {len(weights)} weights cannot have the entry {name!r}")
         if value.ndim and value.shape != weights[int(number)].shape:
             raise BadConfig(
                 f"{name!r} must have the shape {list(weights[int(number)].shape)}, found {list(value.shape)}"
             )
-        memories.setdefault(int(number), {})[kind] = value
-    optimiser.load_state_dict({**optimiser.state_dict(), "state": memories})
+        states.setdefault(int(number), {})[kind] = value
+    optimiser.load_state_dict({**optimiser.state_dict(), "state": states})

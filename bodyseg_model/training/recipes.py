@@ -1,4 +1,4 @@
-"""How a network is trained: one frozen recipe, and a preset for each network."""
+"""Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
@@ -14,17 +14,25 @@ from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything but data, network and seed that shapes a training.
+    """All hyperparameters of a training; with data, network and seed they determine its result.
 
-    steps: how often weights change. batch: images that go through the network together, over all processes.
-    accumulate: such batches a step. optimiser: "sgd" (with `momentum`) or "adamw". rate: of the last layer. graded:
-    the deepest layer's rate as a share of the last's; those between rise geometrically. warmup: share of the steps
-    over which the rate rises from 0; cosine: whether it then falls to 0, else it stays. clip: largest norm of a
-    gradient, 0 for no limit. crop: whether batches are cut to the bodies in them, with the network's margin. mirror:
-    whether half of the images are shown as in a mirror, left and right parts exchanged. balance: parts weigh their
-    share of all pixels to the power of -balance; 0 for all pixels alike. bf16: whether layers compute in bfloat16.
-    every: of each square of so many pixels a side, the loss looks at one; more where a network's scores are coarser.
-    geometric_augmentation: how bodies are moved in the image plane.
+    steps: updates of the weights. batch_size: images in one pass through the network, over all processes. accumulate:
+    batches whose gradients are added up for one step. optimiser: "sgd" (with `momentum`) or "adamw".
+
+    learning_rate: of the last layer, at its largest. layer_decay: learning rate of the deepest layer, the first that
+    the image passes, as a share of the last layer's; the layers between have shares in geometric progression, and 1
+    gives all layers the same. weight_decay: of the weights of convolutions; with sgd, of all weights. warmup: share of
+    the steps over which the learning rate rises from 0. cosine: whether it then falls to 0 as a cosine, else it stays.
+    clip: largest norm of a step's gradient, 0 for no limit.
+
+    crop: whether batches are cropped to the bodies in them, with the network's margin. mirror: whether half of the
+    images are mirrored, left and right parts exchanged. geometric_augmentation: rotation, zoom and cuts of images.
+
+    balance: a part's pixels are weighted by its share of all pixels to the power of -balance; 0 for equal weights.
+    loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
+    where that is larger. bf16: whether layers compute in bfloat16.
+
+    Raises BadConfig for a value out of range.
     """
 
     steps: int
@@ -57,13 +65,13 @@ class Recipe:
 
     @staticmethod
     def from_json(content: Mapping[str, Any]) -> Recipe:
-        """A recipe as `dataclasses.asdict` gave it to a run's folder. Raises TypeError or KeyError for another."""
+        """Rebuild a recipe from what `dataclasses.asdict` gave. Raises TypeError or KeyError for anything else."""
         return Recipe(
             **{**content, "geometric_augmentation": GeometricAugmentation(**content["geometric_augmentation"])}
         )
 
     def learning_rate_at(self, step: int) -> float:
-        """The last layer's rate in step `step`, counted from 0."""
+        """The last layer's learning rate in step `step`, counted from 0."""
         rising = math.ceil(self.warmup * self.steps)
         if step < rising:
             return self.learning_rate * (step + 1) / (rising + 1)
@@ -72,7 +80,7 @@ class Recipe:
         return self.learning_rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
 
     def layer_shares(self, layers: int) -> list[float]:
-        """The share of the rate that each of `layers` layers has, deepest first."""
+        """Learning rates of `layers` layers as shares of the last one's, deepest first (`layer_decay`)."""
         return [self.layer_decay ** (1 - at / max(1, layers - 1)) for at in range(layers)]
 
 
@@ -126,7 +134,12 @@ PRESETS: Final[dict[str, Recipe]] = {
         geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
     ),
 }
-"""Recipe's name -> recipe. A network has the one of its own name, or else that of `compact`."""
+"""Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
+
+if TYPE_CHECKING:
+    RecipeName = str
+else:
+    RecipeName = Literal[tuple(PRESETS)]
 
 
 def recipe_for(name: str, **changes: Any) -> Recipe:

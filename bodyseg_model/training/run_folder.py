@@ -1,7 +1,7 @@
-"""A training's folder: what it is, where it stands, what happened, and the network when it is done.
+"""The folder of a training: its plan, its last checkpoint, its log, and the trained network.
 
-run.json                  what is trained on what: written first; a folder carries on with nothing else
-checkpoint.json           the last checkpoint: step, place in the data, name and SHA-256 of its tensors
+run.json                  network, settings, recipe, seed and data: written first; only the same plan may resume
+checkpoint.json           the last checkpoint: step, state of the loader, name and SHA-256 of its tensors
 checkpoint-STEP.safetensors
 log.jsonl                 a line of metrics every few steps
 tensorboard/              the same for TensorBoard
@@ -28,10 +28,10 @@ FORMAT: Final = "bodyseg run 1"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a training stands after `step` steps. place: the loader's state. tensors: of network and optimiser."""
+    """State of a training after `step` steps. loader_state: `Loader.state_dict`. tensors: of network and optimiser."""
 
     step: int
-    place: dict[str, Any]
+    loader_state: dict[str, Any]
     tensors: dict[str, torch.Tensor]
 
 
@@ -43,11 +43,11 @@ class RunFolder:
 
     @property
     def network(self) -> Path:
-        """Where the trained network is put."""
+        """Path of the trained network."""
         return self.path / NETWORK
 
     def begin(self, plan: Mapping[str, Any], resume: bool) -> Checkpoint | None:
-        """Open the folder for a training that `plan` describes; where it stands, if it was begun before.
+        """Open the folder for the training that `plan` describes; returns its last checkpoint if it has one.
 
         Raises BadConfig for a folder that holds another training, or this one without `resume`.
         """
@@ -78,19 +78,20 @@ class RunFolder:
         if not file.exists():
             return None
         note = read_json(file)
-        name, digest, step, place = (note.get(key) for key in ("tensors", "sha256", "step", "place"))
-        if not isinstance(step, int) or not isinstance(place, dict) or name != _tensors_name(step):
-            raise BadConfig(f"{file} does not name step, place and tensors as a checkpoint does")
+        name, digest, step, state = (note.get(key) for key in ("tensors", "sha256", "step", "loader_state"))
+        if not isinstance(step, int) or not isinstance(state, dict) or name != _tensors_name(step):
+            raise BadConfig(f"{file} must hold the step, loader_state and tensors of a checkpoint")
         found = hashlib.sha256(read_bytes(self.path / name)).hexdigest()
         if found != digest:
             raise BadConfig(f"{self.path / name} is damaged: SHA-256 {found}, expected {digest}")
-        return Checkpoint(step, place, read_tensors(self.path / name))
+        return Checkpoint(step, state, read_tensors(self.path / name))
 
     def keep(self, checkpoint: Checkpoint) -> None:
-        """Write a checkpoint; the one before goes when this one is whole. Raises BadConfig."""
+        """Write a checkpoint, and delete the one before when this one is complete. Raises BadConfig."""
         tensors = self.path / _tensors_name(checkpoint.step)
         digest = write_tensors(tensors, checkpoint.tensors)
-        note = {"step": checkpoint.step, "place": checkpoint.place, "tensors": tensors.name, "sha256": digest}
+        state = checkpoint.loader_state
+        note = {"step": checkpoint.step, "loader_state": state, "tensors": tensors.name, "sha256": digest}
         write_json(self.path / "checkpoint.json", note)
         for old in self.path.glob("checkpoint-*.safetensors"):
             if old != tensors:
@@ -106,7 +107,7 @@ class RunFolder:
             raise BadConfig(f"cannot write {self.path / 'log.jsonl'}: {error.strerror or error}") from error
 
     def forget_after(self, step: int) -> None:
-        """Drop what was logged after `step`, which a resumed training does again, and a line that a kill cut short."""
+        """Drop lines of the log after `step`, which a resumed training repeats, and a line that a kill cut short."""
         file = self.path / "log.jsonl"
         if not file.exists():
             return

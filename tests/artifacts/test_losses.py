@@ -14,11 +14,12 @@ from scipy import ndimage
 from skimage.measure import label, regionprops
 
 from bodyseg_data.artifacts.losses import (
-    KINDS,
     LONGEST,
     MOST_PATCHES,
     MOST_STRIPES,
+    SHAPES,
     Losses,
+    lost,
     lost_grazing,
     lost_patches,
     lost_stripes,
@@ -185,12 +186,12 @@ def test_training_draws_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:
         asked[kind] += 1
         return np.zeros(image.shape, np.bool_)
 
-    for kind in KINDS[1:]:
+    for kind in SHAPES:
         monkeypatch.setattr(losses, f"lost_{kind}", partial(note, kind))
     image = body()
     for number in range(400):
         assert not Losses(0.5).lost(image, CAMERA, draws(f"{number}")).any()
-    assert set(asked) == set(KINDS[1:])
+    assert set(asked) == set(SHAPES)
     assert all(60 < count < 140 for count in asked.values())
 
 
@@ -201,6 +202,19 @@ def test_shares_are_from_0_to_1(share: float) -> None:
             lose(kind, body(), share)
     with pytest.raises(BadConfig, match=f"the largest share of lost pixels must be from 0 to 1, found {share}"):
         Losses(share)
+
+
+def test_every_shape_goes_by_its_name() -> None:
+    image = body()
+    for shape in SHAPES:
+        expected = {
+            "patches": lambda: lost_patches(image, 0.2, draws("k")),
+            "stripes": lambda: lost_stripes(image, 0.2, draws("k")),
+            "grazing": lambda: lost_grazing(image, 0.2, CAMERA),
+        }[shape]()
+        np.testing.assert_array_equal(lost(shape, image, 0.2, CAMERA, draws("k")), expected)
+    with pytest.raises(BadConfig, match="pixels are lost in one of patches, stripes, grazing, found 'rings'"):
+        lost("rings", image, 0.2, CAMERA, draws("k"))
 
 
 def test_grazing_needs_the_image_of_its_camera() -> None:

@@ -16,7 +16,8 @@ from scipy import stats
 
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
-from bodyseg_data.artifacts.variants import Artifacts, Augmentation, VariantName
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance, pixel_draws, stream
@@ -203,7 +204,7 @@ def test_how_strong_noise_is_says_nothing_about_how_much_is_lost() -> None:
         augmentation(Sample(f"k{number}", dot, dot, np.zeros((1, 1), np.uint8), dot > 0, INFO))
         for number in range(count)
     ]
-    sigma, rate = [image.sigma_mm for image in drawn], [image.missing_rate for image in drawn]
+    sigma, rate = ([image.drawn[name] for image in drawn] for name in ("sigma_mm", "missing_rate"))
     assert abs(np.corrcoef(sigma, rate)[0, 1]) < SIGMAS / np.sqrt(count)
 
 

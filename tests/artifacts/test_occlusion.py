@@ -12,9 +12,10 @@ from benches.data.occlusion.views import exact_view, exact_views, postures
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
-from bodyseg_data.artifacts import occlusion_compiled, occlusion_reference
+from bodyseg_data.artifacts import occlusion_compiled
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -252,7 +253,7 @@ def test_a_shadow_test_travels_as_its_rig() -> None:
 def assert_forms_agree(rig: Rig, images: tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]) -> Mask:
     test = ShadowTest(rig)
     lit = test.lit(*images)
-    np.testing.assert_array_equal(lit, occlusion_reference.lit(*images, test.slopes, test.offsets))
+    np.testing.assert_array_equal(lit, lit_by_pixel(*images, test.slopes, test.offsets))
     np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
     return lit
 

@@ -13,19 +13,13 @@ from numpy.typing import NDArray
 from strategies import keys
 
 from bodyseg_data.artifacts import variants
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.variants import (
-    PAIRS,
-    VARIANTS,
-    Artifacts,
-    Augmentation,
-    RangeImage,
-    VariantName,
-    check_variant,
-)
+from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, Augmentation, VariantName, check_variant, shown_with
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig
@@ -45,8 +39,8 @@ def made(figures_set: Path, sample: Sample, epoch: int = 0, **options: Any) -> d
 
 
 def test_table_1() -> None:
-    table = {name: (variant.occlusion, variant.noise, variant.missing_data) for name, variant in VARIANTS.items()}
-    assert table == {
+    kinds = "occlusion", "noise", "missing_data"
+    assert {name: tuple(kind in has for kind in kinds) for name, has in VARIANTS.items()} == {
         "none": (False, False, False),
         "occ": (True, False, False),
         "noise": (False, True, False),
@@ -71,8 +65,9 @@ def test_the_five_variants_share_their_draws(figures_set: Path, clean: list[Samp
         for name in ("occ", "md"):
             assert np.array_equal(images[name].range[kept[name]], sample.range[kept[name]])
             removed[name] += int((kept["none"] & ~kept[name]).sum())
-        assert images["all"].sigma_mm == images["noise"].sigma_mm
-        assert images["all"].missing_rate == images["md"].missing_rate
+        assert images["none"].drawn == images["occ"].drawn == {}
+        assert images["all"].drawn == {**images["noise"].drawn, **images["md"].drawn}
+        assert list(images["all"].drawn) == ["sigma_mm", "missing_rate"]
         for image in images.values():
             # A pixel the variant removed has nothing to classify; all others keep their label.
             assert np.array_equal(image.labels, np.where(image.range > 0, sample.labels, BACKGROUND))
@@ -92,12 +87,13 @@ def test_draws_differ_by_epoch_seed_and_sample(figures_set: Path, clean: list[Sa
     assert np.array_equal(first, made(figures_set, clean[0])["noise"].range)
     assert not np.array_equal(first, made(figures_set, clean[0], epoch=1)["noise"].range)
     assert not np.array_equal(first, made(figures_set, clean[0], seed=1)["noise"].range)
-    assert len({made(figures_set, sample)["noise"].sigma_mm for sample in clean}) == len(clean)
+    assert len({made(figures_set, sample)["noise"].drawn["sigma_mm"] for sample in clean}) == len(clean)
 
 
 def same_bits(a: RangeImage, b: RangeImage) -> bool:
-    settings = (a.key, a.sigma_mm, a.missing_rate) == (b.key, b.sigma_mm, b.missing_rate)
-    return settings and np.array_equal(a.range, b.range) and np.array_equal(a.labels, b.labels)
+    return (
+        (a.key, a.drawn) == (b.key, b.drawn) and np.array_equal(a.range, b.range) and np.array_equal(a.labels, b.labels)
+    )
 
 
 def in_both_forms(augmentation: Augmentation, sample: Sample, epoch: int = 0) -> RangeImage:
@@ -153,15 +149,16 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
     scene=scenes(),
     noise=st.sampled_from([Noise(), Noise(0.0, 0.0), Noise(1000.0, 1000.0)]),
     rate=st.sampled_from([0.0, 2**-17, 0.05, 0.5, 1.0]),
+    losses=st.sampled_from([None, Losses(0.6)]),
     seed=st.integers(0, 2**63 - 1),
     epoch=st.integers(0, 2**70),
 )
 def test_both_forms_give_the_same_bits_of_anything(
-    scene: tuple[Rig, Sample], noise: Noise, rate: float, seed: int, epoch: int
+    scene: tuple[Rig, Sample], noise: Noise, rate: float, losses: Losses | None, seed: int, epoch: int
 ) -> None:
     rig, sample = scene
     sample.check()
-    artifacts = Artifacts(noise, MissingData(rates=(rate,)))
+    artifacts = Artifacts(noise, MissingData(rates=(rate,)), losses=losses)
     made = {name: in_both_forms(Augmentation(rig, name, seed, artifacts), sample, epoch) for name in VARIANTS}
     foreground = sample.range > 0
     # No pixel appears, vanishes by rounding, or wraps around: six sigma and a half, in steps, is the farthest.
@@ -171,7 +168,7 @@ def test_both_forms_give_the_same_bits_of_anything(
     kept = {name: image.range > 0 for name, image in made.items()}
     assert np.array_equal(kept["all"], kept["occ"] & kept["md"])
     assert np.array_equal(made["all"].range[kept["all"]], made["noise"].range[kept["all"]])
-    if rate in (0.0, 1.0):
+    if rate == 1 or (rate == 0 and losses is None):
         assert np.array_equal(kept["md"], foreground & (rate == 0))
 
 
@@ -222,7 +219,7 @@ def test_arrays_that_do_not_fit_the_sample_are_refused(
             augmentation.into(sample, 0, wrong, labels)
     with pytest.raises(BadSample, match=r"^pinned: the image of labels must be .* uint8 \(24, 20\) .*, found bool"):
         augmentation.into(sample, 0, image, labels > 0)  # type: ignore[arg-type]
-    if VARIANTS[name].occlusion:
+    if "occlusion" in VARIANTS[name]:
         with pytest.raises(BadSample, match="the projector's range is needed"):
             augmentation.into(replace(sample, projector_range=None), 0, image, labels)
         with pytest.raises(BadSample, match="the projector range must be uint16"):
@@ -298,9 +295,19 @@ def test_the_bits_of_every_variant_are_pinned(name: VariantName) -> None:
 def test_settings_reach_the_images(figures_set: Path, clean: list[Sample]) -> None:
     artifacts = Artifacts(Noise(10.0, 10.0), MissingData(rates=(1.0,)))
     images = made(figures_set, clean[0], artifacts=artifacts)
-    assert images["noise"].sigma_mm == 10
+    assert images["noise"].drawn["sigma_mm"] == 10
     assert not images["md"].range.any()
     assert (images["md"].labels == BACKGROUND).all()
+
+
+def test_one_artifact_alone_is_its_variant(figures_set: Path, clean: list[Sample]) -> None:
+    rig = RangeImages(figures_set).manifest.rig
+    for sample in clean[:4]:
+        before = sample.range.copy()
+        for name, artifact in (("occ", Occlusion()), ("noise", Noise(5.0, 20.0)), ("md", MissingData((0.3,)))):
+            augmentation = Augmentation(rig, name, 7, Artifacts(artifact))
+            assert same_bits(shown_with(artifact, sample, rig, 7, epoch=2), augmentation(sample, 2))
+        assert np.array_equal(sample.range, before)
 
 
 def test_a_pair_is_all_but_one(figures_set: Path, clean: list[Sample]) -> None:

@@ -2,7 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from bodyseg_data.core.parts import BACKGROUND, COLOURS, LANDMARKS, PART_COUNT, PARTS, colour_labels
+from bodyseg_data.core.parts import (
+    BACKGROUND,
+    COLOURS,
+    LANDMARKS,
+    MIRRORED_LABELS,
+    PART_COUNT,
+    PARTS,
+    colour_labels,
+)
 
 
 def test_there_are_33_parts_in_the_documented_order() -> None:
@@ -21,6 +29,22 @@ def test_every_right_part_is_followed_by_its_left_twin() -> None:
         assert twin.side == "left"
         assert twin.landmark == part.landmark.replace("Rt.", "Lt.")
         assert twin.face == part.face
+
+
+def test_a_mirror_exchanges_left_and_right_and_nothing_else() -> None:
+    exchanged = {"left": "right", "right": "left", "middle": "middle"}
+    for part in PARTS:
+        other = PARTS[part.mirror]
+        assert other.landmark == part.landmark.replace("Rt.", "@").replace("Lt.", "Rt.").replace("@", "Lt.")
+        assert (other.side, other.face, other.location) == (exchanged[part.side], part.face, part.location)
+        assert other.mirror == part.label
+    assert sum(part.mirror == part.label for part in PARTS) == 7
+
+
+def test_mirrored_labels_are_those_of_the_table() -> None:
+    assert MIRRORED_LABELS.dtype == np.uint8
+    assert MIRRORED_LABELS[:PART_COUNT].tolist() == [part.mirror for part in PARTS]
+    assert MIRRORED_LABELS[PART_COUNT:].tolist() == list(range(PART_COUNT, 256))
 
 
 def test_colours_are_told_apart() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from bodyseg_data.artifacts.philox_compiled import raw_words
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import chance, check_seed, generator, permutation, pixel_draws, stream
+from bodyseg_data.core.randomness import Draws, chance, check_seed, generator, permutation, pixel_draws, stream
 
 
 def test_a_draw_belongs_to_seed_epoch_key_and_purpose() -> None:
@@ -29,6 +29,17 @@ def test_the_bits_are_pinned() -> None:
     assert pixel_draws(noise, 5, np.uint16).tolist() == [65359, 41504, 28596, 39004, 18218]
     assert chance(7, 3, "k", "sigma") == 0.901699977694218
     assert permutation(8, 7, 3).tolist() == [3, 4, 2, 7, 1, 6, 5, 0]
+
+
+def test_a_samples_draws_are_those_of_its_identity_in_any_order() -> None:
+    draws = Draws(7, 3, "k")
+    generated = draws.generator("losses").bytes(8)
+    assert (
+        draws.pixels("noise", 5, np.uint16).tolist() == pixel_draws(stream(7, 3, "k", "noise"), 5, np.uint16).tolist()
+    )
+    assert draws.stream("noise").tolist() == stream(7, 3, "k", "noise").tolist()
+    assert draws.chance("sigma") == chance(7, 3, "k", "sigma")
+    assert draws.generator("losses").bytes(8) == generated == generator(7, 3, "k", "losses").bytes(8)
 
 
 def test_neighbouring_keys_are_uncorrelated() -> None:

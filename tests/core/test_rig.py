@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig, parse_rig, rig_from_json
+from bodyseg_data.core.rig import load_rig, load_sensor, parse_rig, parse_sensor, rig_from_json, rig_names
+from bodyseg_data.core.tables import Table
 from bodyseg_data.core.views import View, ViewGrid
 
 PAPER = (resources.files("bodyseg_data.core") / "rigs" / "paper.toml").read_text()
@@ -152,9 +153,64 @@ def test_a_broken_rig_file_is_refused_in_one_line(old: str, new: str, message: s
     assert "\n" not in str(caught.value)
 
 
+CAMERA = """format = "bodyseg rig 1"
+name = "d1"
+[camera]
+rows = 480
+columns = 640
+focal_px = 600.5
+"""
+
+
+def test_a_rig_file_may_hold_a_camera_alone() -> None:
+    sensor = parse_sensor(CAMERA, "x")
+    camera = sensor.camera
+    assert (sensor.name, sensor.title, sensor.rig, sensor.assumed_for_size) == ("d1", "d1", None, False)
+    assert (camera.focal_px, camera.centre_px, camera.position_m) == (600.5, (320.0, 240.0), (0.0, 0.0, 0.0))
+    assert camera.axes == pytest.approx(np.eye(3))
+    titled = parse_sensor(CAMERA.replace("[camera]", 'title = "D 1"\nassumed_for_size = true\n[camera]'), "x")
+    assert (titled.title, titled.assumed_for_size) == ("D 1", True)
+    with pytest.raises(BadConfig, match=r"^rig x is a camera alone: .* needs 'stand_off_m' and \[projector\]$"):
+        parse_rig(CAMERA, "x")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[camera]", "assumed_for_size = 1\n[camera]", "'assumed_for_size' must be true or false, found 1"),
+        ("[camera]", "stand_off_m = 2.0\n[camera]", "table 'projector' is missing"),
+        ("focal_px", "position_m = [0, 0, 0]\nfocal_px", "list 'aims_at_m' is missing"),
+        ("focal_px", "focal_length_mm = 6.0\nfocal_px", "unknown 'focal_length_mm'"),
+        ("focal_px = 600.5", "focal_px = -1", "'focal_px' must be positive, found -1"),
+        ('"d1"', '"d 1"', "rig x: a rig's name must be one plain word"),
+    ],
+)
+def test_a_broken_camera_alone_is_refused_in_one_line(old: str, new: str, message: str) -> None:
+    assert old in CAMERA
+    with pytest.raises(BadConfig, match=message) as caught:
+        parse_sensor(CAMERA.replace(old, new, 1), "x")
+    assert str(caught.value).startswith("rig x") and str(caught.value).count("rig x") == 1
+
+
+def test_the_rigs_that_ship_are_listed_and_called_as_their_files() -> None:
+    assert rig_names() == ("kinect_v1", "kinect_v2", "paper")
+    assert [load_sensor(name).name for name in rig_names()] == list(rig_names())
+    assert load_sensor("paper").rig == load_sensor().rig == load_rig()
+    with pytest.raises(BadConfig, match="^rig kinect_v1 is a camera alone"):
+        load_rig("kinect_v1")
+
+
+def test_a_table_shows_what_was_not_read() -> None:
+    table = Table({"rows": 3, "columns": 4}, "rig x")
+    assert table.whole("rows") == 3
+    assert repr(table) == "Table('rig x', unread: columns)"
+
+
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match="no rig is called 'papier'"):
+    with pytest.raises(BadConfig, match="no rig is called 'papier': give one of kinect_v1, kinect_v2, paper or the pa"):
         load_rig("papier")
+    with pytest.raises(BadConfig, match=r"no rig is called '\.\./rigs/paper'"):
+        load_sensor("../rigs/paper")
     with pytest.raises(BadConfig, match="cannot read the rig file"):
         load_rig(tmp_path / "none.toml")
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from samples import GOOD
 
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.sample import Sample, check_key, steps
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS, Sample, ShadowThresholds, check_key, shape_of, steps
 
 
 def test_a_good_sample_passes() -> None:
@@ -51,3 +51,16 @@ def test_ranges_that_do_not_fit_are_refused_and_never_wrap_around(metres: float)
     images: NDArray[np.float32] = np.array([[1.0, metres]], np.float32)
     with pytest.raises(BadSample, match="x: a range must be 0 to 6.5535 m, found"):
         steps(images, "x")
+
+
+def test_thresholds_are_counted_in_stored_steps() -> None:
+    assert (SHADOW_THRESHOLDS.gap_steps, SHADOW_THRESHOLDS.edge_steps) == (60, 200)
+    coarse = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1)
+    assert (coarse.gap_steps, coarse.edge_steps) == (13, 1000)
+    assert coarse.gap_steps.dtype == coarse.edge_steps.dtype == np.float32
+
+
+def test_a_sample_is_shown_in_a_line() -> None:
+    assert repr(GOOD) == f"Sample('{GOOD.key}', camera 2 x 2, projector 1 x 2, {GOOD.info})"
+    assert repr(replace(GOOD, projector_range=None)) == f"Sample('{GOOD.key}', camera 2 x 2, projector no, {GOOD.info})"
+    assert shape_of(np.zeros((3, 4))) == "3 x 4"

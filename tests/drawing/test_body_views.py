@@ -12,13 +12,13 @@ from shapes import ball
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import COLOURS
 from bodyseg_data.drawing import body_views as portrait
-from bodyseg_data.drawing.body_views import Sitter, draw_portraits, draw_side
+from bodyseg_data.drawing.body_views import LabelledBody, draw_body_views, draw_side
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition
 
 
-def quartered() -> Sitter:
+def quartered() -> LabelledBody:
     """A ball: label 0 where it faces the front, 1 its left, 2 the back, 3 its right; landmarks all round."""
     mesh = ball(subdivisions=4)
     x, y, z = (mesh.vertices - mesh.centre).T
@@ -90,25 +90,25 @@ def test_numbers_do_not_cover_each_other_or_the_dots() -> None:
     dots = [tuple(place) for place in rng.uniform((60, 60), (240, 440), (33, 2))]
     taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in dots]
     for x, y in dots:
-        plate = portrait._free_place(x, y, 20, 15, size, taken)
+        plate = portrait._label_box(x, y, 20, 15, size, taken)
         assert plate[0] >= 0 and plate[1] >= 0 and plate[2] < size[0] and plate[3] < size[1]
         assert not any(portrait._overlap(plate, other) for other in taken)
         taken.append(plate)
 
 
 def test_a_number_finds_a_place_even_where_there_is_none() -> None:
-    assert portrait._free_place(5, 5, 20, 15, (10, 10), []) is not None
+    assert portrait._label_box(5, 5, 20, 15, (10, 10), []) is not None
 
 
 def test_a_picture_has_a_row_for_each_body_and_a_legend() -> None:
     sitter = quartered()
-    one = draw_portraits([sitter], [200])
-    two = draw_portraits([sitter, sitter], [200, 100])
+    one = draw_body_views([sitter], [200])
+    two = draw_body_views([sitter, sitter], [200, 100])
     assert one.mode == "RGB"
     assert one.height < two.height
     colours = {tuple(colour) for colour in np.asarray(one)[-200:].reshape(-1, 3).tolist()}
     assert all(tuple(colour) in colours for colour in COLOURS.tolist())  # the legend shows every part
-    assert np.array_equal(np.asarray(one), np.asarray(draw_portraits([sitter], [200])))
+    assert np.array_equal(np.asarray(one), np.asarray(draw_body_views([sitter], [200])))
 
 
 def test_what_cannot_be_drawn_is_refused() -> None:
@@ -116,11 +116,11 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     good = (title, mesh, parts, landmarks)
     for sitters, heights in (([], None), ([good], []), ([good], [200, 200]), ([good], [5])):
         with pytest.raises(BadConfig, match="a picture needs one height of 100 to 4000 pixels"):
-            draw_portraits(sitters, heights)
+            draw_body_views(sitters, heights)
     for broken, message in (
         ((title, ball(subdivisions=3), parts, landmarks), "mesh ball: each vertex needs a label, found"),
         ((title, mesh, parts, landmarks[:5]), "mesh ball: 33 landmarks must be vertices of it"),
         ((title, mesh, parts, landmarks + 10_000), "mesh ball: 33 landmarks must be vertices of it"),
     ):
         with pytest.raises(BadConfig, match=message):
-            draw_portraits([broken], [200])
+            draw_body_views([broken], [200])

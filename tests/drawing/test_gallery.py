@@ -11,7 +11,7 @@ from PIL import Image
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
-from bodyseg_data.drawing.gallery import COLUMNS, choose, shading
+from bodyseg_data.drawing.gallery import COLUMNS, choose_views, surface_shading
 
 CAMERA = load_rig().camera
 
@@ -27,7 +27,7 @@ def keys(meshes: dict[str, int], views: int = 3) -> list[str]:
 
 def test_a_choice_is_even_over_subjects_and_meshes() -> None:
     names = keys({"A": 40, "B": 3, "P000": 20, "P001": 20})
-    chosen = [names[index] for index in choose(names, 18)]
+    chosen = [names[index] for index in choose_views(names, 18)]
     assert len(set(chosen)) == 18
     subjects = [name.split("-")[1][0] for name in chosen]
     assert {name: subjects.count(name) for name in "ABP"} == {"A": 6, "B": 6, "P": 6}
@@ -39,19 +39,19 @@ def test_a_choice_is_even_over_subjects_and_meshes() -> None:
 
 def test_a_choice_is_the_same_every_time_and_takes_all_if_asked() -> None:
     names = keys({"A": 4, "B": 1})
-    assert choose(names, 7) == choose(names, 7)
-    assert sorted(choose(names, len(names))) == list(range(len(names)))
+    assert choose_views(names, 7) == choose_views(names, 7)
+    assert sorted(choose_views(names, len(names))) == list(range(len(names)))
 
 
 @pytest.mark.parametrize("count", [0, 16])
 def test_a_choice_of_more_than_there_is_is_refused(count: int) -> None:
     with pytest.raises(BadConfig, match=f"1 to 15 views, found {count}"):
-        choose(keys({"A": 5}), count)
+        choose_views(keys({"A": 5}), count)
 
 
 def test_a_key_of_another_kind_is_named() -> None:
     with pytest.raises(BadConfig, match="found 'elsewhere'"):
-        choose(["elsewhere"], 1)
+        choose_views(["elsewhere"], 1)
 
 
 def test_shading_follows_the_surface() -> None:
@@ -62,7 +62,7 @@ def test_shading_follows_the_surface() -> None:
     depth = 2.5 * normal[2] / (normal[0] * x + normal[1] * y + normal[2])
     image = np.rint(depth * 1e4).astype(np.uint16)
     image[:100] = 0
-    shade = shading(image, CAMERA)
+    shade = surface_shading(image, CAMERA)
     light = np.array([-0.3, -0.45, -1.0])
     expected = normal @ light / np.linalg.norm(normal) / np.linalg.norm(light)
     assert np.all(shade[:100] == 0)
@@ -72,7 +72,7 @@ def test_shading_follows_the_surface() -> None:
 def test_a_step_in_range_does_not_darken_its_edge() -> None:
     image = np.full((20, 20), 20000, np.uint16)
     image[:, 10:] = 30000
-    shade = shading(image, CAMERA)
+    shade = surface_shading(image, CAMERA)
     assert shade.min() > 0.8
 
 

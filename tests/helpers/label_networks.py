@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
 
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.networks.network import Network
 
 
-class Places(nn.Module):
+class Places(Network):
     """Label: the row (axis 0) in steps of `step` pixels from the top, or the column (axis 1) from the left. Confidence:
     nearly 1 where the range is at most `sure_m`, 0.52 beyond. `seen` keeps the images that it was shown.
     """
@@ -19,7 +19,7 @@ class Places(nn.Module):
         self.seen: list[torch.Tensor] = []
         self.eval()
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         self.seen.append(range_m)
         size = range_m.shape[2 + self.axis]
         label = (torch.arange(size) // self.step).clamp(max=PART_COUNT - 1)

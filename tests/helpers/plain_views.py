@@ -55,7 +55,7 @@ def take_whole_frames(
 def check_rays(mesh: Mesh, camera: PlacedCamera) -> int:
     """How many pixels see the body, once they are known to be the right ones."""
     renderer, whole = EmbreeRenderer(mesh), cast_whole_frame(mesh, camera)
-    seen = renderer.see(camera)
+    seen = renderer.render(camera)
     assert (seen.face.dtype, seen.range.dtype) == (np.int32, np.float32)
     np.testing.assert_array_equal(seen.face, whole.face)
     np.testing.assert_array_equal(seen.range, whole.range)
@@ -68,7 +68,7 @@ def check_rays(mesh: Mesh, camera: PlacedCamera) -> int:
 
 def check_filled(mesh: Mesh, camera: PlacedCamera) -> int:
     """How many pixels see the body, once they are known to be those of the rays."""
-    filled, cast = RasterRenderer(mesh).see(camera), cast_whole_frame(mesh, camera)
+    filled, cast = RasterRenderer(mesh).render(camera), cast_whole_frame(mesh, camera)
     assert (filled.face.dtype, filled.range.dtype) == (np.int32, np.float32)
     np.testing.assert_array_equal(filled.face >= 0, filled.range > 0)
     body = filled.face >= 0

@@ -28,7 +28,7 @@ def skip_without_opengl() -> None:
 def see(renderer: str, mesh: Mesh, *cameras: PlacedCamera) -> list[Surface]:
     opened = open_renderer(renderer, mesh)
     try:
-        return [opened.see(camera) for camera in cameras]
+        return [opened.render(camera) for camera in cameras]
     finally:
         opened.close()
 

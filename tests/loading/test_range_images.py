@@ -15,7 +15,9 @@ from folders import ROOT
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
-from bodyseg_data.artifacts.variants import VARIANTS, Artifacts, MissingData
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, BadShard
 
 Bits = list[tuple[tuple[str, ...], bytes, bytes]]

@@ -31,14 +31,14 @@ def test_a_sound_mesh_stays_as_it_is() -> None:
     for mesh in (ball(subdivisions=3), figure()):
         same = mended(mesh.vertices, mesh.faces)
         np.testing.assert_array_equal(same.faces, mesh.faces)
-        np.testing.assert_array_equal(same.place, np.arange(len(mesh.vertices)))
+        np.testing.assert_array_equal(same.representative, np.arange(len(mesh.vertices)))
         assert same.notes == ()
 
 
 def test_a_seam_is_welded_to_the_lower_vertex() -> None:
     vertices = np.concatenate([SQUARE, SQUARE[[0, 2]] + [0, 0, 4e-7]])
     result = mended(vertices, [[0, 1, 2], [4, 5, 3]])
-    np.testing.assert_array_equal(result.place, [0, 1, 2, 3, 0, 2])
+    np.testing.assert_array_equal(result.representative, [0, 1, 2, 3, 0, 2])
     np.testing.assert_array_equal(result.faces, [[0, 1, 2], [0, 2, 3]])
     assert result.notes == ("2 vertices joined to others in the same place",)
     apart = mended(vertices + np.arange(6)[:, None] * [0, 0, 2e-6], [[0, 1, 2], [4, 5, 3]])

@@ -40,6 +40,10 @@ def test_a_mesh_cannot_be_changed() -> None:
         mesh.vertices[0] = 0
 
 
+def test_a_mesh_prints_its_name_and_size() -> None:
+    assert repr(ball(subdivisions=0)) == "Mesh('ball', 12 vertices, 20 faces)"
+
+
 def test_unused_vertices_do_not_move_the_centre() -> None:
     mesh = ball()
     assert Mesh("x", np.vstack([mesh.vertices, [50.0, 0, 0]]), mesh.faces).centre == pytest.approx(mesh.centre)

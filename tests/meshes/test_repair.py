@@ -143,11 +143,11 @@ def test_pieces_that_touch_in_a_point_are_parted_and_both_turned_outward() -> No
 
 def test_what_cannot_be_repaired_is_a_bad_mesh() -> None:
     whole = ball(subdivisions=1)
-    with pytest.raises(BadMesh, match="three columns and a row"):
+    with pytest.raises(BadMesh, match="needs vertices and faces, found 42 and 0"):
         repair("empty", whole.vertices, np.zeros((0, 3), np.int32))
-    with pytest.raises(BadMesh, match=r"from 0 to 41, found 0 to 42"):
+    with pytest.raises(BadMesh, match=r"vertices 0 to 41, found .0, 1, 42. at face 0"):
         repair("index", whole.vertices, np.array([[0, 1, 42]]))
-    with pytest.raises(BadMesh, match=r"found 0\.0 to 2\.0"):
+    with pytest.raises(BadMesh, match="must be whole numbers, found float64"):
         repair("float", whole.vertices, np.array([[0.0, 1.0, 2.0]]))
     broken = whole.vertices.copy()
     broken[7] = np.inf

@@ -9,7 +9,7 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.networks import baselines as rivals
-from bodyseg_model.networks.registry import build, coarse, predict, settings_of
+from bodyseg_model.networks.registry import build, predict
 
 
 def figure(rows: int, columns: int) -> torch.Tensor:
@@ -29,12 +29,11 @@ def figure(rows: int, columns: int) -> torch.Tensor:
 def test_any_image_gets_scores_of_its_own_size(name: str, settings: dict[str, Any]) -> None:
     pytest.importorskip("transformers")
     network = build(name, settings, seed=0).eval()
-    assert settings_of(network) == settings
+    assert network.settings == settings
     range_m = figure(70, 45)
     with torch.no_grad():
-        scores, step = coarse(network, range_m)
-        assert scores.shape == (1, 33, 18, 12)
-        assert step == 4
+        assert network.output_stride == 4
+        assert network.scores(range_m).shape == (1, 33, 18, 12)
         assert network(range_m).shape == (1, 33, 70, 45)
         torch.testing.assert_close(network(range_m), network(torch.where(range_m > 0, range_m + 1, 0.0)))
     labels = predict(network, range_m).labels
@@ -45,7 +44,7 @@ def test_any_image_gets_scores_of_its_own_size(name: str, settings: dict[str, An
     ("name", "settings", "message"),
     [
         ("segformer", {"size": 7}, "size of segformer must be 0 or 1, found 7"),
-        ("deeplab", {"apart": 4}, "deeplab answers every 8 or 16 pixels, found 4"),
+        ("deeplab", {"apart": 4}, "apart of deeplab must be 8 or 16, found 4"),
     ],
 )
 def test_other_settings_are_refused(name: str, settings: dict[str, Any], message: str) -> None:

@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from bodyseg_data.core.parts import PARTS
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS, body_window, cut_to_bodies, mirror, mirror_draws
-
-
-def test_a_mirror_exchanges_left_and_right_and_nothing_else() -> None:
-    for part in PARTS:
-        other = PARTS[int(MIRRORED_PARTS[part.label])]
-        assert other.landmark == part.landmark.replace("Rt.", "@").replace("Lt.", "Rt.").replace("@", "Lt.")
-        assert other.face == part.face
-        assert int(MIRRORED_PARTS[other.label]) == part.label
-    assert (MIRRORED_PARTS[33:] == torch.arange(33, 256)).all()
+from bodyseg_model.networks.batch_transforms import body_window, cut_to_bodies, mirror, mirror_draws
 
 
 def test_chosen_images_are_mirrored() -> None:
@@ -38,8 +28,10 @@ def test_draws_belong_to_samples() -> None:
 def test_a_window_holds_every_body_with_a_margin() -> None:
     measured = torch.zeros(2, 90, 110, dtype=torch.bool)
     measured[0, 42, 77] = measured[1, 66, 33] = True
-    assert body_window(measured, 10) == (slice(30, 77), slice(20, 88))
-    assert body_window(measured, 32) == (slice(0, 90), slice(0, 110))
+    assert body_window(measured, 10, 10) == (slice(30, 77), slice(20, 88))
+    assert body_window(measured, 10) == (slice(32, 77), slice(23, 88))
+    assert body_window(measured, 10, 32) == (slice(32, 77), slice(0, 88))
+    assert body_window(measured, 32, 32) == (slice(0, 90), slice(0, 110))
     assert body_window(torch.zeros(2, 9, 11, dtype=torch.bool), 10) is None
 
 
@@ -48,9 +40,9 @@ def test_cutting_keeps_every_pixel_of_the_bodies() -> None:
     range_m[0, 0, 25:44, 33:46] = 2.5
     labels = torch.full((1, 60, 80), 255, dtype=torch.uint8)
     labels[0, 25:44, 33:46] = 5
-    cut, named = cut_to_bodies(range_m, labels, 4)
+    cut, named = cut_to_bodies(range_m, labels, 4, 4)
     assert cut.shape == (1, 1, 28, 22)
     assert torch.equal(cut, range_m[:, :, 20:48, 28:50])
     assert int((named == 5).sum()) == 19 * 13
     empty = torch.zeros(1, 1, 6, 8)
-    assert cut_to_bodies(empty, labels, 4)[0].shape == empty.shape
+    assert cut_to_bodies(empty, labels, 4, 4)[0].shape == empty.shape

@@ -35,6 +35,9 @@ def test_a_network_comes_back_as_it_was(tmp_path: Path, name: str, settings: dic
         assert trained.card["variant"] == "occ"
         assert settings.items() <= trained.card["settings"].items()
         assert not trained.network.training
+        assert repr(trained).startswith(f"Trained(network={name!r}, settings={{") and "variant='occ', seed=3" in repr(
+            trained
+        )
         with torch.no_grad():
             range_m = torch.full((1, 1, 32, 32), 2.0)
             assert torch.equal(trained.network(range_m), network(range_m))

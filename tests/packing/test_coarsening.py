@@ -46,7 +46,7 @@ def test_light_reaches_the_same_points(number: int) -> None:
 def test_texels_anywhere_within_their_bounds_give_the_same_answers(number: int) -> None:
     """So the bounds alone prove it, and the question asked afterwards is never needed."""
     image, x, y, away = scene(number)
-    texels = coarsening._four_places(image.shape, x, y)
+    texels = coarsening._four_indices(image.shape, x, y)
     answers = reached(image, x, y, away)
     lowest, highest = coarsening._bounds(image, texels, (x, y, away), answers)
     assert (lowest <= highest).all()

@@ -53,11 +53,11 @@ def test_two_meshes_may_be_open_and_closing_one_leaves_the_other() -> None:
     one, two = ball(), figure()
     camera = RIG.placed(one.centre, FRONT)[0]
     first, second = open_renderer("opengl", one), open_renderer("opengl", two)
-    before, other = first.see(camera), second.see(camera)
+    before, other = first.render(camera), second.render(camera)
     assert not np.array_equal(before.face, other.face)
     second.close()
     second.close()
-    np.testing.assert_array_equal(first.see(camera).range, before.range)
+    np.testing.assert_array_equal(first.render(camera).range, before.range)
     first.close()
 
 

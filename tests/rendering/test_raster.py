@@ -27,7 +27,7 @@ def test_a_camera_with_the_body_on_both_sides_of_its_plane(place: tuple[float, f
 def test_a_body_behind_the_camera_is_not_seen() -> None:
     axes = np.diag([1.0, -1.0, -1.0])  # looks along -z, away from a body in front of z = 0.5
     mesh = figure()
-    behind = RasterRenderer(mesh).see(PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, -0.5])))
+    behind = RasterRenderer(mesh).render(PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, -0.5])))
     assert not behind.range.any() and (behind.face == -1).all()
     assert check_filled(mesh, PlacedCamera(RIG.camera, axes, np.array([0.0, 1.2, 0.2]))) > 1000, "the arm is behind it"
 
@@ -37,7 +37,7 @@ def test_a_triangle_that_passes_the_cameras_plane_is_seen_up_to_the_frame() -> N
     floor = np.array([[-1, 0, -2], [1, 0, -2], [1, 0, 0.5], [-1, 0, 0.5], [0, -0.6, -1]], np.float64)
     faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
     camera = PlacedCamera(RIG.camera, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.3, 0.0]))
-    seen = RasterRenderer(Mesh("floor", floor, faces)).see(camera)
+    seen = RasterRenderer(Mesh("floor", floor, faces)).render(camera)
     rows = np.arange(RIG.camera.rows) + 0.5 - RIG.camera.centre_px[1]
     with np.errstate(divide="ignore"):
         away = 0.3 * RIG.camera.focal_px / rows  # where the ray of a row in the middle column meets the floor
@@ -56,7 +56,7 @@ def test_triangles_without_area_are_not_seen() -> None:
     mesh = Mesh("figure", np.concatenate([plain.vertices, point, line]), faces)
     camera = RIG.placed(plain.centre, View(215, 0))[0]
     with np.errstate(all="raise"):
-        seen, whole = RasterRenderer(mesh).see(camera), RasterRenderer(plain).see(camera)
+        seen, whole = RasterRenderer(mesh).render(camera), RasterRenderer(plain).render(camera)
     assert np.isfinite(seen.range).all()
     assert np.array_equal(seen.face, whole.face) and np.array_equal(seen.range, whole.range)
 
@@ -64,7 +64,7 @@ def test_triangles_without_area_are_not_seen() -> None:
 def test_ranges_are_those_of_the_image() -> None:
     mesh = figure()
     camera = RIG.placed(mesh.centre, View(215, 0))[1]
-    seen = RasterRenderer(mesh).see(camera)
+    seen = RasterRenderer(mesh).render(camera)
     some = np.flatnonzero(np.random.default_rng(3).random(seen.range.size) < 0.2)
     np.testing.assert_array_equal(RasterRenderer(mesh).ranges(camera, some), seen.range.take(some))
 
@@ -75,12 +75,12 @@ def test_the_compiled_loops_give_the_bits_of_plain_python(monkeypatch: pytest.Mo
     placed = RIG.placed(mesh.centre, View(215, 30))[0]
     device = replace(placed.camera, rows=64, columns=32, focal_px=75.0, centre_px=(16.2, 31.7))
     cameras = [replace(placed, camera=device), PlacedCamera(device, placed.axes, np.array([0.1, 1.2, 0.5]))]
-    compiled = [RasterRenderer(mesh).see(camera) for camera in cameras]
+    compiled = [RasterRenderer(mesh).render(camera) for camera in cameras]
     monkeypatch.setattr(raster, "_project", raster._project_loop)
     monkeypatch.setattr(raster, "_fill", raster._fill_loop)
     plain = RasterRenderer(Mesh("part", mesh.vertices, mesh.faces))
     for camera, expected in zip(cameras, compiled, strict=True):
-        seen = plain.see(camera)
+        seen = plain.render(camera)
         assert (seen.face >= 0).sum() > 50
         np.testing.assert_array_equal(seen.face, expected.face)
         np.testing.assert_array_equal(seen.range, expected.range)

@@ -191,7 +191,7 @@ class TestAgreement:
     def check(self, mesh: Mesh) -> None:
         rays, raster = EmbreeRenderer(mesh), open_renderer("opengl", mesh)
         for renderer in (rays, raster):
-            renderer.see(RIG.placed(mesh.centre, FRONT)[0])  # what is done once only is not part of the speed
+            renderer.render(RIG.placed(mesh.centre, FRONT)[0])  # what is done once only is not part of the speed
         figures, seconds = [], {"embree": 0.0, "opengl": 0.0}
         for distance in (215, 255, 295):
             for azimuth in range(0, 360, 40):
@@ -234,7 +234,7 @@ class TestAgreement:
 
 def timed(renderer: Renderer, camera: PlacedCamera, seconds: dict[str, float], name: str) -> Surface:
     start = time.perf_counter()
-    surface = renderer.see(camera)
+    surface = renderer.render(camera)
     seconds[name] += time.perf_counter() - start
     return surface
 

@@ -1,4 +1,4 @@
-"""Which camera took a sequence of frames."""
+"""The camera of a sequence of frames."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_data.core.rig import Camera, load_rig, rig_names
+from bodyseg_model.segmentation.cameras import assumed_sensors, frame_camera, other_sensors
 
 
 def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
@@ -20,6 +20,9 @@ def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
     told = {shape: frame_camera(shape, "a.png") for shape in ((640, 329), (480, 640), (424, 512))}
     assert all(camera.assumed and camera.origin.startswith("assumed: ") for camera in told.values())
     assert [camera.camera.focal_px for camera in told.values()] == pytest.approx([757.58, 525, 365], abs=0.01)
+    assert [camera.origin for camera in told.values()] == [
+        f"assumed: {name}, by the frames' size" for name in ("the paper's rig", "Kinect v1", "Kinect v2")
+    ]
     assert given.to_json() == {
         "rows": 30,
         "columns": 40,
@@ -29,10 +32,28 @@ def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
     }
 
 
+def test_every_rig_file_is_a_camera_that_frames_may_be_from() -> None:
+    for name in rig_names():
+        camera = frame_camera(SIZES[name], "a.png", rig=name)
+        assert (camera.origin, camera.assumed) == (f"rig {name}", False)
+
+
+SIZES = {"kinect_v1": (480, 640), "kinect_v2": (424, 512), "paper": (640, 329)}
+
+
+def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
+    assert {sensor.name: (sensor.camera.rows, sensor.camera.columns) for sensor in assumed_sensors()} == SIZES
+    pose = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    assert {sensor.title: sensor.camera for sensor in other_sensors()} == {
+        "Kinect v1": Camera(480, 640, 525.0, (320.0, 240.0), *pose),
+        "Kinect v2": Camera(424, 512, 365.0, (256.0, 212.0), *pose),
+    }
+
+
 @pytest.mark.parametrize(
     ("shape", "options", "message"),
     [
-        ((1, 1), {}, r"^frames of 1 x 1 pixels tell no sensor: give --focal or --rig \(a.png\)$"),
+        ((1, 1), {}, r"^no sensor is assumed for frames of 1 x 1 pixels: give --focal or --rig \(a.png\)$"),
         ((30, 40), {"rig": "paper"}, "frames must have the size of the rig's camera, 640 x 329, found 30 x 40: a.png"),
         ((640, 329), {"rig": "paper", "focal_px": 5.0}, "^give either --rig or --focal and --centre$"),
         ((640, 329), {"rig": "papr"}, "no rig is called 'papr'"),

@@ -21,7 +21,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file
@@ -91,8 +91,12 @@ def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pa
         ("nosuch://host/shards", {}, "nosuch://host/shards: Protocol not known: nosuch"),
         ("file://data/shards", {}, "a file:// address has a path from the root on, like file:///data/shards, found"),
         ("http://[::1/shards", {}, "not an address: Invalid IPv6 URL"),
-        ("shards", {"storage_options": {"key": "x"}}, "storage_options and patience are for remote sets, found them"),
-        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and patience are for remote sets, found them"),
+        (
+            "shards",
+            {"storage_options": {"key": "x"}},
+            "storage_options and retry_policy are for remote sets, found them",
+        ),
+        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and retry_policy are for remote sets, found them"),
     ],
 )
 def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, Any], message: str) -> None:
@@ -107,10 +111,12 @@ def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Pat
         with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
     for name, wrong in (("tries", 0), ("tries", 1.5), ("progress_bytes", 0), ("progress_bytes", True)):
-        with pytest.raises(BadConfig, match=f"Patience: {name} must be a whole number of at least 1, found {wrong}"):
+        with pytest.raises(BadConfig, match=f"RetryPolicy: {name} must be a whole number of at least 1, found {wrong}"):
             RetryPolicy(**{name: wrong})
     for name, wrong in (("total_s", 0), ("stall_s", float("nan")), ("total_s", "5")):
-        with pytest.raises(BadConfig, match=f"Patience: {name} must be a positive number of seconds, found {wrong!r}"):
+        with pytest.raises(
+            BadConfig, match=f"RetryPolicy: {name} must be a positive number of seconds, found {wrong!r}"
+        ):
             RetryPolicy(**{name: wrong})
 
 
@@ -152,8 +158,8 @@ def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path
         assert store.size("train-00000.tar") == len(whole)
         with open_file(store, "train-00000.tar") as file:
             assert file.read(1000) + file.read() + file.read() == whole
-        assert store.whole("nothing.json", 10) is None
-        assert store.whole("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
+        assert store.read_file("nothing.json", 10) is None
+        assert store.read_file("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
 
 
 class Stricter:
@@ -165,9 +171,9 @@ class Stricter:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._store, name)
 
-    def whole(self, name: str, limit: int) -> bytes | None:
+    def read_file(self, name: str, limit: int) -> bytes | None:
         assert limit == 1 << 28
-        return self._store.whole(name, 1000)
+        return self._store.read_file(name, 1000)
 
 
 @pytest.mark.parametrize("remote", [False, True])
@@ -288,7 +294,7 @@ def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
         return found
 
     monkeypatch.setattr(hashlib, "file_digest", slowly)
-    assert store.doubt(record(3).name), "what was read was wrong"
+    assert store.prepare_reread(record(3).name), "what was read was wrong"
     assert cache.read(record(3), 1020, 100) == b"\3" * 4
 
 
@@ -318,7 +324,7 @@ def manifest(figures_set: Path) -> Manifest:
 def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
     where: str, memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def fail(*_: object, **__: object) -> None:
@@ -344,7 +350,7 @@ def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, figures_set
     if mounted.returncode:
         pytest.skip(f"no small disk can be mounted here: {mounted.stderr.strip()}")
     try:
-        store = keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None)
+        store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
         with pytest.warns(RuntimeWarning, match="No space left on device"):
             read = ShardReader(store, manifest).read(0, 0)
         assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
@@ -371,9 +377,9 @@ def test_two_sets_never_mix_though_their_shards_have_the_same_names(
     first, second = manifest.shards[:2]
     files.copy(f"/sets/figures/{second.name}", f"/sets/figures/{first.name}")
     changed = replace(manifest, shards=(replace(second, name=first.name),))
-    store = keep_shards(open_store(memory)[0], changed.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], changed.shards, tmp_path, None)
     assert ShardReader(store, changed).read(0, 0).key == second.keys[0]
-    assert ShardReader(keep_shards(open_store(memory)[0], manifest.shards, tmp_path, None), manifest).read(0, 0)
+    assert ShardReader(with_cache(open_store(memory)[0], manifest.shards, tmp_path, None), manifest).read(0, 0)
 
 
 def test_a_manifest_at_odds_with_itself_empties_nobodys_cache(memory: str, manifest: Manifest, tmp_path: Path) -> None:
@@ -381,7 +387,7 @@ def test_a_manifest_at_odds_with_itself_empties_nobodys_cache(memory: str, manif
     (held,) = tmp_path.glob("*.tar")
     first = manifest.shards[0]
     odd = replace(manifest, shards=(replace(first, crc32=(1, *first.crc32[1:])),))
-    store = keep_shards(open_store(memory)[0], odd.shards, tmp_path, None)
+    store = with_cache(open_store(memory)[0], odd.shards, tmp_path, None)
     assert isinstance(store, CachedStore)
     with pytest.raises(BadShard, match="altered: CRC-32 00000001 expected"):
         ShardReader(store, odd).read(0, 0)

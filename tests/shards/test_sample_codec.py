@@ -434,17 +434,17 @@ def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_any
     with computed_by(choice):
         for sample in (first, second, first):  # whatever the one before has left behind
             stored = encode_sample(sample)
-            into = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
-            decoded = decode_sample(sample.key, stored, into=into)
-            assert decoded.range is into[0]
-            assert decoded.labels is into[1]
-            assert same(replace(decoded, known=None), decode_sample(sample.key, stored))
-            assert decoded.known is not None
-            assert decoded.known.texels is not None
-            assert np.array_equal(decoded.known.texels, np.flatnonzero(sample.projector_range))
+            out = np.full(sample.range.shape, 7, np.uint16), np.full(sample.range.shape, 7, np.uint8)
+            decoded = decode_sample(sample.key, stored, out=out)
+            assert decoded.range is out[0]
+            assert decoded.labels is out[1]
+            assert same(replace(decoded, occupancy=None), decode_sample(sample.key, stored))
+            assert decoded.occupancy is not None
+            assert decoded.occupancy.texels is not None
+            assert np.array_equal(decoded.occupancy.texels, np.flatnonzero(sample.projector_range))
             if choice == "compiled":
-                assert decoded.known.edges is not None
-                begin, end = decoded.known.edges.reshape(-1, 2).T
+                assert decoded.occupancy.edges is not None
+                begin, end = decoded.occupancy.edges.reshape(-1, 2).T
                 assert (begin < end).all()
                 assert (begin[1:] >= end[:-1]).all()
                 held = [np.arange(*edges) for edges in zip(begin, end, strict=True)]
@@ -458,7 +458,7 @@ def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
     shape = sample.range.shape
     wrong = np.zeros((2, 2), np.uint16), np.zeros(shape, np.uint8)
     striped = np.zeros((shape[0], 2 * shape[1]), np.uint16)[:, ::2], np.zeros(shape, np.uint8)
-    for into in (wrong, striped):
-        assert same(replace(decode_sample(sample.key, stored, into=into), known=None), sample)
-        assert not into[0].any()
-        assert not into[1].any()
+    for out in (wrong, striped):
+        assert same(replace(decode_sample(sample.key, stored, out=out), occupancy=None), sample)
+        assert not out[0].any()
+        assert not out[1].any()

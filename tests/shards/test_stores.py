@@ -22,7 +22,7 @@ from torch.utils.data import DataLoader
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadShard, Unreachable
-from bodyseg_data.shards.cache.store import CachedStore, keep_shards
+from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.manifest import Manifest, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder
@@ -81,7 +81,7 @@ def expected(figures_set: Path) -> list[tuple[str, bytes, bytes]]:
 def cached(
     url: str, manifest: Manifest, cache: Path, limit: int = 10**9, retry_policy: RetryPolicy = QUICK
 ) -> CachedStore:
-    store = keep_shards(RemoteFolder(url, {}, retry_policy), manifest.shards, cache, limit)
+    store = with_cache(RemoteFolder(url, {}, retry_policy), manifest.shards, cache, limit)
     assert isinstance(store, CachedStore)
     return store
 
@@ -409,11 +409,11 @@ READER = """
 import sys
 from pathlib import Path
 from bodyseg_data.shards.cache.addresses import open_store
-from bodyseg_data.shards.cache.store import keep_shards
+from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import read_manifest
 store, _ = open_store(sys.argv[1])
 manifest = read_manifest(store)
-kept = keep_shards(store, manifest.shards, sys.argv[2], None)
+kept = with_cache(store, manifest.shards, sys.argv[2], None)
 for shard in manifest.shards[: int(sys.argv[3])]:
     assert len(kept.read(shard.name, 0, 512)) == 512
 """

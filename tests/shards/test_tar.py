@@ -80,6 +80,14 @@ def test_a_sound_set_has_no_fault(figures_set: Path, capsys: pytest.CaptureFixtu
     assert "24 samples in 6 shards" in capsys.readouterr().out
 
 
+def test_a_manifest_and_its_records_print_in_one_line(figures_set: Path) -> None:
+    manifest = read_manifest(figures_set)
+    shard = manifest.shards[0]
+    assert repr(shard) == f"ShardRecord({shard.name!r}, {len(shard.keys)} samples, {shard.size} bytes)"
+    assert repr(manifest).startswith(f"Manifest({manifest.samples()} samples in {len(manifest.shards)} shards, codec=")
+    assert len(repr(manifest)) < 200
+
+
 def test_a_shard_cut_at_any_block_is_reported(copy: Path) -> None:
     manifest = read_manifest(copy)
     shard = manifest.shards[-1]

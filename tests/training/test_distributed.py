@@ -196,9 +196,9 @@ def test_ranks_come_from_arguments_or_surroundings(monkeypatch: pytest.MonkeyPat
         find_rank()
     for rank, world_size, message in (
         (1, None, "given together or not at all"),
-        (2, 2, "rank must be less than ranks, found 2 of 2"),
+        (2, 2, "rank must be less than world_size, found 2 of 2"),
         (-1, 2, "rank must be a whole number"),
-        (0, 0, "ranks must be a whole number of at least 1"),
+        (0, 0, "world_size must be a whole number of at least 1"),
     ):
         with pytest.raises(BadConfig, match=message):
             find_rank(rank, world_size)

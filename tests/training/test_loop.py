@@ -79,6 +79,7 @@ def train(
         **options,
     )
     made.run(resume, said.append, {"commit": "none"})
+    assert repr(made) == f"Training('compact', {RunFolder(out)!r}, step {recipe.steps} of {recipe.steps})"
     return said
 
 
@@ -282,7 +283,7 @@ def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -
 
 def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
     images = RangeImages(figures_set, "all", "train")
-    with pytest.raises(BadConfig, match="a batch of 2 images cannot be shared out evenly to 3 processes"):
+    with pytest.raises(BadConfig, match="batch_size must be a multiple of the 3 processes, found 2"):
         Training(
             build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), ProcessGroup(0, 3, torch.device("cpu"))
         )
@@ -303,12 +304,15 @@ def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
     ("words", "message"),
     [
         (["--steps", "0"], "steps must be at least 1, found 0"),
-        (["--lr", "nan"], "rate must be from 1e-09 to 10, found nan"),
+        (["--lr", "nan"], "learning_rate must be from 1e-09 to 10, found nan"),
         (["--settings", "{"], "--settings must be JSON"),
         (["--settings", "[]"], "--settings must be a JSON object"),
+        (["--artifacts", "[]"], "--artifacts must be strengths by artifact"),
+        (["--variant", "md", "--noise-mm", "5"], "a strength of noise is for a variant that has noise, found variant"),
+        (["--losses", "0.2", "--artifacts", '{"losses": {}}'], "an artifact may be given once, found losses twice"),
         (["--threads", "0"], "--threads must be at least 1, found 0"),
         (["--device", "cuda:77"], "cannot compute on the device 'cuda:77'"),
-        (["--pretrained", "x.onnx"], "--pretrained is for fcn_alexnet, not compact"),
+        (["--pretrained", "x.onnx"], "Compact cannot start from pretrained weights, found x.onnx"),
         (["--log-every", "0"], "log_every must be a whole number of at least 1, found 0"),
         (["--network", "unet"], "--network"),
     ],

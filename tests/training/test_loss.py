@@ -11,6 +11,7 @@ import torch.nn.functional as F  # noqa: N812
 
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights, shifted
 
 
@@ -21,15 +22,15 @@ def batch(rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.where(labels == 255, 0.0, 2.0 + labels / 100)[:, None], labels
 
 
-class PixelScores(torch.nn.Module):
+class PixelScores(Network):
     """Scores of its own for every pixel."""
 
     def __init__(self, rows: int, columns: int) -> None:
         super().__init__()
-        self.scores = torch.randn(2, 33, rows, columns, generator=torch.Generator().manual_seed(2))
+        self.kept = torch.randn(2, 33, rows, columns, generator=torch.Generator().manual_seed(2))
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        return self.scores
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        return self.kept
 
 
 def test_the_loss_is_the_weighted_mean_surprise_of_each_image() -> None:
@@ -37,7 +38,7 @@ def test_the_loss_is_the_weighted_mean_surprise_of_each_image() -> None:
     network, weights = PixelScores(6, 5), torch.rand(33) + 0.5
     loss, counts = NetworkWithLoss(network, weights)(range_m, labels, torch.zeros(2))
     means = []
-    for image, scores in zip(labels, network.scores, strict=True):
+    for image, scores in zip(labels, network.kept, strict=True):
         sums = [0.0, 0.0]
         for row, column in itertools.product(range(6), range(5)):
             label = int(image[row, column])
@@ -47,7 +48,7 @@ def test_the_loss_is_the_weighted_mean_surprise_of_each_image() -> None:
         means.append(sums[0] / sums[1])
     assert float(loss) == pytest.approx(sum(means) / 2, rel=1e-5)
     assert int(counts.sum()) == int((labels != 255).sum())
-    right = (network.scores.argmax(1) == labels) & (labels != 255)
+    right = (network.kept.argmax(1) == labels) & (labels != 255)
     assert int(counts.trace()) == int(right.sum())
 
 
@@ -119,7 +120,7 @@ def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
     range_m, labels = batch(50, 35)
     with torch.no_grad():
         whole = PixelScores(50, 35)
-        whole.scores = network(range_m)
+        whole.kept = network(range_m)
         for place in (torch.zeros(2), torch.tensor([0.3, 0.99])):
             loss, counts = NetworkWithLoss(network, torch.ones(33), loss_stride=4)(range_m, labels, place)
             expected = NetworkWithLoss(whole, torch.ones(33), loss_stride=4)(range_m, labels, place)

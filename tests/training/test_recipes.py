@@ -20,7 +20,7 @@ from bodyseg_model.training.recipes import PRESETS, Recipe, recipe_for
 def test_the_papers_recipe_is_its_networks_own() -> None:
     recipe = PRESETS["fcn_alexnet"]
     assert (recipe.steps, recipe.batch_size * recipe.accumulate, recipe.optimiser) == (70_000, 20, "sgd")
-    assert (recipe.learning_rate, recipe.momentum, recipe.decay, recipe.layer_decay) == (1e-2, 0.99, 5e-4, 0.01)
+    assert (recipe.learning_rate, recipe.momentum, recipe.weight_decay, recipe.layer_decay) == (1e-2, 0.99, 5e-4, 0.01)
     assert recipe.learning_rate_at(0) == recipe.learning_rate_at(69_999) == 1e-2
     assert not recipe.crop
     assert not recipe.mirror
@@ -87,7 +87,7 @@ def test_an_optimisers_memory_goes_back_where_it_came_from(name: str) -> None:
 @pytest.mark.parametrize("name", ["exp_avg", "x.exp_avg", "99.exp_avg", "0.exp_avg"])
 def test_another_optimisers_memory_is_refused(name: str) -> None:
     optimiser = make_optimiser(build("compact", {"patch": 16, "widths": [4], "blocks": [0]}), PRESETS["compact"])
-    with pytest.raises(BadConfig, match="has no place for|must have the shape"):
+    with pytest.raises(BadConfig, match="cannot have the entry|must have the shape"):
         fill_optimiser(optimiser, {name: torch.zeros(7)})
 
 

@@ -1,1 +1,1 @@
-"""The 33 landmarks of a mesh: by vertex, by coordinate, from CAESAR's files."""
+"""The 33 landmarks of a mesh: by vertex, by coordinate, or from files of the CAESAR survey."""

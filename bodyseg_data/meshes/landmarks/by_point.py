@@ -1,6 +1,6 @@
-"""Landmarks by coordinate: 33 points beside a surface, put onto it.
+"""Landmarks by coordinate: 33 points near a surface, projected onto it.
 
-A file of them is JSON, like one by vertex (`landmarks`), with points instead of vertices:
+Their files are JSON, like those of landmarks by vertex (`by_vertex`), with points instead of vertices:
 
     {"format": "bodyseg landmarks 1", "units": "mm", "points": {"Sellion": [12.1, 1630.0, 98.4], ...}}
 """
@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_names, json_table
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_distinct, check_names, json_table
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 
 FARTHEST_M: Final = 0.03
-"""A landmark farther than this from the surface belongs to another body, unit or frame, or was read wrongly.
+"""Largest accepted distance of a landmark from the surface, metres.
 
-Markers on the skin and a scan's surface differ by millimetres; hair, clothes and what a scan lacks add centimetres.
+Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
+landmark farther away belongs to another body, unit or frame.
 """
 
 METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -35,10 +36,9 @@ _FEATURE: Final = "putting landmarks onto a surface"
 
 
 @dataclass(frozen=True)
-class Snapped:
-    """Landmarks on a surface. vertices: int64 [33], the corner nearest to each point of the triangle nearest to it.
-
-    distance_m: float64 [33], from each point to the surface, metres. Both in the order of `parts.PARTS`.
+class SnappedLandmarks:
+    """Landmarks projected onto a surface. vertices: int64 [33], of the triangle nearest to each point the nearest
+    corner. distance_m: float64 [33], from each point to the surface, metres. Both in the order of `parts.PARTS`.
     """
 
     vertices: NDArray[np.int64]
@@ -47,10 +47,10 @@ class Snapped:
 
 @dataclass(frozen=True)
 class PointLandmarks:
-    """The landmarks of one body in space. source: where they were read, for messages.
+    """The landmarks of one body in space. source: file they were read from, for messages.
 
     points: float64 [33, 3] in the order of `parts.LANDMARKS`, metres, in the frame of the file they came from, which is
-    not always that of the mesh (`moved`). Raises BadLandmarks unless they are 33 finite points.
+    not always that of the mesh (`transformed`). Raises BadLandmarks unless they are 33 finite points.
     """
 
     source: str
@@ -67,16 +67,16 @@ class PointLandmarks:
         points.flags.writeable = False
         object.__setattr__(self, "points", points)
 
-    def moved(self, scale: float, rotation: NDArray[np.float64]) -> PointLandmarks:
-        """The same landmarks times `scale`, turned by `rotation` [3, 3]: as the mesh was turned into the body frame."""
+    def transformed(self, scale: float, rotation: NDArray[np.float64]) -> PointLandmarks:
+        """The same landmarks, scaled and then rotated by `rotation` [3, 3], as the mesh was to reach the body frame."""
         return replace(self, points=self.points @ rotation.T * scale)
 
-    def for_mesh(self, mesh: Mesh) -> Snapped:
-        """Put onto the surface of `mesh`, whose frame the points must be in.
+    def for_mesh(self, mesh: Mesh) -> SnappedLandmarks:
+        """Project the landmarks onto the surface of `mesh`, whose frame the points must be in.
 
-        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, two that come to
-        one vertex, and one on another piece of the surface than most are; MissingLibrary without trimesh, rtree or
-        scipy.
+        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, two with the
+        same nearest vertex, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree
+        or scipy.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
         vertices, distance = snap(mesh, self.points)
@@ -89,13 +89,7 @@ class PointLandmarks:
                 f"{np.round(self.points[worst], 4).tolist()}"
                 + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
             )
-        holders: dict[int, str] = {}
-        for name, vertex in zip(LANDMARKS, vertices.tolist(), strict=True):
-            if vertex in holders:
-                raise BadLandmarks(
-                    f"{where}: landmarks must be different vertices, found {holders[vertex]!r} and {name!r} at {vertex}"
-                )
-            holders[vertex] = name
+        check_distinct(vertices.tolist(), where)
         piece = mesh.pieces(_FEATURE)[vertices]
         body = np.bincount(piece).argmax()
         if (piece != body).any():
@@ -104,12 +98,12 @@ class PointLandmarks:
                 f"{where}: landmarks must lie on one piece of the surface, found {LANDMARKS[stray]!r} at vertex "
                 f"{vertices[stray]} of another piece than the one that holds {(piece == body).sum()} of them"
             )
-        return Snapped(vertices, distance)
+        return SnappedLandmarks(vertices, distance)
 
-    def propagated(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, Snapped]:
-        """A set by vertex for all meshes numbered like `mesh`, on which these points lie, and how far they lay off it.
+    def to_landmark_set(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, SnappedLandmarks]:
+        """Convert to landmarks by vertex, for all meshes with the vertex order of `mesh`; also returns the projection.
 
-        topology: which meshes those are, in words. Raises as `for_mesh` does.
+        topology: description of those meshes. Raises the errors of `for_mesh`.
         """
         snapped = self.for_mesh(mesh)
         counts = len(mesh.vertices), len(mesh.faces)
@@ -117,7 +111,8 @@ class PointLandmarks:
 
 
 def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For points [N, 3] the nearest corner of the triangle nearest to each, [N], and the distance to it, metres [N].
+    """Find the triangle nearest to each of `points` [N, 3]: its corner nearest to the point, int64 [N], and the
+    distance from the point to the triangle, float64 [N], metres.
 
     Raises MissingLibrary without trimesh, rtree or scipy.
     """
@@ -127,7 +122,7 @@ def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
 
 
 def parse_points(text: str, source: str) -> PointLandmarks:
-    """Landmarks by coordinate from JSON text; `source` names its origin in messages. Raises BadLandmarks."""
+    """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
     tree = json_table(text, source)
     check_names(list(tree), _KEYS, where, "key")

@@ -1,17 +1,18 @@
-"""Landmark sets: which vertex of a mesh lies at each of the 33 landmarks, for all meshes that share a topology.
+"""Landmarks by vertex: the vertex at each of the 33 landmarks, for all meshes of one topology.
 
 A set is a JSON file:
 
     {"format": "bodyseg landmarks 1", "topology": "<which meshes, in words>", "vertex_count": 13718,
      "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
 
-with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertices counted from 0. Meshes that number
-their vertices alike, whatever their pose and shape, share one set. Landmarks by coordinate are in `landmark_points`.
+with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertex indices from 0. Meshes with the same
+vertex order, whatever their pose and shape, share one set. Landmarks by coordinate are in `by_point`.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -31,10 +32,10 @@ _KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
 
 @dataclass(frozen=True)
 class LandmarkSet:
-    """The landmarks of one topology. Made by `load_landmarks` and `parse_landmarks`, which check everything.
+    """The landmarks of one topology, constructed by `load_landmarks` and `parse_landmarks`, which check all fields.
 
-    source: where it was read, for messages. topology: which meshes it is for, in words. vertex_count, face_count:
-    of those meshes. vertices: the vertex of each landmark, in the order of `parts.LANDMARKS`.
+    source: file or name it was read from, for messages. topology: description of its meshes. vertex_count, face_count:
+    of those meshes. vertices: index of each landmark's vertex, in the order of `parts.LANDMARKS`.
     """
 
     source: str
@@ -44,7 +45,7 @@ class LandmarkSet:
     vertices: tuple[int, ...]
 
     def for_mesh(self, mesh: Mesh) -> NDArray[np.int64]:
-        """The landmarks' vertices on `mesh`, int64 [33], in the order of `parts.PARTS`.
+        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `parts.PARTS`.
 
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
         uses the vertex of a landmark.
@@ -65,7 +66,7 @@ class LandmarkSet:
         return vertices
 
     def to_json(self) -> str:
-        """The text of a file from which `load_landmarks` reads this set."""
+        """Serialise the set as the JSON text that `load_landmarks` reads."""
         tree = {
             "format": LANDMARKS_FORMAT,
             "topology": self.topology,
@@ -96,16 +97,16 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
 
 
 def read_text(path: Path) -> str:
-    """The text of a landmark file in UTF-8. Raises BadLandmarks."""
+    """Read a landmark file in UTF-8. Raises BadLandmarks."""
     try:
         refuse_special(path)
-        return path.read_text(encoding="utf-8-sig")  # some editors put a mark at the beginning
+        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
     except (OSError, UnicodeDecodeError) as error:
         raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
 
 
 def parse_landmarks(text: str, source: str) -> LandmarkSet:
-    """A landmark set from JSON text; `source` names its origin in messages. Raises BadLandmarks."""
+    """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
     tree = json_table(text, source)
     check_names(list(tree), _KEYS, where, "key")
@@ -121,19 +122,23 @@ def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
     check_names(list(table), LANDMARKS, where, "landmark")
-    holders: dict[int, str] = {}
-    for name in LANDMARKS:
-        vertex = _whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}")
-        if vertex in holders:
+    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
+    check_distinct(vertices, where)
+    return tuple(vertices)
+
+
+def check_distinct(vertices: Sequence[int], where: str) -> None:
+    """Raise BadLandmarks, naming both, if two landmarks, in the order of `parts.LANDMARKS`, are the same vertex."""
+    first: dict[int, str] = {}
+    for name, vertex in zip(LANDMARKS, vertices, strict=True):
+        if first.setdefault(vertex, name) != name:
             raise BadLandmarks(
-                f"{where}: landmarks must be different vertices, found {holders[vertex]!r} and {name!r} at {vertex}"
+                f"{where}: landmarks must be different vertices, found {first[vertex]!r} and {name!r} at {vertex}"
             )
-        holders[vertex] = name
-    return tuple(holders)
 
 
 def json_table(text: str, source: str) -> dict[str, Any]:
-    """The table of a landmark file, its format checked and nothing else. Raises BadLandmarks."""
+    """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
     try:
         tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
@@ -145,7 +150,7 @@ def json_table(text: str, source: str) -> dict[str, Any]:
 
 
 def check_names(found: list[str], wanted: tuple[str, ...], where: str, kind: str) -> None:
-    """Raise BadLandmarks unless `found` are the names `wanted`; `kind` says what they name."""
+    """Raise BadLandmarks unless `found` are the names `wanted`. kind: of things named, for messages."""
     unknown = [name for name in found if name not in wanted]
     if unknown:
         raise BadLandmarks(f"{where}: unknown {kind} {', '.join(map(repr, unknown))}")
@@ -162,7 +167,7 @@ def _whole(value: Any, low: int, high: int | None, what: str) -> int:
 
 
 def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
-    """JSON keeps the last of several equal keys in silence; here they are an error."""
+    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
     tree: dict[str, Any] = {}
     for key, value in pairs:
         if key in tree:

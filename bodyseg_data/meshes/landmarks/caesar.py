@@ -1,13 +1,13 @@
-"""Landmark files of the CAESAR survey (.lnd): rows of numbers and names, typed by hand and cut to a length.
+"""Landmark files of the CAESAR survey (.lnd): rows of numbers and names, typed by hand, some names truncated.
 
 The rows stand between a line that begins with "AUX =" and one that begins with "END =". Each holds some numbers, the
 last three of which are x, y, z in millimetres, and a name, which may hold blanks or begin with a digit:
 
     3  0  0  1   12.3  -101.2  1544.0  Rt. Thelion/Bustpoin
 
-A name is recognised if it is one of the survey's 73 in full, whatever its case, blanks and punctuation, or the
-beginning of one of them alone, or one misspelt by a letter or two that is clearly nearer to it than to any other of its
-side. Right and left, and numbers like the "V" of a finger, are never guessed.
+A name is recognised if it is one of the survey's 73 in full, regardless of case, blanks and punctuation, or a prefix
+of only one of them, or differs from one by a letter or two and from all others of its side by clearly more. Sides and
+numbers, like the "V" of a finger, must be exact.
 """
 
 from __future__ import annotations
@@ -73,15 +73,15 @@ _SIDED: Final = (
     "Digit II",
 )
 CAESAR_LANDMARKS: Final = (*_MIDDLE, *(f"{side} {name}" for name in _SIDED for side in ("Rt.", "Lt.")))
-"""All 73 landmarks of the survey, as it spells them; `parts.LANDMARKS` are 33 of these."""
+"""All 73 landmarks of the survey in its spelling; `parts.LANDMARKS` are 33 of these."""
 
 LARGEST_BYTES: Final = 1 << 20
-"""No file may be larger, also after unpacking: one of the survey has a hundredth of that."""
+"""Largest size of a landmark file, also after unpacking: those of the survey have a hundredth of it."""
 
 _SIDES: Final = {"rt": "rt", "right": "rt", "lt": "lt", "left": "lt"}
 _PLACEHOLDER_MM: Final = -999.0
-_LEAST_SHARE: Final = 0.6  # of a name that a cut one keeps
-_LONGEST_NAME: Final = 60  # twice what the survey has; telling letters apart takes their number's square
+_LEAST_SHARE: Final = 0.6  # of a name that a truncated one must have
+_LONGEST_NAME: Final = 60  # twice the survey's longest; the edit distance takes quadratic time
 _MARGIN: Final = 2  # letters by which a misspelt name must be nearer to one than to the next
 _AUX: Final = re.compile(r"\s*AUX\s*=", re.IGNORECASE)
 _END: Final = re.compile(r"\s*END\s*=", re.IGNORECASE)
@@ -116,7 +116,7 @@ def read_lnd(path: Path) -> PointLandmarks:
 
 @lru_cache(maxsize=4096)
 def recognise(written: str) -> str | None:
-    """Which of `CAESAR_LANDMARKS` a name in a file means; None if that is not certain."""
+    """Find the one of `CAESAR_LANDMARKS` that a name in a file means; None if it is not certain."""
     if len(written) > _LONGEST_NAME:
         return None
     side, words = _normalised(written.partition("#")[0])
@@ -139,19 +139,19 @@ def recognise(written: str) -> str | None:
 
 
 def _normalised(name: str) -> tuple[str, tuple[str, ...]]:
-    """(side, "" in the middle; the other words), in small letters without punctuation."""
+    """Split a name into side ("rt", "lt" or "") and other words, in lower case without punctuation."""
     words = tuple(re.findall(r"[^\W_]+", name.lower()))
     side = _SIDES.get(words[0], "") if words else ""
     return side, words[1:] if side else words
 
 
 def _numbers(words: tuple[str, ...] | list[str]) -> list[str]:
-    """Those words that count: one of them wrong is another landmark, not a slip."""
+    """Words that are numbers, Roman or Arabic: a different number means another landmark, not a misspelling."""
     return [word for word in words if re.fullmatch(r"[ivx]+|\d+\w*", word)]
 
 
 def _edits(a: str, b: str) -> int:
-    """The least number of letters to add, drop or change (Levenshtein 1966)."""
+    """Edit distance: the least number of letters to add, remove or change (Levenshtein 1966)."""
     row = list(range(len(b) + 1))
     for i, left in enumerate(a, 1):
         diagonal, row[0] = row[0], i
@@ -164,7 +164,7 @@ _KNOWN: Final = {name: _normalised(name) for name in CAESAR_LANDMARKS}
 
 
 def _rows(text: str, path: Path) -> Iterator[tuple[int, tuple[float, ...], str]]:
-    """(line, x y z in millimetres, name as written) of every row that has both."""
+    """Line number, x y z in millimetres and name as written, of every row that has coordinates and a name."""
     lines = list(enumerate(text.splitlines(), 1))
     begin = next((number for number, line in lines if _AUX.match(line)), None)
     end = next((number for number, line in lines if begin and number > begin and _END.match(line)), None)

@@ -1,4 +1,4 @@
-"""Landmark files of every kind: JSON by vertex, JSON by coordinate, and CAESAR's .lnd."""
+"""Reader of all kinds of landmark files: JSON by vertex, JSON by coordinate, and CAESAR's .lnd."""
 
 from __future__ import annotations
 

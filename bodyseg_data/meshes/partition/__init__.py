@@ -1,1 +1,1 @@
-"""Distances along the surface, and from them the part of every point."""
+"""Geodesic distances from landmarks, and the partition of the surface into parts."""

@@ -1,14 +1,14 @@
-"""Distance along a surface from many sources at once, and which source is nearest: one exact method and its rivals.
+"""Distances along a surface to the nearest of many sources, by an exact method and four approximate ones.
 
-Each method takes only surfaces that it can answer: what makes a library end the process, never end or answer nonsense
-is checked first. `docs/partition.md` compares them.
+Surfaces on which a method's library would crash, hang or give wrong results are refused beforehand.
+`docs/partition.md` compares the methods.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.repair import SAME_POINT_M
 from bodyseg_data.meshes.topology import Edges, components, find_edges
 
-Geodesics = Literal["exact", "unfolded", "edges", "marching", "heat"]
+GeodesicMethod = Literal["exact", "unfolded", "edges", "marching", "heat"]
 
-ALWAYS_ANSWERS: Final[Geodesics] = "unfolded"
-"""The most accurate of the methods that answer on any surface."""
+FALLBACK_METHOD: Final[GeodesicMethod] = "unfolded"
+"""The most accurate of the methods that work on any surface."""
 
 _FEATURE: Final = "partitioning a body"
 
@@ -31,9 +31,9 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Distance to the nearest source, float64 [V], metres, and which one it is, int64 [V], 0 to S - 1. note: what was
-    answered in another way than asked for, or None.
+class NearestSources:
+    """The nearest source of every vertex. distance: float64 [V], metres. source: int64 [V], its index, 0 to S - 1.
+    note: distances that another method gave, in words, or None.
     """
 
     distance: Floats
@@ -43,19 +43,19 @@ class Answer:
 
 def check_method(name: str) -> None:
     """Raise BadConfig unless there is a method of this name."""
-    if name not in get_args(Geodesics):
-        raise BadConfig(f"the method for distances must be one of {', '.join(get_args(Geodesics))}, found {name!r}")
+    if name not in _METHODS:
+        raise BadConfig(f"the method for distances must be one of {', '.join(_METHODS)}, found {name!r}")
 
 
-def nearest_sources(method: Geodesics, vertices: Floats, faces: Indices, sources: Indices) -> Answer:
-    """The nearest of `sources` along the surface from every vertex.
+def nearest_sources(method: GeodesicMethod, vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
+    """Find the nearest of `sources` along the surface from every vertex.
 
-    vertices: [V, 3], each used by a face. faces: [F, 3]. sources: [S], different vertices, one at least on each
-    connected piece. Where no way leads, the distance is infinite and the source means nothing.
+    vertices: [V, 3], metres, each used by a face. faces: [F, 3]. sources: [S], distinct vertices, at least one on each
+    connected piece. Where no path leads, the distance is infinite and the source is arbitrary.
 
     - exact: window propagation (Mitchell, Mount and Papadimitriou, The discrete geodesic problem, SIAM J. Comput. 16,
-      1987), by Kirsanov's pygeodesic; that of `unfolded` where the way leads through a vertex that alone holds
-      two sheets together.
+      1987), by Kirsanov's pygeodesic; `unfolded` where the path leads through a vertex that alone connects two
+      sheets of the surface.
     - unfolded: shortest paths along edges and along the straight lines between the far corners of two neighbouring
       triangles, unfolded into a plane (Lanthier, Maheshwari and Sack, Algorithmica 30, 2001, add points instead).
     - edges: shortest paths along edges (Dijkstra).
@@ -63,17 +63,17 @@ def nearest_sources(method: Geodesics, vertices: Floats, faces: Indices, sources
     - heat: the heat method (Crane, Weischedel and Wardetzky, ACM Trans. Graph. 32, 2013) on an intrinsic Delaunay
       triangulation of the tufted cover (Sharp and Crane 2020), by potpourri3d, one source at a time.
 
-    The distances of `unfolded` and `edges` are never too short, and these two always answer. The others raise
-    Unanswerable, with the reason. Raises MissingLibrary without the library of the method.
+    `unfolded` and `edges` never underestimate a distance and work on any surface. The others raise Unanswerable, with
+    the reason, on surfaces they cannot handle. Raises MissingLibrary without the library of the method.
     """
-    reason = refusal(method, vertices, faces)
+    reason = unsupported_reason(method, vertices, faces)
     if reason is not None:
         raise Unanswerable(f"the method {method!r} cannot answer: {reason}")
     return _METHODS[method](vertices, faces, sources)
 
 
-def refusal(method: Geodesics, vertices: Floats, faces: Indices) -> str | None:
-    """Why `method` cannot answer on this surface, as far as that shows beforehand: one line, or None."""
+def unsupported_reason(method: GeodesicMethod, vertices: Floats, faces: Indices) -> str | None:
+    """Reason in one line why `method` cannot handle this surface, as far as faces and edges show it; else None."""
     if method in ("edges", "unfolded"):
         return None
     flat = np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))
@@ -93,25 +93,25 @@ def refusal(method: Geodesics, vertices: Floats, faces: Indices) -> str | None:
     return None
 
 
-def _exact(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
+def _exact(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     fans = find_fans(faces, _FEATURE)
     pinches = int(fans.max()) + 1 - len(vertices)
     if not pinches:
-        return Answer(*_windows(vertices, faces, sources))
-    # Windows pass no vertex that alone holds sheets together: each sheet gets its own, and ways through it are added.
+        return NearestSources(*_window_propagation(vertices, faces, sources))
+    # Windows do not pass a vertex that alone connects sheets: it is split, and paths through it are added afterwards.
     vertex = np.zeros(len(vertices) + pinches, np.int64)
     vertex[fans.ravel()] = faces.ravel()
     starts = np.flatnonzero(np.isin(vertex, sources))
     sheet = components(len(vertex), fans[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
     used, corners = np.unique(fans[np.isin(sheet[fans[:, 0]], sheet[starts])], return_inverse=True)
-    within, nearest = _windows(vertices[vertex[used]], corners.reshape(-1, 3), np.searchsorted(used, starts))
+    within, nearest = _window_propagation(vertices[vertex[used]], corners.reshape(-1, 3), np.searchsorted(used, starts))
     order = np.argsort(-within, kind="stable")  # the shortest is written last
     distance, source = np.full(len(vertices), np.inf), np.zeros(len(vertices), np.int64)
     distance[vertex[used[order]]] = within[order]
-    source[vertex[used[order]]] = _number(sources, len(vertices))[vertex[starts]][nearest[order]]
+    source[vertex[used[order]]] = _source_indices(sources, len(vertices))[vertex[starts]][nearest[order]]
     bound = _unfolded(vertices, faces, sources)
     through = ~(distance <= bound.distance * (1 + 1e-9))
-    return Answer(
+    return NearestSources(
         np.where(through, bound.distance, distance),
         np.where(through, bound.source, source),
         f"{int(through.sum())} distances by the method 'unfolded', through {pinches} vertices that alone hold sheets "
@@ -119,8 +119,8 @@ def _exact(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
     )
 
 
-def _windows(vertices: Floats, faces: Indices, sources: Indices) -> tuple[Floats, Indices]:
-    """Exact distances and sources, [V]. Every vertex must be within reach: pygeodesic reads stray memory for others."""
+def _window_propagation(vertices: Floats, faces: Indices, sources: Indices) -> tuple[Floats, Indices]:
+    """Exact distances and sources, [V]. All vertices must be reachable: pygeodesic reads stray memory for others."""
     try:
         from pygeodesic.geodesic import PyGeodesicAlgorithmExact
     except ImportError as error:
@@ -134,23 +134,24 @@ def _windows(vertices: Floats, faces: Indices, sources: Indices) -> tuple[Floats
     return distance, source.astype(np.int64)
 
 
-def _edges(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
+def _edges(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     edges = find_edges(faces)
     return _shortest_paths(len(vertices), edges.ends, edges.lengths(vertices), sources)
 
 
-def _unfolded(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
+def _unfolded(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     edges = find_edges(faces)
-    lines, lengths = _lines_across(vertices, faces, edges)
+    lines, lengths = _lines_across_edges(vertices, faces, edges)
     ends = np.concatenate([edges.ends, np.sort(lines, axis=1)])
     lengths = np.concatenate([edges.lengths(vertices), lengths])
     keys = ends[:, 0] * len(vertices) + ends[:, 1]
     order = np.lexsort((lengths, keys))
-    order = order[np.concatenate([[True], np.diff(keys[order]) != 0])]  # two ways between the same ends: the shorter
+    first = np.concatenate([[True], np.diff(keys[order]) != 0])
+    order = order[first]  # of two paths between the same ends, the shorter
     return _shortest_paths(len(vertices), ends[order], lengths[order], sources)
 
 
-def _lines_across(vertices: Floats, faces: Indices, edges: Edges) -> tuple[Indices, Floats]:
+def _lines_across_edges(vertices: Floats, faces: Indices, edges: Edges) -> tuple[Indices, Floats]:
     """Straight lines on the surface that cross one edge: their ends [N, 2] and lengths [N]."""
     side = edges.of_side.ravel()
     first, second = edges.two_sides().T
@@ -168,30 +169,31 @@ def _lines_across(vertices: Floats, faces: Indices, edges: Edges) -> tuple[Indic
     return tips[straight], np.hypot(x[:, 0] - x[:, 1], y.sum(axis=1))[straight]
 
 
-def _shortest_paths(count: int, ends: Indices, lengths: Floats, sources: Indices) -> Answer:
+def _shortest_paths(count: int, ends: Indices, lengths: Floats, sources: Indices) -> NearestSources:
     try:
         from scipy.sparse import csr_array
         from scipy.sparse.csgraph import dijkstra
     except ImportError as error:
         raise missing_library(_FEATURE, error) from error
-    lengths = np.maximum(lengths, np.finfo(np.float64).tiny)  # an entry of zero would count as no edge
+    lengths = np.maximum(lengths, np.finfo(np.float64).tiny)  # a zero entry would mean no edge
     graph = csr_array((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
     distance, _, root = dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
-    return Answer(distance, _number(sources, count)[root])
+    return NearestSources(distance, _source_indices(sources, count)[root])
 
 
-def _marching(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
-    solver = _potpourri("marching", "MeshFastMarchingDistanceSolver", vertices, faces)
-    # A curve of one vertex for each source; the empty list stands for distances of zero.
-    distance = _asked("marching", solver.compute_distance, [[(int(source), [])] for source in sources])
-    return Answer(distance, _source_of_wave(vertices, faces, sources, distance))
+def _marching(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
+    solver = _potpourri_solver("marching", "MeshFastMarchingDistanceSolver", vertices, faces)
+    # A curve of one vertex for each source; the empty list means initial distances of zero.
+    distance = _call("marching", solver.compute_distance, [[(int(source), [])] for source in sources])
+    return NearestSources(distance, _source_of_wave(vertices, faces, sources, distance))
 
 
 def _source_of_wave(vertices: Floats, faces: Indices, sources: Indices, distance: Floats) -> Indices:
-    """Whose wave it is that reached each vertex at `distance` [V]; fast marching does not say.
+    """Index in `sources` of the source whose wave arrived first at each vertex, int64 [V]; fast marching gives none.
 
-    A vertex is reached over the edge of a triangle. Its wave is that of the edge's ends, shared out by where on the
-    edge the wave's normal through the vertex crosses; so shares flow from each source, and the largest share wins.
+    distance: [V], metres. A wave arrives at a vertex across an edge of a triangle. The vertex gets a mean of the
+    sources' shares at the ends of that edge, weighted by where the wave's normal through the vertex crosses it. The
+    source with the largest share is chosen.
     """
     from scipy.sparse import csc_array
     from scipy.sparse.linalg import splu
@@ -204,7 +206,7 @@ def _source_of_wave(vertices: Floats, faces: Indices, sources: Indices, distance
     best = best[~np.isin(tip[best], sources)]
     tip, ends = tip[best], np.stack([a[best], b[best]], axis=1)
     weights = np.stack([1 - share[best], share[best]], axis=1)
-    earlier = distance[ends] < distance[tip][:, None]  # a wave comes from where it has been
+    earlier = distance[ends] < distance[tip][:, None]  # a wave arrives from earlier vertices
     weights = np.where(earlier, np.maximum(weights, 1e-9), 0)
     total = weights.sum(axis=1)
     reached = np.isfinite(distance[tip])
@@ -226,8 +228,8 @@ def _source_of_wave(vertices: Floats, faces: Indices, sources: Indices, distance
 
 
 def _plane_wave(a: Floats, b: Floats, tip: Floats, at_a: Floats, at_b: Floats) -> tuple[Floats, Floats]:
-    """When a plane wave that is at `a` and `b` [N, 3] at the distances `at_a` and `at_b` [N] is at `tip` [N, 3], [N],
-    and where its normal through the tip crosses the edge, 0 at a to 1 at b, [N]. It keeps to the triangle.
+    """Distances [N] at which a plane wave reaches `tip` [N, 3] that reaches `a` and `b` [N, 3] at the distances `at_a`
+    and `at_b` [N], and the points where its normal through the tip crosses the edge, 0 at a to 1 at b, [N].
     """
     length = np.maximum(np.linalg.norm(b - a, axis=1), np.finfo(np.float64).tiny)
     x = np.einsum("ni,ni->n", tip - a, b - a) / length
@@ -239,43 +241,43 @@ def _plane_wave(a: Floats, b: Floats, tip: Floats, at_a: Floats, at_b: Floats) -
     return at_a + slope * crossing + np.hypot(x - crossing, y), crossing / length
 
 
-def _heat(vertices: Floats, faces: Indices, sources: Indices) -> Answer:
-    solver = _potpourri("heat", "MeshHeatMethodDistanceSolver", vertices, faces)
-    # The heat of all sources at once would not tell whose it is, and blurs the borders where they meet.
-    fields = np.stack([_asked("heat", solver.compute_distance, int(source)) for source in sources])
+def _heat(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
+    solver = _potpourri_solver("heat", "MeshHeatMethodDistanceSolver", vertices, faces)
+    # One field for all sources at once would not identify the nearest, and blurs the borders where they meet.
+    fields = np.stack([_call("heat", solver.compute_distance, int(source)) for source in sources])
     if not np.isfinite(fields).all():
         raise Unanswerable("the method 'heat' cannot answer: its system of equations has no finite solution")
     fields = np.maximum(fields - fields[np.arange(len(sources)), sources][:, None], 0)
     piece = components(len(vertices), find_edges(faces).ends, _FEATURE)
-    fields[piece[sources][:, None] != piece] = np.inf  # the library answers something there
-    return Answer(fields.min(axis=0), fields.argmin(axis=0))
+    fields[piece[sources][:, None] != piece] = np.inf  # the library gives finite values there
+    return NearestSources(fields.min(axis=0), fields.argmin(axis=0))
 
 
-def _potpourri(method: Geodesics, solver: str, vertices: Floats, faces: Indices) -> Any:
+def _potpourri_solver(method: GeodesicMethod, solver: str, vertices: Floats, faces: Indices) -> Any:
     try:
         import potpourri3d
     except ImportError as error:
         raise missing_library(_FEATURE, error) from error
-    return _asked(method, getattr(potpourri3d, solver), vertices, faces.astype(np.int32))
+    return _call(method, getattr(potpourri3d, solver), vertices, faces.astype(np.int32))
 
 
-def _asked(method: Geodesics, question: Callable[..., Any], *arguments: Any) -> Any:
-    """What potpourri3d answers; it refuses surfaces with a RuntimeError."""
+def _call(method: GeodesicMethod, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function of potpourri3d, whose RuntimeError for unsuitable surfaces becomes Unanswerable."""
     try:
-        return question(*arguments)
+        return function(*arguments)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise Unanswerable(f"the method {method!r} cannot answer: {reason}") from error
 
 
-def _number(sources: Indices, count: int) -> Indices:
-    """The position of each vertex in `sources`, [count]; that of the last for any other vertex."""
+def _source_indices(sources: Indices, count: int) -> Indices:
+    """Index in `sources` of each of `count` vertices, int64 [count]; that of the last source for any other vertex."""
     number = np.full(count, len(sources) - 1, np.int64)
     number[sources] = np.arange(len(sources))
     return number
 
 
-_METHODS: Final[dict[Geodesics, Callable[[Floats, Indices, Indices], Answer]]] = {
+_METHODS: Final[dict[GeodesicMethod, Callable[[Floats, Indices, Indices], NearestSources]]] = {
     "exact": _exact,
     "unfolded": _unfolded,
     "edges": _edges,

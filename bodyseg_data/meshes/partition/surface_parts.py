@@ -1,4 +1,4 @@
-"""Body parts as territories: every point of the surface belongs to the landmark that is nearest along the surface."""
+"""Partition of a body's surface: every point gets the part of the landmark that is nearest along the surface."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks, Unanswerable
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.mending import Mended, mend
+from bodyseg_data.meshes.landmarks.by_vertex import check_distinct
+from bodyseg_data.meshes.mending import MendedSurface, mend
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition.borders import Borders, find_borders
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, check_method, nearest_sources
+from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, check_method, nearest_sources
 from bodyseg_data.meshes.topology import components
 
 _FEATURE: Final = "partitioning a body"
@@ -24,10 +25,10 @@ _FEATURE: Final = "partitioning a body"
 class Partition:
     """The part of every vertex of one mesh, and of every point of its triangles.
 
-    labels: uint8 [V], 0 to 32, position in `parts.PARTS`. distance: float64 [V], metres along the surface to the
+    labels: uint8 [V], 0 to 32, index in `parts.PARTS`. distance: float64 [V], metres along the surface to the
     landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex that
-    no face uses), where the label is that of the nearest reached place through the air. borders: the triangles that
-    parts share.
+    no face uses), where the label is that of the nearest reached triangle in a straight line. borders: the triangles
+    that parts share. note: repairs and a change of method in words, or None.
     """
 
     labels: NDArray[np.uint8]
@@ -36,10 +37,10 @@ class Partition:
     note: str | None = None
 
     def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """The part of each of `points` [N, 3], which lie in the triangles `faces` [N] of `mesh`, uint8 [N].
+        """Labels of `points` [N, 3], metres, which lie in the triangles `faces` [N] of `mesh`, uint8 [N].
 
-        Within a triangle that parts share, a point belongs to the landmark that is nearest to *it*: borders run
-        through triangles as smoothly as distances do, instead of along their edges.
+        Within a triangle that parts share, a point gets the part of the landmark nearest to *it*: borders cross
+        triangles smoothly instead of following their edges.
         """
         corners = self.labels[mesh.faces[faces]]
         chosen: NDArray[np.uint8] = corners[:, 0].copy()
@@ -49,88 +50,78 @@ class Partition:
         return chosen
 
 
-def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: Geodesics = "exact") -> Partition:
-    """Label every vertex of `mesh` with its nearest landmark along the surface, from all of them at once.
+def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact") -> Partition:
+    """Label every vertex of `mesh` with its nearest landmark along the surface.
 
-    landmarks: int64 [33], one vertex for each of `parts.PARTS`, in that order. method: how distances are measured
+    landmarks: int64 [33], one vertex for each of `parts.PARTS`, in that order. method: of measuring distances
     (`geodesics.nearest_sources`).
 
-    What stops distances along the surface is mended first (`mending.mend`): seams that are not welded, doubled faces,
-    faces without three places, edges with more than two faces. If `method` cannot answer even so,
-    `geodesics.ALWAYS_ANSWERS` does. Either is told in the partition's `note`.
+    Defects that prevent distances along the surface are mended first (`mending.mend`): seams that are not welded,
+    duplicate and degenerate faces, edges with more than two faces. If `method` fails even so,
+    `geodesics.FALLBACK_METHOD` is used. The partition's `note` reports both.
 
-    A body made of several pieces, like a head with separate eyes, may have landmarks on some of them only: a vertex of
-    any other piece takes the label of the nearest labelled triangle, of that triangle's corner nearest to it.
+    A body of several pieces, like a head with separate eyes, may have landmarks on some of them only: a vertex of
+    any other piece gets the label of the nearest labelled triangle, of that triangle's corner nearest to it.
 
-    Raises BadLandmarks for landmarks that are not 33 different vertices in different places of the surface, BadConfig
-    for a method that is none, MissingLibrary without pygeodesic (potpourri3d for `marching` and `heat`), scipy,
+    Raises BadLandmarks for landmarks that are not 33 vertices at distinct points of the surface, BadConfig for an
+    unknown method, MissingLibrary without pygeodesic (potpourri3d for `marching` and `heat`), scipy,
     trimesh or rtree.
     """
     check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks)
     mended = mend(mesh.vertices, mesh.faces, _FEATURE)
-    _check_places(mesh, landmarks, mended)
-    told = list(mended.notes)
+    _check_distinct_points(mesh, landmarks, mended)
+    notes = list(mended.notes)
     try:
-        labels, distance, note = _spread(mesh, landmarks, mended, method)
+        labels, distance, note = _nearest_landmarks(mesh, landmarks, mended, method)
     except Unanswerable as error:
-        told.insert(0, str(error))
-        method = ALWAYS_ANSWERS
-        labels, distance, note = _spread(mesh, landmarks, mended, method)
-    told += [] if note is None else [note]
-    line = f"distances by the method {method!r}: {', '.join(told)}" if told else None
+        notes.insert(0, str(error))
+        method = FALLBACK_METHOD
+        labels, distance, note = _nearest_landmarks(mesh, landmarks, mended, method)
+    notes += [] if note is None else [note]
+    line = f"distances by the method {method!r}: {', '.join(notes)}" if notes else None
     return _with_borders(mesh, mended, labels, distance, line)
 
 
-def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: Geodesics) -> Partition:
-    """What `method` makes of `mesh` as it is, to measure what mending and falling back are worth.
+def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod) -> Partition:
+    """Partition `mesh` by `method` without mending or a fallback method, to measure the effect of both.
 
-    As `partition`, but raises Unanswerable where that answers with a note.
+    As `partition`, but raises Unanswerable if `method` fails.
     """
-    as_it_is = Mended(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
-    return _with_borders(mesh, as_it_is, *_spread(mesh, _checked_landmarks(mesh, landmarks), as_it_is, method))
+    unmended = MendedSurface(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
+    return _with_borders(
+        mesh, unmended, *_nearest_landmarks(mesh, _checked_landmarks(mesh, landmarks), unmended, method)
+    )
 
 
-def _spread(
-    mesh: Mesh, landmarks: NDArray[np.int64], surface: Mended, method: Geodesics
+def _nearest_landmarks(
+    mesh: Mesh, landmarks: NDArray[np.int64], surface: MendedSurface, method: GeodesicMethod
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
-    """Labels [V] and distances [V] from the landmarks over `surface`, and the answer's note. Raises Unanswerable."""
-    sources = surface.place[landmarks]
+    """Labels [V] and distances [V] from the landmarks along `surface`, and the method's note. Raises Unanswerable."""
+    sources = surface.representative[landmarks]
     piece = components(len(mesh.vertices), surface.faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
     faces = surface.faces[np.isin(piece[surface.faces[:, 0]], piece[sources])]
-    # Numbered afresh: no method wants vertices without faces, and pieces without landmarks only cost time.
+    # Renumbered: no method accepts vertices without faces, and pieces without landmarks only cost time.
     used, corners = np.unique(faces, return_inverse=True)
     labels = np.zeros(len(mesh.vertices), np.uint8)
     distance = np.full(len(mesh.vertices), np.inf)
-    answer = nearest_sources(method, mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, sources))
-    distance[used], labels[used] = answer.distance, answer.source
-    return labels[surface.place], distance[surface.place], answer.note
+    nearest = nearest_sources(method, mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, sources))
+    distance[used], labels[used] = nearest.distance, nearest.source
+    return labels[surface.representative], distance[surface.representative], nearest.note
 
 
 def _with_borders(
-    mesh: Mesh, surface: Mended, labels: NDArray[np.uint8], distance: NDArray[np.float64], note: str | None
+    mesh: Mesh, surface: MendedSurface, labels: NDArray[np.uint8], distance: NDArray[np.float64], note: str | None
 ) -> Partition:
     unreached = np.flatnonzero(~np.isfinite(distance))
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
         nearest, _ = nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached], _FEATURE)
         labels[unreached] = labels[nearest]
-        labels = labels[surface.place]
+        labels = labels[surface.representative]
     for array in (labels, distance):
         array.flags.writeable = False
-    return Partition(labels, distance, find_borders(mesh, labels, distance, surface.place), note)
-
-
-def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Share of the mesh's surface that each part has, float64 [33], sum 1.
-
-    labels: uint8 [V], 0 to 32. The area of a triangle is shared equally by its corners.
-    """
-    areas = np.linalg.norm(mesh.normals, axis=1) / 2
-    shares = np.zeros(PART_COUNT)
-    for corner in range(3):
-        np.add.at(shares, labels[mesh.faces[:, corner]], areas / (3 * areas.sum()))
-    return shares
+    return Partition(labels, distance, find_borders(mesh, labels, distance, surface.representative), note)
 
 
 def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]:
@@ -142,23 +133,18 @@ def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]
         )
     surface = np.zeros(len(mesh.vertices), np.bool_)
     surface[mesh.faces] = True
-    holders: dict[int, str] = {}
     for name, vertex in zip(LANDMARKS, landmarks.tolist(), strict=True):
         if not 0 <= vertex < len(surface):
             raise BadLandmarks(f"{where}: landmarks must be vertices 0 to {len(surface) - 1}, found {name} at {vertex}")
         if not surface[vertex]:
             raise BadLandmarks(f"{where}: landmarks must lie on the surface, found {name} at {vertex}, in no face")
-        if vertex in holders:
-            raise BadLandmarks(
-                f"{where}: landmarks must be different vertices, found {holders[vertex]} and {name} at {vertex}"
-            )
-        holders[vertex] = name
+    check_distinct(landmarks.tolist(), where)
     return landmarks.astype(np.int64)
 
 
-def _check_places(mesh: Mesh, landmarks: NDArray[np.int64], mended: Mended) -> None:
-    """Each landmark must be a place of its own on the mended surface."""
-    sources = mended.place[landmarks]
+def _check_distinct_points(mesh: Mesh, landmarks: NDArray[np.int64], mended: MendedSurface) -> None:
+    """Raise BadLandmarks unless the landmarks are distinct points of the mended surface."""
+    sources = mended.representative[landmarks]
     kept = np.isin(sources, mended.faces)
     if not kept.all():
         lost = int(np.flatnonzero(~kept)[0])
@@ -167,10 +153,10 @@ def _check_places(mesh: Mesh, landmarks: NDArray[np.int64], mended: Mended) -> N
             f"nothing is left of it: {', '.join(mended.notes)}"
         )
     first: dict[int, str] = {}
-    for name, place in zip(LANDMARKS, sources.tolist(), strict=True):
-        if place in first:
+    for name, vertex in zip(LANDMARKS, sources.tolist(), strict=True):
+        if vertex in first:
             raise BadLandmarks(
-                f"mesh {mesh.name}: landmarks must lie in different places, found {first[place]} and {name} at "
-                f"{mesh.vertices[place].tolist()}"
+                f"mesh {mesh.name}: landmarks must lie in different places, found {first[vertex]} and {name} at "
+                f"{mesh.vertices[vertex].tolist()}"
             )
-        first[place] = name
+        first[vertex] = name

@@ -1,7 +1,7 @@
 """Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
 
-Landmarks name vertices by number, so nothing may be merged, split at texture seams or left out. Libraries that read
-these formats for drawing do one or the other, or trust the counts in a header.
+Landmarks name vertices by index, so no vertex may be merged, split at a texture seam or left out. General mesh
+libraries do one of these, or trust the counts in a header.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.files import contents
 from bodyseg_data.meshes.readers.ply import fan, read_ply
-
-Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
+from bodyseg_data.meshes.topology import check_arrays
 
 MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
-"""What a mesh file's name ends in, in any case; of several forms of one mesh, the first in this order is read."""
+"""Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
 
 LARGEST_BYTES: Final = 1 << 28
-"""No file may be larger, also after unpacking: a scan of a million triangles has a tenth of that."""
+"""Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
 
 _OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
-def read_mesh(path: Path) -> Surface:
-    """Vertices float64 [V, 3] and triangles int32 [F, 3], both in the file's order and in its units and axes.
+def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Read vertices float64 [V, 3] and triangles int32 [F, 3], both in the file's order, units and axes.
 
-    Polygons become fans about their first corner. Colours, normals, textures and the like are passed over.
-    Raises BadMesh, naming the file and, for text, the line: for what cannot be read, is cut short, is larger than
-    `LARGEST_BYTES`, has no vertices or faces, has corners that are no vertices, or uses vertices that are not finite.
+    Polygons become fans about their first corner. Colours, normals and textures are ignored.
+    Raises BadMesh, naming the file and, for text, the line, for a file that cannot be read, is truncated, is larger
+    than `LARGEST_BYTES`, has no vertices or faces, or has faces with missing or non-finite vertices.
     """
     suffix = mesh_suffix(path.name)
     if suffix is None:
@@ -45,13 +44,14 @@ def read_mesh(path: Path) -> Surface:
     form = suffix.removesuffix(".gz")[1:]
     try:
         vertices, faces = {"ply": read_ply, "obj": _read_obj, "off": _read_off}[form](data)
-        return _checked(vertices, faces)
     except BadMesh as error:
         raise BadMesh(f"{path}: {error}") from None
+    check_arrays(str(path), vertices, faces, check_unused=False)
+    return vertices, faces.astype(np.int32)
 
 
 def mesh_suffix(name: str) -> str | None:
-    """Which of `MESH_SUFFIXES` a file name ends in; None if it does in none."""
+    """The one of `MESH_SUFFIXES` that a file name ends in, or None."""
     return next((suffix for suffix in MESH_SUFFIXES if name.lower().endswith(suffix)), None)
 
 
@@ -61,7 +61,7 @@ def mesh_stem(name: str) -> str:
 
 
 def preferred(names: Sequence[str]) -> str:
-    """Of several files of one mesh the one to read, by the order of `MESH_SUFFIXES`."""
+    """Choose the file to read among several of one mesh, by the order of `MESH_SUFFIXES`."""
     return min(names, key=lambda name: (MESH_SUFFIXES.index(mesh_suffix(name) or ""), name))
 
 
@@ -77,29 +77,12 @@ def _contents(path: Path, packed: bool) -> bytes:
     return data
 
 
-def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
-    if not len(vertices) or not len(faces):
-        raise BadMesh(f"a mesh needs vertices and faces, found {len(vertices)} and {len(faces)}")
-    outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
-    if len(outside):
-        raise BadMesh(
-            f"corners must be vertices 0 to {len(vertices) - 1}, found {faces[outside[0]].tolist()} in triangle "
-            f"{outside[0]}"
-        )
-    used = np.zeros(len(vertices), np.bool_)
-    used[faces] = True
-    bad = np.flatnonzero(used & ~np.isfinite(vertices).all(axis=1))  # what no face uses may be anything
-    if len(bad):
-        raise BadMesh(f"coordinates must be finite, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")
-    return vertices, faces.astype(np.int32)
-
-
 def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), counted from 1, or back from -1."""
+    """Parse Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), with indices from 1, or back from -1."""
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
     text = data.decode("latin-1")
-    if "\\" in text:  # a line that goes on in the next; its number is that of the last
+    if "\\" in text:  # continued lines become one, numbered as the last of them
         text = re.sub(r"\\[ \t]*\r?\n", " ", text)
     for number, line in enumerate(text.split("\n"), 1):
         kind, *words = line.split() or ("",)
@@ -118,7 +101,7 @@ def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _from_one(index: int, count: int) -> int:
-    """A corner counted from 0. One that counts back from the last vertex so far must find one."""
+    """Convert an OBJ index to one from 0; negative ones count back from the last of `count` vertices so far."""
     if index > 0:
         return index - 1
     if not 0 < -index <= count:
@@ -127,7 +110,7 @@ def _from_one(index: int, count: int) -> int:
 
 
 def _read_off(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Object File Format in text: a header, counts, a vertex a line, a polygon a line; # begins a comment."""
+    """Parse the Object File Format in text: header, counts, a vertex a line, a polygon a line; # begins a comment."""
     lines = [
         (number, line)
         for number, full in enumerate(data.decode("latin-1").split("\n"), 1)

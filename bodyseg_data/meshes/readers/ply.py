@@ -1,7 +1,7 @@
-"""PLY files, text or binary of either byte order: the vertices and faces of one, whatever else it holds.
+"""Reader of vertices and faces from PLY files, in text or binary of either byte order.
 
 A header lists elements, each with a count and its properties; the rows follow in that order. Properties may be lists,
-so that rows need not be equally long: rows that are (nearly all files have triangles only) are read at once.
+so rows may differ in length; rows of equal length, as in nearly all files (triangles only), are read in one call.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
 
-_KINDS: Final = {
+_TYPES: Final = {
     name: kind
     for kind, names in {
         "i1": ("char", "int8"),
@@ -30,7 +30,7 @@ _KINDS: Final = {
     }.items()
     for name in names
 }
-_LETTERS: Final = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_STRUCT_CODES: Final = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS: Final = ("vertex_indices", "vertex_index")
 _LONGEST_HEADER: Final = 1 << 16
@@ -41,7 +41,7 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Property:
-    """kind: NumPy's name of the type; length: that of the type of a list's length, None if it is no list."""
+    """A property. kind: NumPy's code of its type. length: code of the type of a list's length, None if not a list."""
 
     name: str
     kind: str
@@ -54,21 +54,21 @@ class _Element:
     count: int
     properties: tuple[_Property, ...]
 
-    def place(self, *names: str) -> int:
-        """Which of the properties has one of these names. Raises BadMesh if none has."""
-        for place, its in enumerate(self.properties):
-            if its.name in names:
-                return place
+    def index(self, *names: str) -> int:
+        """Index of the property that has one of these names. Raises BadMesh without one."""
+        for index, prop in enumerate(self.properties):
+            if prop.name in names:
+                return index
         raise BadMesh(f"the element {self.name!r} must have the property {names[0]!r}")
 
     def has_lists(self) -> bool:
-        return any(its.length is not None for its in self.properties)
+        return any(prop.length is not None for prop in self.properties)
 
 
 def read_ply(data: bytes) -> tuple[Vertices, Faces]:
-    """Vertices float64 [V, 3] and triangles int64 [F, 3] of a PLY file, in its order; polygons become fans.
+    """Parse vertices float64 [V, 3] and triangles int64 [F, 3] of a PLY file, in its order; polygons become fans.
 
-    Raises BadMesh for a file that is not PLY, is cut short or holds less than its header announces.
+    Raises BadMesh for a file that is not PLY, is truncated or holds less than its header announces.
     """
     order, elements, start = _header(data)
     rows = _TextRows(data, start) if not order else _BinaryRows(data, start, order)
@@ -77,19 +77,19 @@ def read_ply(data: bytes) -> tuple[Vertices, Faces]:
         if element.name == "vertex":
             if element.has_lists():
                 raise BadMesh("the element 'vertex' must have no lists")
-            vertices = rows.scalars(element, [element.place(axis) for axis in "xyz"])
+            vertices = rows.scalars(element, [element.index(axis) for axis in "xyz"])
         elif element.name == "face":
-            place = element.place(*_CORNERS)
-            if element.properties[place].length is None or element.properties[place].kind[0] == "f":
-                raise BadMesh(f"the property {element.properties[place].name!r} must be a list of whole numbers")
-            faces = rows.polygons(element, place)
+            index = element.index(*_CORNERS)
+            if element.properties[index].length is None or element.properties[index].kind[0] == "f":
+                raise BadMesh(f"the property {element.properties[index].name!r} must be a list of whole numbers")
+            faces = rows.polygons(element, index)
         else:
             rows.skip(element)
     return vertices, faces
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
-    """The byte order ("" for text), the elements, and where the rows begin."""
+    """The byte order ("" for text), the elements, and the offset of the first row, bytes."""
     if not data.startswith((b"ply\n", b"ply\r\n")):
         raise BadMesh(f"a PLY file must begin with 'ply', found {data[:8]!r}" if data else "the file is empty")
     lines: list[str] = []
@@ -108,12 +108,12 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
                 order = _ORDERS[name]
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
                 elements.append((name, int(count), []))
-            case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_KINDS):
-                if _KINDS[length][0] == "f":
+            case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_TYPES):
+                if _TYPES[length][0] == "f":
                     raise BadMesh(f"line {number} of the header: a list's length must be whole, found {line!r}")
-                elements[-1][2].append(_Property(name, _KINDS[kind], _KINDS[length]))
-            case ["property", kind, name] if elements and kind in _KINDS:
-                elements[-1][2].append(_Property(name, _KINDS[kind], None))
+                elements[-1][2].append(_Property(name, _TYPES[kind], _TYPES[length]))
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1][2].append(_Property(name, _TYPES[kind], None))
             case [] | ["ply"] | ["comment" | "obj_info", *_] | ["end_header"]:
                 pass
             case _:
@@ -126,12 +126,12 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
     return order, [_Element(name, count, tuple(properties)) for name, count, properties in elements], start
 
 
-def _short(element: _Element, found: int) -> BadMesh:
+def _truncated(element: _Element, found: int) -> BadMesh:
     return BadMesh(f"the header announces {element.count} rows of {element.name!r}, the file ends after {found}")
 
 
 def fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
-    """The triangles of a polygon about its first corner."""
+    """Split a polygon into triangles about its first corner."""
     return [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
 
 
@@ -148,7 +148,7 @@ def _triangles(polygons: list[list[int]]) -> Faces:
 
 
 class _TextRows:
-    """Rows of a PLY file in text: one a line."""
+    """Reader of the rows of a PLY file in text, one a line."""
 
     def __init__(self, data: bytes, start: int) -> None:
         self._first = data.count(b"\n", 0, start) + 1
@@ -160,7 +160,7 @@ class _TextRows:
         rows: list[tuple[int, list[str]]] = []
         while len(rows) < element.count:
             if self._next >= len(self._lines):
-                raise _short(element, len(rows))
+                raise _truncated(element, len(rows))
             words = self._lines[self._next].split()
             if words:
                 rows.append((self._first + self._next, words))
@@ -170,27 +170,27 @@ class _TextRows:
     def skip(self, element: _Element) -> None:
         self._take(element)
 
-    def scalars(self, element: _Element, places: list[int]) -> Vertices:
+    def scalars(self, element: _Element, indices: list[int]) -> Vertices:
         values = []
         for line, words in self._take(element):
             if len(words) != len(element.properties):
                 raise BadMesh(f"line {line}: {len(element.properties)} numbers must stand here, found {len(words)}")
             try:
-                values.append([float(words[place]) for place in places])
+                values.append([float(words[index]) for index in indices])
             except ValueError as error:
                 raise BadMesh(f"line {line}: {error}") from error
-        return np.array(values, np.float64).reshape(-1, len(places))
+        return np.array(values, np.float64).reshape(-1, len(indices))
 
-    def polygons(self, element: _Element, place: int) -> Faces:
+    def polygons(self, element: _Element, index: int) -> Faces:
         polygons = []
         for line, words in self._take(element):
-            at = 0
+            position = 0
             try:
-                for its in element.properties[:place]:
-                    at += 1 if its.length is None else 1 + int(words[at])
-                corners = [int(word) for word in words[at + 1 : at + 1 + int(words[at])]]
-                if len(corners) != int(words[at]):
-                    raise ValueError(f"a face of {words[at]} corners must list them, found {len(corners)}")
+                for prop in element.properties[:index]:
+                    position += 1 if prop.length is None else 1 + int(words[position])
+                corners = [int(word) for word in words[position + 1 : position + 1 + int(words[position])]]
+                if len(corners) != int(words[position]):
+                    raise ValueError(f"a face of {words[position]} corners must list them, found {len(corners)}")
             except (ValueError, IndexError) as error:
                 raise BadMesh(f"line {line}: {error}") from error
             polygons.append(corners)
@@ -198,90 +198,93 @@ class _TextRows:
 
 
 class _BinaryRows:
-    """Rows of a binary PLY file."""
+    """Reader of the rows of a binary PLY file."""
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
-        self._data, self._at, self._order = data, start, order
+        self._data, self._position, self._order = data, start, order
 
     def skip(self, element: _Element) -> None:
         if element.has_lists():
-            self._walk(element, None)
+            self._read_lists(element, None)
         else:
-            self._table(element, {})
+            self._read_table(element, {})
 
-    def scalars(self, element: _Element, places: list[int]) -> Vertices:
-        table = self._table(element, {})
-        return np.stack([table[str(place)].astype(np.float64) for place in places], axis=1)
+    def scalars(self, element: _Element, indices: list[int]) -> Vertices:
+        table = self._read_table(element, {})
+        return np.stack([table[str(index)].astype(np.float64) for index in indices], axis=1)
 
-    def polygons(self, element: _Element, place: int) -> Faces:
-        table = self._even_table(element)
-        if table is None or table[str(place)].shape[1] < 3:
-            return _triangles(self._walk(element, place))
-        self._at += table.nbytes
-        corners = table[str(place)].astype(np.int64)
+    def polygons(self, element: _Element, index: int) -> Faces:
+        table = self._regular_table(element)
+        if table is None or table[str(index)].shape[1] < 3:
+            return _triangles(self._read_lists(element, index))
+        self._position += table.nbytes
+        corners = table[str(index)].astype(np.int64)
         fans = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
         return np.stack(fans, axis=1).reshape(-1, 3)
 
-    def _table(self, element: _Element, lengths: dict[int, int]) -> NDArray[Any]:
-        """All rows of an element, its lists of the given lengths; moves on only if there are no lists."""
+    def _read_table(self, element: _Element, lengths: dict[int, int]) -> NDArray[Any]:
+        """Rows of an element as a structured array. lengths: of its lists, by property index.
+
+        The position advances only for an element without lists.
+        """
         fields: list[tuple[Any, ...]] = []
-        for place, its in enumerate(element.properties):
-            if its.length is not None:
-                fields.append((f"length {place}", self._order + its.length))
-                fields.append((str(place), self._order + its.kind, (lengths[place],)))
+        for index, prop in enumerate(element.properties):
+            if prop.length is not None:
+                fields.append((f"length {index}", self._order + prop.length))
+                fields.append((str(index), self._order + prop.kind, (lengths[index],)))
             else:
-                fields.append((str(place), self._order + its.kind))
+                fields.append((str(index), self._order + prop.kind))
         row = np.dtype(fields)
-        fit = (len(self._data) - self._at) // row.itemsize if row.itemsize else 0
+        fit = (len(self._data) - self._position) // row.itemsize if row.itemsize else 0
         if fit < element.count:
-            raise _short(element, fit)
-        table = np.frombuffer(self._data, row, element.count, self._at)
+            raise _truncated(element, fit)
+        table = np.frombuffer(self._data, row, element.count, self._position)
         if not lengths:
-            self._at += table.nbytes
+            self._position += table.nbytes
         return table
 
-    def _even_table(self, element: _Element) -> NDArray[Any] | None:
-        """All rows of an element with lists, if each list is as long as in the first row; else None."""
+    def _regular_table(self, element: _Element) -> NDArray[Any] | None:
+        """Rows of an element with lists, if all lists are as long as those of the first row; else None."""
         lengths: dict[int, int] = {}
         if not element.count:
             return None
-        at = self._at
-        for place, its in enumerate(element.properties):
-            if its.length is not None:
-                lengths[place] = self._length(element, its, at, 0)
-                at += np.dtype(its.length).itemsize
-            at += lengths.get(place, 1) * np.dtype(its.kind).itemsize
+        position = self._position
+        for index, prop in enumerate(element.properties):
+            if prop.length is not None:
+                lengths[index] = self._length(element, prop, position, 0)
+                position += np.dtype(prop.length).itemsize
+            position += lengths.get(index, 1) * np.dtype(prop.kind).itemsize
         try:
-            table = self._table(element, lengths)
+            table = self._read_table(element, lengths)
         except BadMesh:
             return None  # shorter rows may follow
-        even = all((table[f"length {place}"] == length).all() for place, length in lengths.items())
-        return table if even else None
+        regular = all((table[f"length {index}"] == length).all() for index, length in lengths.items())
+        return table if regular else None
 
-    def _length(self, element: _Element, its: _Property, at: int, row: int) -> int:
-        letter = _LETTERS[its.length or ""]
+    def _length(self, element: _Element, prop: _Property, position: int, row: int) -> int:
+        letter = _STRUCT_CODES[prop.length or ""]
         try:
-            length: int = struct.unpack_from(self._order + letter, self._data, at)[0]
+            length: int = struct.unpack_from(self._order + letter, self._data, position)[0]
         except struct.error:
-            raise _short(element, row) from None
-        if not 0 <= length * np.dtype(its.kind).itemsize <= len(self._data) - at:
+            raise _truncated(element, row) from None
+        if not 0 <= length * np.dtype(prop.kind).itemsize <= len(self._data) - position:
             raise BadMesh(f"a list of {length} in row {row} of {element.name!r} is longer than the file")
         return length
 
-    def _walk(self, element: _Element, wanted: int | None) -> list[list[int]]:
-        """Go over an element row by row; the lists at place `wanted`."""
+    def _read_lists(self, element: _Element, list_index: int | None) -> list[list[int]]:
+        """Read an element row by row; returns the lists of property `list_index` (none for None)."""
         found: list[list[int]] = []
-        steps = [(place, its, np.dtype(its.kind).itemsize) for place, its in enumerate(element.properties)]
+        fields = [(index, prop, np.dtype(prop.kind).itemsize) for index, prop in enumerate(element.properties)]
         for row in range(element.count):
-            for place, its, size in steps:
+            for index, prop, size in fields:
                 length = 1
-                if its.length is not None:
-                    length = self._length(element, its, self._at, row)
-                    self._at += np.dtype(its.length).itemsize
-                if self._at + length * size > len(self._data):
-                    raise _short(element, row)
-                if place == wanted:
-                    form = f"{self._order}{length}{_LETTERS[its.kind]}"
-                    found.append(list(struct.unpack_from(form, self._data, self._at)))
-                self._at += length * size
+                if prop.length is not None:
+                    length = self._length(element, prop, self._position, row)
+                    self._position += np.dtype(prop.length).itemsize
+                if self._position + length * size > len(self._data):
+                    raise _truncated(element, row)
+                if index == list_index:
+                    form = f"{self._order}{length}{_STRUCT_CODES[prop.kind]}"
+                    found.append(list(struct.unpack_from(form, self._data, self._position)))
+                self._position += length * size
         return found

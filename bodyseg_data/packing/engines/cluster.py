@@ -1,8 +1,8 @@
 """A running Dask cluster.
 
-Jobs and results cross Dask's connections and nothing else does: a job is a packing, a body's name and views; a result
-is encoded samples. Dask runs a job again when its worker dies, and jobs give the same bytes wherever they run, so
-which workers there were does not show in a set.
+Only jobs and results cross Dask's connections: a job is a packing, a body's name and views; a result is encoded
+samples. Dask runs a job again when its worker dies, and jobs give the same bytes wherever they run, so a set is the
+same whichever workers there were.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bodyseg_data.packing.engines.workers import Expected, check, expected, inst
 from bodyseg_data.packing.pack import Packing
 
 _PATIENCE_S: Final = 5.0
-"""How long a scheduler may take to answer, and a first worker to appear."""
+"""The time that a scheduler may take to answer, and a first worker to appear."""
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask and asyncio log what this module says in one line."""
+    """Silence the logs of Dask and asyncio: this module reports the same faults in one line."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -85,14 +85,14 @@ def _connect(distributed: Any, address: tuple[str, int]) -> Any:
 
 
 async def _identify(distributed: Any, address: str) -> str:
-    """What kind of Dask server this is. A client itself would wait without end for one that says nothing."""
+    """The kind of Dask server at an address. A client itself would wait without end for one that does not answer."""
     async with distributed.rpc(address, timeout=_PATIENCE_S) as server:
         identity = await asyncio.wait_for(server.identity(), _PATIENCE_S)
     return str(identity["type"])
 
 
 def _workers(client: Any, place: str) -> dict[str, int]:
-    """Address -> threads of every worker there is."""
+    """Address -> threads, of every worker of the cluster."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
         threads: dict[str, int] = client.nthreads()

@@ -1,4 +1,4 @@
-"""What a packing runs on: processes of this machine, or a running Dask cluster. The bytes are the same."""
+"""Engines of a packing: processes of this machine, or a running Dask cluster. The bytes are the same."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DASK: Final = re.compile(r"dask://(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+):(\d{1,5})"
 
 @dataclass(frozen=True)
 class Engine:
-    """Somewhere to run jobs. workers: how many to keep busy. note: one line the user ought to know, or None."""
+    """An executor of jobs. workers: how many to keep busy. note: one line for the user, or None."""
 
     executor: Executor
     workers: int

@@ -29,7 +29,7 @@ def processes(workers: int | None) -> Iterator[Engine]:
     try:
         yield Engine(executor, count)
     except BaseException:
-        # Nothing of what the workers are at will be used: the user need not wait for it.
+        # No result under way will be used: the user need not wait for it.
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
         raise
@@ -42,7 +42,7 @@ class _Workers(ProcessPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
-        # came between starting one and telling it what it is would leave it behind, with a traceback of its own.
+        # came between starting one and initialising it would leave it behind, with a traceback of its own.
         with _signals_held():
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
@@ -53,7 +53,7 @@ class _Workers(ProcessPoolExecutor):
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Put off what SIGINT and SIGTERM do until the context ends."""
+    """Put off the handling of SIGINT and SIGTERM until the context ends."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

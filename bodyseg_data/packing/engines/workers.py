@@ -1,4 +1,4 @@
-"""What runs on a worker of a cluster: a job, and before it whether the worker would give the same bytes."""
+"""Jobs on a worker of a cluster, and the check before them that the worker would give the same bytes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.packing.pack import PACKING_VERSION, Packing, forget_sources, spread
 
 _SHAPE_BYTES: Final = (
@@ -42,10 +43,10 @@ _SEEN_BODIES: Final = 8
 
 @dataclass(frozen=True)
 class Expected:
-    """What a worker must have in common with the process that packs, for the same bytes to come out.
+    """Facts that a worker must share with the process that packs, so that it gives the same bytes.
 
-    installed: (name, version) pairs. seen: digest of the source's bodies as that process sees them. built: digest of
-    the first of them as its processor makes it. token: tells this packing from an earlier one with the same options,
+    installed: (name, version) pairs. seen: digest of the source's bodies as that process reads them. built: digest of
+    the first of them as its processor computes it. token: tells this packing from an earlier one with the same options,
     whose files may have changed since.
     """
 
@@ -57,7 +58,7 @@ class Expected:
 
 
 def expected(packing: Packing) -> Expected:
-    """What this process has. Raises BodysegError as opening the source and building a body do."""
+    """The facts of this process. Raises BodysegError as opening the source and building a body do."""
     with _one_at_a_time:
         forget_sources()
         return Expected(packing, installed(), _seen(packing), _built(packing), uuid.uuid4().hex)
@@ -65,9 +66,10 @@ def expected(packing: Packing) -> Expected:
 
 @lru_cache(maxsize=1)
 def installed() -> tuple[tuple[str, str], ...]:
-    """(name, version or "none") of everything here that bytes can depend on."""
+    """(name, version or "none") of everything in this process that a sample's bytes can depend on."""
     found = [
         ("packing version", str(PACKING_VERSION)),
+        ("shadow thresholds", str(SHADOW_THRESHOLDS)),
         ("processor", platform.machine()),
         ("python", ".".join(platform.python_version_tuple()[:2])),
     ]
@@ -81,14 +83,14 @@ def installed() -> tuple[tuple[str, str], ...]:
 
 
 def _seen(packing: Packing) -> str:
-    """All names, and all that shapes a few of the bodies: enough to tell another folder, and read in no time."""
+    """Digest of all bodies' names and of the files of a few: enough to tell another folder, and quickly read."""
     bodies = packing.bodies()
     few = spread(bodies, min(_SEEN_BODIES, len(bodies)))
     return hashlib.sha256(repr((bodies, packing.opened().fingerprint(few))).encode()).hexdigest()
 
 
 def _built(packing: Packing) -> str:
-    """All of the first body: libraries choose their instructions by processor, and last bits differ with them."""
+    """Digest of the first body as built: libraries choose instructions by processor, and last bits differ with them."""
     body = packing.opened().build(packing.bodies()[0])
     arrays = (body.mesh.vertices, body.mesh.faces, body.landmarks)
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
@@ -99,7 +101,7 @@ _one_at_a_time = threading.RLock()
 
 
 def fault(wanted: Expected) -> str | None:
-    """Runs on a worker: why it would not give the same bytes, or None."""
+    """The reason why this worker would not give the same bytes, or None."""
     with _one_at_a_time:
         return _fault(wanted)
 
@@ -127,12 +129,12 @@ def _fault(wanted: Expected) -> str | None:
 
 
 async def check(wanted: Expected) -> str | None:
-    """`fault` in a thread, so that a worker stays in touch with its scheduler while it is at it."""
+    """`fault` in a thread, so that the worker answers its scheduler meanwhile."""
     return await asyncio.to_thread(fault, wanted)
 
 
 def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """Runs on a worker: what `function` gives, or the BodysegError it raises, as a value: no log holds a traceback."""
+    """Call `function` on a worker; a BodysegError is returned, not raised, so that no log holds a traceback."""
     with _one_at_a_time:
         problem = fault(wanted)  # known already, unless this worker came late
         if problem is not None:

@@ -1,1 +1,1 @@
-"""Shards from elsewhere, kept in a bounded folder."""
+"""Cache of remote shards in a folder of bounded size."""

@@ -1,4 +1,4 @@
-"""What people write to name a set, or some of its shards -> where its files are, and which of them are meant."""
+"""Parsing of the path or address of a set into its store and the pattern of the chosen shards."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 def open_store(
     path: str, options: Mapping[str, Any] | None = None, retry_policy: RetryPolicy | None = None
 ) -> tuple[Store, str]:
-    """The store of a set, and the pattern that the names of its chosen shards match.
+    """Open the store of a set; also returns the pattern that the names of its chosen shards match.
 
-    path: a folder, its manifest.json, one of its shards, or a glob that picks some ("shards/train-*.tar"), on this
-    machine or behind an address that fsspec knows (https://, s3://, ...). In http addresses `?` begins a query.
-    options, retry_policy: of remote sets only; see `RemoteFolder`.
+    path: a folder, its manifest.json, one of its shards, or a glob of shards ("shards/train-*.tar"), local or at an
+    address of a protocol that fsspec supports (https://, s3://, ...). In http addresses `?` begins a query.
+    options, retry_policy: for remote sets only; see `RemoteFolder`.
 
     Raises BadConfig, MissingLibrary.
     """
@@ -32,19 +32,19 @@ def open_store(
         folder, pattern = _split_address(address[1].lower(), address[2])
         return RemoteFolder(folder, options or {}, retry_policy or RetryPolicy()), pattern
     if options or retry_policy is not None:
-        raise BadConfig(f"storage_options and patience are for remote sets, found them given for {path!r}")
+        raise BadConfig(f"storage_options and retry_policy are for remote sets, found them given for {path!r}")
     if address is None:
-        place = Path(path)
+        local_path = Path(path)
     elif address[2].startswith("/"):
-        place = Path(unquote(address[2]))
+        local_path = Path(unquote(address[2]))
     else:
         raise BadConfig(f"a file:// address has a path from the root on, like file:///data/shards, found {path!r}")
-    picked = None if place.is_dir() else _pattern(place.name, "*?[")  # a folder may be called anything
-    return LocalFolder(place if picked is None else place.parent), picked or "*"
+    chosen = None if local_path.is_dir() else _pattern(local_path.name, "*?[")  # a folder may have any name
+    return LocalFolder(local_path if chosen is None else local_path.parent), chosen or "*"
 
 
 def _split_address(protocol: str, rest: str) -> tuple[str, str]:
-    """Address of the folder, and the pattern."""
+    """Split an address into that of the folder and the pattern."""
     mark = query = ""
     if protocol in ("http", "https"):
         rest, mark, query = rest.partition("?")
@@ -54,7 +54,7 @@ def _split_address(protocol: str, rest: str) -> tuple[str, str]:
 
 
 def _pattern(name: str, marks: str) -> str | None:
-    """What the last part of a path picks; None if it is the folder itself."""
+    """Pattern of shards in the last part of a path; None if that is a folder. marks: characters that begin a glob."""
     if name == MANIFEST_NAME:
         return "*"
     return name if name.endswith(".tar") or any(mark in name for mark in marks) else None

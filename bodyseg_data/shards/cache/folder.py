@@ -1,8 +1,8 @@
-"""A folder of whole shards that were fetched before: named by content, bounded, shared by processes.
+"""Folder of complete downloaded shards: named by content, of bounded size, shared by processes.
 
-A shard under way is `SHA256.SIZE.part`, a whole one `SHA256.tar`; other files in the folder are left alone. A part's
-name says how much room it will take, so that downloads under way count as if they were done. Who writes a part holds a
-lock on it, which the system gives free if its process is killed.
+A partial download is `SHA256.SIZE.part`, a complete shard `SHA256.tar`; other files in the folder are not touched. The
+size in a part's name reserves its space. The process that writes a part holds a lock on it, which the operating system
+releases if the process is killed.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from typing import Final
 from bodyseg_data.shards.manifest import ShardRecord
 
 DEFAULT_CACHE_BYTES: Final = 20 * 10**9
-"""Room for some 300 000 samples."""
+"""Default size limit, bytes: room for about 300 000 samples."""
 
 IN_USE_S: Final = 60.0
-"""A shard read within as many seconds is not evicted; so two sets that do not fit together do not chase each other."""
+"""Seconds since its last read during which a shard is not evicted, so that two sets do not evict each other's."""
 
 _NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
 _POLL_S: Final = 0.05
 
 
 def default_folder() -> Path:
-    """`bodyseg` in the user's cache folder, which XDG_CACHE_HOME may name; a relative one is ignored, as XDG says."""
+    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires."""
     chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"
 
@@ -44,26 +44,29 @@ class _Entry:
 
 @dataclass(frozen=True)
 class ShardCache:
-    """`folder` holds at most `limit` bytes of shards. All methods raise OSError for what the disk does."""
+    """Cache of at most `limit` bytes of shards in `folder`; shards read within `in_use_s` seconds are not evicted.
+
+    All methods raise OSError for errors of the disk.
+    """
 
     folder: Path
     limit: int
     in_use_s: float = IN_USE_S
 
     def path(self, record: ShardRecord) -> Path:
-        """Where the shard is, or would be, whole."""
+        """Path of the complete shard, present or not."""
         return self.folder / f"{record.sha256}.tar"
 
     def part(self, record: ShardRecord) -> Path:
-        """Where the shard is while it is fetched."""
+        """Path of the shard during its download."""
         return self.folder / f"{record.sha256}.{record.size}.part"
 
     def read(self, record: ShardRecord, offset: int, length: int) -> bytes | None:
-        """Bytes of a shard, None if it is not there whole; marks it as used."""
+        """Read bytes of a shard and mark it as used; None if the complete shard is not in the cache."""
         try:
             with self.path(record).open("rb", buffering=0) as file:
                 if time.time() - os.fstat(file.fileno()).st_mtime > self.in_use_s / 4:
-                    with contextlib.suppress(OSError):  # someone else's
+                    with contextlib.suppress(OSError):  # the file of another user
                         os.utime(file.fileno())
                 return os.pread(file.fileno(), length, offset)
         except FileNotFoundError:
@@ -71,25 +74,25 @@ class ShardCache:
 
     @contextlib.contextmanager
     def claim(self, record: ShardRecord) -> Iterator[int | None]:
-        """The part file, opened and locked, for the one who is to fetch the shard.
+        """Open and lock the part file, as a descriptor, for the download of the shard.
 
-        Waits while another one fetches it. None: do not fetch it, since it is there by now or there is no room for it.
+        Waits while another process downloads it. None if the shard is complete by then or there is no room for it.
         """
         handle = self._wait_for_part(record)
         try:
             yield handle
         finally:
             if handle is not None:
-                # A process forked meanwhile holds the same lock, and closing would not give that free.
+                # A process forked meanwhile holds the same lock, and closing would not release it.
                 fcntl.flock(handle, fcntl.LOCK_UN)
                 os.close(handle)
 
     def finish(self, record: ShardRecord) -> None:
-        """The claimed part is the whole shard."""
+        """Turn the claimed part, now complete, into the shard."""
         self.part(record).replace(self.path(record))
 
     def used_bytes(self) -> int:
-        """Bytes taken by shards, those under way counted in full."""
+        """Bytes taken by shards; partial downloads count in full."""
         return sum(entry.size for entry in self._entries())
 
     def _wait_for_part(self, record: ShardRecord) -> int | None:
@@ -97,17 +100,17 @@ class ShardCache:
             handle = self._open_part(record)
             if handle is None:
                 return None
-            mine = _lock(handle) and is_at(handle, self.part(record))
-            if mine and not self.path(record).exists():
+            locked = _try_lock(handle) and is_same_file(handle, self.part(record))
+            if locked and not self.path(record).exists():
                 return handle
-            if mine:  # finished between the look and the opening, which made a new part
+            if locked:  # finished between the check and the opening, which created a new part
                 self.part(record).unlink()
             os.close(handle)
             time.sleep(_POLL_S)
         return None
 
     def _open_part(self, record: ShardRecord) -> int | None:
-        """The part file, made if there is room; None if there is not."""
+        """Open the part file, created if there is room; None if there is not."""
         part = self.part(record)
         with contextlib.suppress(FileNotFoundError):
             return os.open(part, os.O_RDWR | os.O_CLOEXEC)
@@ -123,7 +126,7 @@ class ShardCache:
             os.close(guard)
 
     def _make_room(self, size: int) -> bool:
-        """Evict what was not used for longest, and nothing if that would not be enough."""
+        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
         entries = self._entries()
         excess = sum(entry.size for entry in entries) + size - self.limit
         victims = []
@@ -150,15 +153,15 @@ class ShardCache:
 
 
 def _evict(path: Path) -> bool:
-    """Remove a shard, unless it is a part that someone is writing."""
+    """Remove a shard; False if it is a part that a process is writing."""
     try:
         handle = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:
         return True
     try:
-        if not _lock(handle):
+        if not _try_lock(handle):
             return False
-        if is_at(handle, path):
+        if is_same_file(handle, path):
             path.unlink(missing_ok=True)
         return True
     finally:
@@ -166,7 +169,7 @@ def _evict(path: Path) -> bool:
         os.close(handle)
 
 
-def _lock(handle: int) -> bool:
+def _try_lock(handle: int) -> bool:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -174,8 +177,8 @@ def _lock(handle: int) -> bool:
     return True
 
 
-def is_at(handle: int, path: Path) -> bool:
-    """Whether the opened file is still the one of this name: it may have been finished or evicted meanwhile."""
+def is_same_file(handle: int, path: Path) -> bool:
+    """Test that `path` still names the opened file, which may have been renamed or evicted meanwhile."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:

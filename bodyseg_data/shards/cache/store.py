@@ -1,4 +1,4 @@
-"""A remote set whose shards are kept on this machine as far as there is room."""
+"""Store of a remote set that caches shards on this machine as far as there is room."""
 
 from __future__ import annotations
 
@@ -10,59 +10,59 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.shards.cache.folder import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_at
+from bodyseg_data.shards.cache.folder import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_same_file
 from bodyseg_data.shards.manifest import ShardRecord
 from bodyseg_data.shards.stores.remote import RemoteFolder
-from bodyseg_data.shards.stores.store import TIMES, Store
+from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store
 from bodyseg_data.shards.tar import check_bytes
 
 
 class CachedStore:
-    """Reads a shard's bytes from the cache if it is there, fetching it whole first if it is one of those to keep.
+    """Store that downloads complete shards to the cache and reads their samples there.
 
-    The first of the `records`, in stored order, that the cache's limit has room for are kept; samples of the others are
-    read by byte range. So what is kept never changes and nothing is fetched over and over.
+    The first of the `records`, in stored order, that fit into the cache's limit are cached; samples of the others are
+    read by byte range. The choice never changes, so no shard is downloaded again and again.
     """
 
     def __init__(self, remote: RemoteFolder, records: Iterable[ShardRecord], cache: ShardCache) -> None:
         self._remote, self._cache = remote, cache
         self._records = {record.name: record for record in records}
-        self._kept = set()
+        self._to_cache = set()
         room = cache.limit
         for record in self._records.values():
             room -= record.size
             if room < 0:
                 break
-            self._kept.add(record.name)
+            self._to_cache.add(record.name)
 
     @property
     def name(self) -> str:
-        """The address."""
+        """The address, for messages."""
         return self._remote.name
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         """See `Store.read`."""
         record = self._records[name]
         data = self._from_cache(record, offset, length)
-        if data is None and name in self._kept and self._keep(record):
+        if data is None and name in self._to_cache and self._ensure_cached(record):
             data = self._from_cache(record, offset, length)
         return self._remote.read(name, offset, length) if data is None else data
 
-    def whole(self, name: str, limit: int) -> bytes | None:
+    def read_file(self, name: str, limit: int) -> bytes | None:
         """See `Store.whole`."""
-        return self._remote.whole(name, limit)
+        return self._remote.read_file(name, limit)
 
     def size(self, name: str) -> int:
         """See `Store.size`."""
         return self._remote.size(name)
 
-    def doubt(self, name: str) -> bool:
-        """See `Store.doubt`. A shard in the cache that is not what it was is dropped, to be fetched anew."""
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again."""
         path = self._cache.path(self._records[name])
         try:
             with path.open("rb") as file:
                 spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
-                if spoiled and is_at(file.fileno(), path):  # or another process has fetched it anew meanwhile
+                if spoiled and is_same_file(file.fileno(), path):  # else another process has replaced it meanwhile
                     path.unlink(missing_ok=True)
         except OSError:
             return True
@@ -72,18 +72,18 @@ class CachedStore:
         try:
             return self._cache.read(record, offset, length)
         except OSError as error:
-            self._give_up(error)
+            self._disable_cache(error)
             return None
 
-    def _keep(self, record: ShardRecord) -> bool:
-        """Have the shard in the cache; False if that is not to be."""
+    def _ensure_cached(self, record: ShardRecord) -> bool:
+        """Download the shard unless it is cached; False if it cannot be cached."""
         try:
             with self._cache.claim(record) as handle:
                 if handle is not None:
                     self._fill(record, handle)
             return self._cache.path(record).exists()
         except OSError as error:
-            self._give_up(error)
+            self._disable_cache(error)
             return False
 
     def _fill(self, record: ShardRecord, handle: int) -> None:
@@ -92,22 +92,24 @@ class CachedStore:
             if problem is None:
                 self._cache.finish(record)
             else:
-                # Its other samples may be sound: each is judged when it is read.
-                self._kept.discard(record.name)
-                _warn(f"{self.name}: {problem} (fetched {TIMES} times): this shard is not kept, but read by range")
+                # Its other samples may be intact: each is checked when it is read.
+                self._to_cache.discard(record.name)
+                _warn(
+                    f"{self.name}: {problem} (fetched {READ_ATTEMPTS} times): this shard is not kept, but read by range"
+                )
         except OSError:
             with contextlib.suppress(OSError):
-                os.ftruncate(handle, 0)  # a full disk is left as it was
+                os.ftruncate(handle, 0)  # leave a full disk as it was
             raise
 
     def _fetch(self, record: ShardRecord, handle: int) -> str | None:
-        """Fetch into the part file, from where it ends, until it is the whole shard; or say what is wrong with it."""
+        """Continue the download of the part file until its hash is right; otherwise return the problem."""
         problem = None
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
-        for _ in range(TIMES):
-            have = os.lseek(handle, 0, os.SEEK_END)
+        for _ in range(READ_ATTEMPTS):
+            fetched = os.lseek(handle, 0, os.SEEK_END)
             with os.fdopen(handle, "wb", closefd=False) as file:
-                self._remote.fetch(record.name, have, record.size, file.write)
+                self._remote.fetch(record.name, fetched, record.size, file.write)
             found = _find_altered(record, handle)
             if found is None:
                 os.fsync(handle)
@@ -116,16 +118,16 @@ class CachedStore:
             os.ftruncate(handle, sound)
         return problem
 
-    def _give_up(self, error: OSError) -> None:
-        """A run does not end because of a full disk: what cannot be kept is read by byte range."""
-        self._kept.clear()
+    def _disable_cache(self, error: OSError) -> None:
+        """Stop caching, with a warning: a full disk must not end a run, so shards are read by byte range."""
+        self._to_cache.clear()
         _warn(f"{self._cache.folder}: {error.strerror or error}: shards are no longer kept there, but read by range")
 
 
-def keep_shards(store: Store, records: Iterable[ShardRecord], folder: str | Path | None, limit: int | None) -> Store:
-    """The same store with a cache, if it is a remote one and `limit` is not 0.
+def with_cache(store: Store, records: Iterable[ShardRecord], folder: str | Path | None, limit: int | None) -> Store:
+    """Add a cache to a remote store; a local store, and any with `limit` 0, is returned unchanged.
 
-    folder: None is `default_folder()`. limit: bytes; None is DEFAULT_CACHE_BYTES. Raises BadConfig.
+    folder: default `default_folder()`. limit: bytes, default DEFAULT_CACHE_BYTES. Raises BadConfig.
     """
     if not isinstance(store, RemoteFolder):
         if folder is not None or limit is not None:
@@ -151,7 +153,7 @@ def _warn(text: str) -> None:
 
 
 def _find_altered(record: ShardRecord, handle: int) -> tuple[int, str] | None:
-    """Where the first bytes are that are not what was written, and what is wrong there; None if the hash is right."""
+    """Find the offset of the first altered bytes of a file and the problem; None if the hash is right."""
     with os.fdopen(handle, "rb", closefd=False) as file:
         file.seek(0)
         found = hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,1 +1,1 @@
-"""How images become bytes: runs of equal pixels, ranges by their slopes, a checked file of zstd frames, PNG."""
+"""Encodings of images: runs of equal pixels, slope residuals of ranges, a checked file of zstd frames, PNG."""

@@ -1,4 +1,4 @@
-"""Plain 16-bit and 8-bit PNG by Pillow, for shards that any image tool opens, and the reader of a PNG's chunks."""
+"""Codec of 8-bit and 16-bit PNG by Pillow, for shards readable by any image tool, and a reader of PNG chunks."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
-_HEADER_BYTES: Final = 25  # of the whole chunk: length, name, 13 bytes, checksum
+_HEADER_BYTES: Final = 25  # of the chunk IHDR: length, name, 13 bytes, checksum
 
 
 class Chunk(NamedTuple):
-    """One chunk of a PNG. name: four letters. whole: length, name, content and checksum, as they are in the file."""
+    """A chunk of a PNG. name: four letters. whole: its bytes in the file: length, name, content and checksum."""
 
     name: bytes
     whole: bytes
 
     @property
     def stored_checksum(self) -> int:
-        """The CRC-32 that the file holds."""
+        """CRC-32 stored in the file."""
         return int.from_bytes(self.whole[-4:], "big")
 
     @property
     def checksum(self) -> int:
-        """The CRC-32 of name and content."""
+        """CRC-32 computed from name and content."""
         return zlib.crc32(memoryview(self.whole)[4:-4])
 
 
 class Header(NamedTuple):
-    """Size in pixels, bits of a sample, and type of colour (0 is grey) that a PNG claims to have."""
+    """Header of a PNG: size in pixels, bits of a sample, and colour type (0 is greyscale)."""
 
     rows: int
     columns: int
@@ -44,9 +44,9 @@ class Header(NamedTuple):
 
 
 def read_chunks(data: bytes) -> list[Chunk]:
-    """The chunks of a PNG up to its end, IEND (W3C, "Portable Network Graphics", 5.3); checksums are not compared.
+    """Split a PNG into chunks up to its end, IEND (W3C, "Portable Network Graphics", 5.3), without testing checksums.
 
-    Raises ValueError for a file that is cut off or no PNG.
+    Raises ValueError for a file that is truncated or no PNG.
     """
     if not data.startswith(SIGNATURE):
         raise ValueError("a PNG must begin with its signature")
@@ -61,7 +61,7 @@ def read_chunks(data: bytes) -> list[Chunk]:
 
 
 def read_header(chunk: Chunk) -> Header:
-    """The header in a PNG's first chunk. Raises ValueError if it is another one."""
+    """Parse the header, a PNG's first chunk. Raises ValueError for another chunk."""
     if chunk.name != b"IHDR" or len(chunk.whole) != _HEADER_BYTES:
         raise ValueError("a PNG must begin with its size")
     columns, rows, bits, colour = struct.unpack_from(">IIBB", chunk.whole, 8)
@@ -69,7 +69,7 @@ def read_header(chunk: Chunk) -> Header:
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """A uint8 or uint16 image [H, W] as a PNG; 16-bit greyscale is lossless in Pillow."""
+    """Encode a uint8 or uint16 image [H, W] as PNG; 16-bit greyscale is lossless in Pillow."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -78,10 +78,10 @@ def encode_png(image: NDArray[Any]) -> bytes:
 
 
 def decode_png(data: bytes) -> NDArray[Any]:
-    """The inverse. Raises ValueError, saying what is wrong, for anything but a greyscale PNG of at most `MAX_SIDE`."""
+    """Decode a greyscale PNG to uint8 or uint16 [H, W]. Raises ValueError for other files and sides over `MAX_SIDE`."""
     from PIL import Image
 
-    # Asked before opening: Pillow allocates, and warns, by what a file claims, also in chunks besides the pixels.
+    # Checked before opening: Pillow allocates memory, and warns, by the sizes in the header and in other chunks.
     try:
         chunks = read_chunks(data)
         header = read_header(chunks[0])

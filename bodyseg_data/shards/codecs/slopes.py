@@ -1,12 +1,12 @@
-"""Ranges of a body, lossless, as what its surface's slope leaves over.
+"""Lossless encoding of ranges as residuals of the surface's slope.
 
-Surfaces are locally planar: the step from a pixel to the next one in its row is nearly the step in the row above. Where
-the body is, the labels say, so there is one number for each of its pixels and none for background. All arithmetic is
-modulo 65536. For the body's pixels inside the box, in reading order and regardless of where rows end:
+Surfaces are locally planar: the step from a pixel to the next one in its row nearly equals the step in the row above.
+The labels define the foreground, so there is one number for each of its pixels and none for background. All arithmetic
+is modulo 65536. For foreground pixels inside the box, in reading order across the ends of rows:
 
-    the first pixel of a stretch of body has its range stored, as a difference to the last such one;
-    any other, the difference between its step from its neighbour and the last such step higher up in its column,
-    0 if there was none.
+    the first pixel of a foreground run stores its range, as the difference from the previous first pixel;
+    any other stores the difference between its step from its left neighbour and the last such step higher up in its
+    column, 0 without one.
 """
 
 from __future__ import annotations
@@ -21,17 +21,26 @@ from numpy.typing import NDArray
 from bodyseg_data.core.kernels import compiled, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.shards.codecs.labels import split_labels
-from bodyseg_data.shards.codecs.runs import Box, Bytes, Runs, escaped, escapes_of, from_planes, planes, unescaped
+from bodyseg_data.shards.codecs.runs import (
+    Box,
+    Bytes,
+    Runs,
+    escape_large,
+    find_escapes,
+    from_byte_planes,
+    to_byte_planes,
+    unescape,
+)
 
 Range = NDArray[np.uint16]
-Places = NDArray[np.int32]
+PixelIndices = NDArray[np.int32]
 _BACKGROUND: Final = int(BACKGROUND)
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """firsts: of each stretch of body, zigzag, as planes. steps: one zigzag byte for each other pixel; escapes: those
-    that do not fit (`runs.escaped`).
+    """Encoded ranges. firsts: of each foreground run, zigzag, as byte planes. steps: one zigzag byte for each other
+    pixel. escapes: of steps above 254 (`runs.escape_large`).
     """
 
     firsts: Bytes
@@ -40,88 +49,88 @@ class Slopes:
 
 
 def zigzag(change: Range) -> Range:
-    """Differences modulo 65536 as numbers that are small where the difference is: 0, -1, 1, -2, ... -> 0, 1, 2, 3."""
+    """Encode differences modulo 65536 so that small ones become small numbers: 0, -1, 1, -2, ... -> 0, 1, 2, 3, ..."""
     signed = change.view(np.int16)
     coded: Range = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
     return coded
 
 
 def unzigzag(coded: Range) -> Range:
-    """The inverse of `zigzag`."""
+    """Decode differences, the inverse of `zigzag`."""
     change: Range = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
     return change
 
 
-def stretches(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where stretches of body begin, in reading order [K], and how many pixels each has; runs: of label bytes."""
+def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Offsets in the flat box and lengths, pixels, [K] each, of foreground runs in order; runs: of label bytes."""
     body = np.concatenate([[False], runs.values != _BACKGROUND, [False]])
     ends = np.concatenate([[0], np.cumsum(runs.lengths)])
     edges = ends[np.flatnonzero(body[1:] != body[:-1])]
     return edges[::2], edges[1::2] - edges[::2]
 
 
-def to_slopes(crop: Range, runs: Runs) -> Slopes:
-    """crop: ranges in the box, 0 exactly where `runs`, those of its labels, say background."""
+def encode_slopes(crop: Range, runs: Runs) -> Slopes:
+    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its label bytes, are background."""
     flat = np.ascontiguousarray(crop).ravel()
-    starts, _ = stretches(runs)
+    starts, _ = foreground_runs(runs)
     change = np.diff(flat, prepend=np.uint16(0))
     inner = flat > 0
     inner[starts] = False
-    # Down the columns, so that the last step above is the one before.
+    # In column order, the last step above is the previous one.
     columns, rows = np.nonzero(inner.reshape(crop.shape).T)
-    place = rows * crop.shape[1] + columns
-    step = change[place]
+    index = rows * crop.shape[1] + columns
+    step = change[index]
     above = np.zeros_like(step)
     above[1:] = np.where(columns[1:] == columns[:-1], step[:-1], 0)
     coded = np.zeros_like(flat)
-    coded[place] = zigzag(step - above)
-    firsts = planes(zigzag(np.diff(flat[starts], prepend=np.uint16(0))))
-    return Slopes(firsts, *escaped(coded[inner], np.uint16))
+    coded[index] = zigzag(step - above)
+    firsts = to_byte_planes(zigzag(np.diff(flat[starts], prepend=np.uint16(0))))
+    return Slopes(firsts, *escape_large(coded[inner], np.uint16))
 
 
-def restore(
+def decode_slopes(
     runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]
-) -> Places | None:
-    """Range, labels and whether the surface faces the projector, into images [H, W] that show nothing yet.
+) -> PixelIndices | None:
+    """Decode range, labels and facing into images [H, W] that hold background only.
 
-    runs: of label bytes, filling the box. Where the body begins, ends, begins ... in reading order (places in the flat
-    image), if the compiled form made it.
+    runs: of label bytes, filling the box. Returns the flat indices where foreground begins, ends, begins ... in reading
+    order, None without the compiled loops.
 
-    Raises ValueError if there are not as many numbers as the labels call for.
+    Raises ValueError if the labels require another number of values.
     """
-    starts, lengths = stretches(runs)
+    starts, lengths = foreground_runs(runs)
     if len(slopes.firsts) != 2 * len(starts) or len(slopes.steps) != lengths.sum() - len(starts):
         raise ValueError(
             f"{len(starts)} stretches of {lengths.sum()} pixels of body, found {len(slopes.firsts) // 2} first "
             f"ranges and {len(slopes.steps)} others"
         )
-    firsts = np.cumsum(unzigzag(from_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
+    firsts = np.cumsum(unzigzag(from_byte_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
     if use_compiled():
         unzigzag_bytes, fill_ranges, fill_labels = _loops()
         steps = np.empty(len(slopes.steps), np.uint16)
-        unzigzag_bytes(slopes.steps, *escapes_of(slopes.steps, slopes.escapes, np.uint16), steps)
+        unzigzag_bytes(slopes.steps, *find_escapes(slopes.steps, slopes.escapes, np.uint16), steps)
         last = np.zeros(box.width, np.uint16)
-        edges = np.empty(2 * (len(starts) + box.height), np.int32)  # a row's end divides at most one stretch
+        edges = np.empty(2 * (len(starts) + box.height), np.int32)  # the end of a row divides at most one run
         count = fill_ranges(starts, lengths, firsts, steps, last, image, box.top, box.left, edges)
         fill_labels(runs.values, runs.lengths, labels, facing, box.top, box.left, box.width)
         return edges[:count]
-    steps = unzigzag(unescaped(slopes.steps, slopes.escapes, np.uint16))
+    steps = unzigzag(unescape(slopes.steps, slopes.escapes, np.uint16))
     stored = np.repeat(runs.values, runs.lengths).reshape(box.height, box.width)
-    box.of(labels)[:], box.of(facing)[:] = split_labels(stored)
+    box.crop(labels)[:], box.crop(facing)[:] = split_labels(stored)
     body = stored != BACKGROUND
-    np.multiply(_ranges(firsts, steps, starts, body), body, out=box.of(image))
+    np.multiply(_ranges(firsts, steps, starts, body), body, out=box.crop(image))
     return None
 
 
 def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArray[np.bool_]) -> Range:
-    """The ranges in the box, and anything at all where there is no body."""
+    """Ranges in the box, arbitrary on background."""
     inner = body.ravel().copy()
     inner[starts] = False
     crop: Range = np.zeros(body.shape, np.uint16)
     flat = crop.ravel()
     flat[inner] = steps
     np.cumsum(crop, axis=0, dtype=np.uint16, out=crop)
-    # One running sum over all: at the first pixel of a stretch, whatever makes it hit that pixel's range.
+    # One cumulative sum over all: the first pixel of a run gets the difference that makes the sum its range.
     flat[starts] = 0
     if len(starts):
         gone = np.add.reduceat(flat, starts, dtype=np.uint16)
@@ -133,7 +142,7 @@ def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArra
 
 
 def _unzigzag_bytes(low: Any, where: Any, large: Any, steps: Any) -> None:
-    """As `unzigzag` of `unescaped`; where, large: the place and value of each that is escaped."""
+    """Decode as `unzigzag` of `unescape`. where, large: index and value of each escaped number."""
     for i in range(len(low)):
         coded = np.uint16(low[i])
         steps[i] = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
@@ -145,11 +154,11 @@ def _unzigzag_bytes(low: Any, where: Any, large: Any, steps: Any) -> None:
 def _fill_ranges(
     starts: Any, lengths: Any, firsts: Any, steps: Any, last: Any, image: Any, top: int, left: int, edges: Any
 ) -> int:
-    """As `_ranges`, straight into the image; last: uint16 [width], zeros: the last step seen in each column.
+    """Decode as `_ranges`, directly into the image. last: uint16 [width], zeros: the last step in each column.
 
-    edges: room for where the body begins, ends, begins ...; their number is returned.
+    edges: receives the flat indices where foreground begins, ends, begins ...; returns their number.
     """
-    width, place, count_of_edges = len(last), 0, 0
+    width, index, count_of_edges = len(last), 0, 0
     for stretch in range(len(starts)):
         row, column = top + starts[stretch] // width, starts[stretch] % width
         value = firsts[stretch]
@@ -167,21 +176,21 @@ def _fill_ranges(
                 edges[count_of_edges] = end
             count = min(remaining, width - column)
             end += count
-            above, change = last[column : column + count], steps[place : place + count]
+            above, change = last[column : column + count], steps[index : index + count]
             ranges = image[row, left + column : left + column + count]
-            for i in range(count):  # apart from the sum, so that several are done at once
+            for i in range(count):  # a loop of its own, so that it is vectorised
                 above[i] += change[i]
             for i in range(count):
                 value += above[i]
                 ranges[i] = value
-            place, column, remaining = place + count, column + count, remaining - count
+            index, column, remaining = index + count, column + count, remaining - count
         edges[count_of_edges + 1] = end
         count_of_edges += 2
     return count_of_edges
 
 
 def _fill_labels(values: Any, lengths: Any, labels: Any, facing: Any, top: int, left: int, width: int) -> None:
-    """As `split_labels`, straight from the runs into images that hold background."""
+    """Decode as `split_labels`, directly from the runs into images that hold background."""
     row, column = top, 0
     for run in range(len(values)):
         remaining = lengths[run]

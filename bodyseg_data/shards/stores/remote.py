@@ -1,4 +1,4 @@
-"""A set's files behind an address: retries that carry on where an attempt broke, and messages without secrets."""
+"""Store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary, Unreachable
-from bodyseg_data.shards.stores.transport import Failed, NotThere, Refused, open_transport
+from bodyseg_data.shards.stores.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
 
 _SHORTEST_SECRET: Final = 4
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class RetryPolicy:
-    """How much trouble on the way to a remote set is borne.
+    """Limits of retries and timeouts for a remote set.
 
-    tries: attempts in a row that may bring next to nothing. total_s: seconds such a row may last. stall_s: seconds
-    without a byte after which a connection counts as broken. first_wait_s: pause after a first failure; every further
-    pause is twice as long. By chance pauses are up to half shorter, so that many processes do not come back at once.
-    progress_bytes: an attempt that brought as many was not in vain and begins a new row; of a server that cuts every
-    connection after fewer, nothing larger than `tries` times as many can be had.
+    tries: consecutive failed attempts before giving up. total_s: longest duration of consecutive failures, seconds.
+    stall_s: seconds without a byte after which a connection counts as broken. first_wait_s: pause after the first
+    failure, seconds; each further pause is twice as long. A random factor of 0.5 to 1 shortens pauses, so that many
+    processes do not retry at once. progress_bytes: an attempt that received as many starts a new count of failures; a
+    server that cuts every connection earlier can give files of at most `tries` times as many bytes.
 
     Raises BadConfig.
     """
@@ -43,20 +43,20 @@ class RetryPolicy:
         for name in ("tries", "progress_bytes"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise BadConfig(f"Patience: {name} must be a whole number of at least 1, found {value!r}")
+                raise BadConfig(f"RetryPolicy: {name} must be a whole number of at least 1, found {value!r}")
         for name in ("total_s", "stall_s", "first_wait_s"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise BadConfig(f"Patience: {name} must be a positive number of seconds, found {value!r}")
+                raise BadConfig(f"RetryPolicy: {name} must be a positive number of seconds, found {value!r}")
 
 
 class RemoteFolder:
-    """The files of a set behind an address. May be forked, pickled and used by several threads.
+    """Store of a set at an address. It may be forked, pickled and used by several threads.
 
     url: of the folder; the query of an http address is sent with every file. options: for the fsspec filesystem, such
-    as key, secret and endpoint_url; neither they nor the user and query of the address show in messages.
+    as key, secret and endpoint_url; messages show neither these nor the user and query of the address.
 
-    Raises BadConfig for an address or options that fsspec does not take, MissingLibrary for a package that is missing.
+    Raises BadConfig for an address or options that fsspec does not accept, MissingLibrary without a required package.
     """
 
     def __init__(self, url: str, options: Mapping[str, Any], retry_policy: RetryPolicy) -> None:
@@ -73,99 +73,99 @@ class RemoteFolder:
             self._transport = open_transport(protocol, options, retry_policy.stall_s, retry_policy.total_s)
         except MissingLibrary:
             raise
-        except Exception as error:  # every filesystem has its own
+        except Exception as error:  # filesystems raise errors of their own
             raise BadConfig(f"{self.name}: {self._scrub(str(error))}") from None
 
     def read(self, name: str, offset: int, length: int) -> bytes:
-        """Bytes `offset` to `offset + length` of a file. Raises Unreachable."""
+        """Read bytes `offset` to `offset + length` of a file. Raises Unreachable."""
         data = bytearray()
-        self._fetch(name, offset, offset + length, data.extend, skips=False)
+        self._fetch(name, offset, offset + length, data.extend, allow_whole_file=False)
         return bytes(data)
 
     def fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object]) -> None:
-        """Give bytes `start` to `stop` of a file to `sink`, piece by piece, once and in order. Raises Unreachable."""
-        self._fetch(name, start, stop, sink, skips=True)
+        """Pass bytes `start` to `stop` of a file to `sink`, in chunks, once and in order. Raises Unreachable."""
+        self._fetch(name, start, stop, sink, allow_whole_file=True)
 
-    def whole(self, name: str, limit: int) -> bytes | None:
-        """A file of at most `limit` bytes, None if there is none. Raises Unreachable."""
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """Read a whole file of at most `limit` bytes; None if it does not exist. Raises Unreachable."""
         try:
-            return self._persist(name, lambda address: self._transport.whole(address, limit))
-        except NotThere:
+            return self._with_retries(name, lambda address: self._transport.read_file(address, limit))
+        except FileMissing:
             return None
 
     def size(self, name: str) -> int:
-        """Bytes of a file. Raises Unreachable."""
+        """Size of a file, bytes. Raises Unreachable."""
         try:
-            return self._persist(name, self._transport.size)
-        except NotThere as error:
+            return self._with_retries(name, self._transport.size)
+        except FileMissing as error:
             raise self._unreachable(name, error) from None
 
-    def doubt(self, name: str) -> bool:
-        """Whether to read again may help where what was read is wrong."""
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`: a network may have altered the bytes."""
         return True
 
-    def _fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object], skips: bool) -> None:
-        row = _Row(self._retry_policy)
+    def _fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object], allow_whole_file: bool) -> None:
+        streak = _FailureStreak(self._retry_policy)
         while start < stop:
-            begun = start
+            attempt_start = start
             try:
-                with closing(self._pieces(name, start, stop, skips)) as pieces:
-                    for piece in pieces:
-                        sink(piece)
-                        start += len(piece)
-            except Failed as failure:
-                self._bear(row, failure, name, start - begun)
-            except Refused as error:
+                with closing(self._chunks(name, start, stop, allow_whole_file)) as chunks:
+                    for chunk in chunks:
+                        sink(chunk)
+                        start += len(chunk)
+            except TransientFailure as failure:
+                self._wait_or_give_up(streak, failure, name, start - attempt_start)
+            except PermanentFailure as error:
                 raise self._unreachable(name, error) from None
 
-    def _pieces(self, name: str, start: int, stop: int, skips: bool) -> Any:
-        return self._transport.pieces(f"{self._base}/{name}{self._query}", start, stop, skips)
+    def _chunks(self, name: str, start: int, stop: int, allow_whole_file: bool) -> Any:
+        return self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, allow_whole_file)
 
-    def _persist(self, name: str, attempt: Callable[[str], Answer]) -> Answer:
-        row = _Row(self._retry_policy)
+    def _with_retries(self, name: str, attempt: Callable[[str], Result]) -> Result:
+        streak = _FailureStreak(self._retry_policy)
         while True:
             try:
                 return attempt(f"{self._base}/{name}{self._query}")
-            except Failed as failure:
-                self._bear(row, failure, name, 0)
-            except NotThere:
+            except TransientFailure as failure:
+                self._wait_or_give_up(streak, failure, name, 0)
+            except FileMissing:
                 raise
-            except Refused as error:
+            except PermanentFailure as error:
                 raise self._unreachable(name, error) from None
 
-    def _bear(self, row: _Row, failure: Failed, name: str, brought: int) -> None:
-        wait = row.wait_after(failure, brought)
+    def _wait_or_give_up(self, streak: _FailureStreak, failure: TransientFailure, name: str, received: int) -> None:
+        wait = streak.wait_after(failure, received)
         if wait is None:
-            raise self._unreachable(name, failure, f" ({row.failures} attempts)") from None
+            raise self._unreachable(name, failure, f" ({streak.failures} attempts)") from None
         time.sleep(wait)
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
         return Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
 
     def _scrub(self, text: str) -> str:
-        """One line without secrets."""
+        """Reduce a message to one line without secrets."""
         for secret in self._secrets:
             text = text.replace(secret, "***")
         text = re.sub(r"(?<=://)[^/@\s]*@", "", text)
         return " ".join(re.sub(r"(://[^\s?]*)\?\S*", r"\1", text).split())
 
 
-class _Row:
-    """Failures one after the other, until something comes of an attempt."""
+class _FailureStreak:
+    """Consecutive failures since the last attempt with progress."""
 
     def __init__(self, retry_policy: RetryPolicy) -> None:
         self._retry_policy = retry_policy
         self.failures = 0
         self._since = 0.0
 
-    def wait_after(self, failure: Failed, brought: int) -> float | None:
-        """Seconds to wait before the next attempt; None to give up."""
-        if brought >= self._retry_policy.progress_bytes or not self.failures:
+    def wait_after(self, failure: TransientFailure, received: int) -> float | None:
+        """Seconds to wait before the next attempt, None to give up. received: bytes that the failed attempt gave."""
+        if received >= self._retry_policy.progress_bytes or not self.failures:
             self.failures, self._since = 0, time.monotonic()
         self.failures += 1
         if self.failures >= self._retry_policy.tries:
             return None
-        # The system's own randomness: draws that data depend on are left alone, and forks do not wait alike.
+        # SystemRandom: the draws on which data depend are not affected, and forked processes wait differently.
         pause = self._retry_policy.first_wait_s * 2 ** (self.failures - 1) * random.SystemRandom().uniform(0.5, 1.0)
         wait = max(pause, failure.wait_s)
         return wait if time.monotonic() - self._since + wait <= self._retry_policy.total_s else None

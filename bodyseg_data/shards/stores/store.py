@@ -1,4 +1,4 @@
-"""Where the files of a set are: a folder of this machine, or behind an address."""
+"""Stores: access to the files of a set, in a local folder or at an address."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any, Final, Protocol
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import contents
 
-TIMES: Final = 3
-"""So often altered bytes are fetched before they count as what is there."""
+READ_ATTEMPTS: Final = 3
+"""Number of reads before altered bytes count as the content of the file."""
 
 _BUFFER_BYTES: Final = 4 << 20
 
 
 class Store(Protocol):
-    """Reads the files of one set. May be forked, pickled and used by several threads.
+    """Reader of the files of one set. It may be forked, pickled and used by several threads.
 
-    Raises OSError for what this machine's files do, Unreachable for what a network does.
+    All methods raise OSError for errors of local files, Unreachable for errors of a network.
     """
 
     @property
@@ -27,29 +27,29 @@ class Store(Protocol):
         """Path or address, for messages; without secrets."""
 
     def read(self, name: str, offset: int, length: int) -> bytes:
-        """`length` bytes from `offset` on; fewer where the file ends before."""
+        """Read `length` bytes of a file from `offset` on; fewer at its end."""
 
-    def whole(self, name: str, limit: int) -> bytes | None:
-        """A whole file of at most `limit` bytes; None if there is none."""
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """Read a whole file of at most `limit` bytes; None if it does not exist."""
 
     def size(self, name: str) -> int:
-        """Bytes of a file."""
+        """Size of a file, bytes."""
 
-    def doubt(self, name: str) -> bool:
-        """Whether to read again may help where what was read is wrong."""
+    def prepare_reread(self, name: str) -> bool:
+        """Prepare to read a file again whose bytes were wrong; False if the same bytes would come."""
 
 
 def store_at(where: Path | Store) -> Store:
-    """The store meant: a path is a folder of this machine."""
+    """Open a local folder as a store; a store is returned unchanged."""
     return LocalFolder(where) if isinstance(where, Path) else where
 
 
 class LocalFolder:
-    """A folder of this machine. Files are opened for every read, which leaves nothing to share between processes."""
+    """Store of a local folder. Each read opens its file, so processes share no descriptor."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._place = path.absolute()  # for programs that change their working directory, and workers that have another
+        self._root = path.absolute()  # the working directory may change, or be another in a worker
 
     @property
     def name(self) -> str:
@@ -58,19 +58,19 @@ class LocalFolder:
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         """See `Store.read`."""
-        # Opening a pipe must not wait for a writer; to files the flag means nothing.
-        file = os.open(self._place / name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        # Without O_NONBLOCK, opening a pipe waits for a writer; files ignore the flag.
+        file = os.open(self._root / name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
             return os.pread(file, length, offset)
         finally:
             os.close(file)
 
-    def whole(self, name: str, limit: int) -> bytes | None:
-        """See `Store.whole`. Raises BadConfig if the folder itself is not there."""
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """See `Store.read_file`. Raises BadConfig if the folder does not exist."""
         try:
-            data = contents(self._place / name, packed=False, limit=limit)
+            data = contents(self._root / name, packed=False, limit=limit)
         except (FileNotFoundError, NotADirectoryError):
-            if not self._place.is_dir():
+            if not self._root.is_dir():
                 raise BadConfig(f"no such folder: {self.path}") from None
             return None
         if data is None:
@@ -79,20 +79,20 @@ class LocalFolder:
 
     def size(self, name: str) -> int:
         """See `Store.size`."""
-        return (self._place / name).stat().st_size
+        return (self._root / name).stat().st_size
 
-    def doubt(self, name: str) -> bool:
-        """A disk gives the same bytes again."""
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`: a disk gives the same bytes again."""
         return False
 
 
 def open_file(store: Store, name: str) -> io.BufferedReader:
-    """A file of a set, to be read from its start to its end. Raises OSError or Unreachable, now or when it is read."""
-    return io.BufferedReader(_Raw(store, name), _BUFFER_BYTES)
+    """Open a file of a set for sequential reading. Opening and reading raise OSError or Unreachable."""
+    return io.BufferedReader(_StoreFile(store, name), _BUFFER_BYTES)
 
 
-class _Raw(io.RawIOBase):
-    """What is buffered: reads wherever the last one ended."""
+class _StoreFile(io.RawIOBase):
+    """Unbuffered sequential reader of a store's file."""
 
     def __init__(self, store: Store, name: str) -> None:
         self._store, self._name, self._size, self._position = store, name, store.size(name), 0

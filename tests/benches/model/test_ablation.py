@@ -192,8 +192,8 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
     plain = conditions["all"].open(str(figures_set))
     assert plain.identity() == RangeImages(figures_set, "all", "test", 0).identity()
     quiet = [conditions[name].open(str(figures_set)) for name in ("noise_80", "missing_50")]
-    assert {image.sigma_mm for image in map(quiet[0].image, range(8))} == {80}
-    assert {image.missing_rate for image in map(quiet[1].image, range(8))} == {0.5}
+    assert {image.drawn["sigma_mm"] for image in map(quiet[0].image, range(8))} == {80}
+    assert {image.drawn["missing_rate"] for image in map(quiet[1].image, range(8))} == {0.5}
     for kind in ("patches", "stripes", "grazing"):
         fewer = conditions[f"{kind}_30"].open(str(figures_set))
         assert fewer.identity() != plain.identity()

@@ -34,16 +34,15 @@ from benches.model.failures.poses import (
 from label_networks import Places
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 from bodyseg_model.networks.checkpoints import Trained
 
 Labels = NDArray[np.uint8]
@@ -116,7 +115,7 @@ def test_an_edge_in_depth_is_no_slope() -> None:
 
 def test_which_parts_adjoin() -> None:
     assert (ADJOINING == ADJOINING.T).all() and ADJOINING.diagonal().all()
-    mirror = MIRRORED_PARTS[:PART_COUNT].long().numpy()
+    mirror = [part.mirror for part in PARTS]
     assert (ADJOINING[np.ix_(mirror, mirror)] == ADJOINING).all()
     source = open_source("open")
     body = source.build(next(body for body in source.bodies() if body.mesh == "person-120"))
@@ -139,7 +138,7 @@ def judged(
     range_steps = np.where(body, np.uint16(25000), np.uint16(0)) if image is None else image
     info = SampleInfo("folder", "folder", "S", "m", "standing", 215, 0, "test")
     clean = Sample("folder-S-m-d215-a000", range_steps, None, labels, body, info)
-    seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), 10.0, 0.05)
+    seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), {"sigma_mm": 10.0})
     return Prediction(clean, seen, np.where(shown, said, np.uint8(BACKGROUND)), 12.0)
 
 
@@ -227,8 +226,8 @@ def test_rules_about_an_image() -> None:
     body = plain() != BACKGROUND
     assert (rule("pose", case._replace(new_pose_deg=30.5)) == body).all()
     assert not rule("pose", case._replace(new_pose_deg=float("nan"))).any()
-    assert (rule("noise", case._replace(shown=replace(case.shown, sigma_mm=60.5))) == body).all()
-    assert not rule("noise", case._replace(shown=replace(case.shown, sigma_mm=None))).any()
+    assert (rule("noise", case._replace(shown=replace(case.shown, drawn={"sigma_mm": 60.5}))) == body).all()
+    assert not rule("noise", case._replace(shown=replace(case.shown, drawn={}))).any()
 
 
 # Poses.

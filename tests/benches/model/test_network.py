@@ -16,6 +16,7 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, parameters
 
 TINY: dict[str, dict[str, Any]] = {
@@ -31,7 +32,7 @@ def person(rows: int = 64, columns: int = 48) -> np.ndarray[Any, np.dtype[np.flo
     return frame
 
 
-def new(name: str, settings: Any = None, seed: int | None = None) -> nn.Module:
+def new(name: str, settings: Any = None, seed: int | None = None) -> Network:
     """Small, and as on a machine where networks of other packages are not installed."""
     if name not in TINY:
         raise MissingLibrary(f"{name} needs another package")

@@ -65,7 +65,7 @@ def test_a_camera_looks_past_a_body_to_the_right() -> None:
     across = {}
     for turn in (-20, 0, 20):
         placed = Scene("Kinect v1", KINECT, 3.0, turn).placed(mesh, 70)
-        range_m = RasterRenderer(mesh).see(placed).range
+        range_m = RasterRenderer(mesh).render(placed).range
         across[turn] = float(np.nonzero(range_m)[1].mean()) - 320
         assert np.linalg.norm(placed.position - mesh.centre) == pytest.approx(3.0)
     assert abs(across[0]) < 10

@@ -19,7 +19,8 @@ from slow_accuracy import slow_accuracy
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import VARIANTS, Artifacts
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import train as train_command
 from bodyseg_model.networks.checkpoints import load_network
@@ -106,12 +107,13 @@ def test_the_sweeps_change_one_artifact_of_x_all(figures_set: Path) -> None:
     noisy, holed = (
         condition.open(str(figures_set)) for condition in (Condition("all", 40), Condition("all", None, 0.5))
     )
-    assert {image.sigma_mm for image in map(noisy.image, range(8))} == {40}
-    assert {image.missing_rate for image in map(holed.image, range(8))} == {0.5}
+    assert {image.drawn["sigma_mm"] for image in map(noisy.image, range(8))} == {40}
+    assert {image.drawn["missing_rate"] for image in map(holed.image, range(8))} == {0.5}
     for index in range(8):
         before, louder, emptier = (images.image(index) for images in (plain, noisy, holed))
-        assert np.array_equal(before.labels, louder.labels) and before.missing_rate == louder.missing_rate
-        assert before.sigma_mm == emptier.sigma_mm
+        assert np.array_equal(before.labels, louder.labels)
+        assert before.drawn["missing_rate"] == louder.drawn["missing_rate"]
+        assert before.drawn["sigma_mm"] == emptier.drawn["sigma_mm"]
         both = (before.range > 0) & (emptier.range > 0)
         assert both.any() and np.array_equal(before.range[both], emptier.range[both])
     assert Condition("all", 40).name == "all, sigma 40 mm" and Condition("md", missing=0.5).name == "md, 50% missing"

@@ -105,7 +105,7 @@ def test_bodies_are_seen_from_all_sides(built: dict[str, Body], pose: str) -> No
     renderer = EmbreeRenderer(mesh)
     for azimuth in (0, 90, 200):
         camera, _ = rig.placed(mesh.centre, View(255, azimuth))
-        seen = renderer.see(camera).face >= 0
+        seen = renderer.render(camera).face >= 0
         rows = np.flatnonzero(seen.any(axis=1))
         assert seen.sum() > 1500 and abs(rows.mean() - seen.shape[0] / 2) < 60
 

@@ -65,7 +65,7 @@ def test_a_triangle_without_area_attracts_nothing() -> None:
 
 def test_landmarks_move_as_their_mesh_does() -> None:
     turn = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    moved = PointLandmarks("here", on_ball()).moved(0.5, turn)
+    moved = PointLandmarks("here", on_ball()).transformed(0.5, turn)
     np.testing.assert_allclose(moved.points, 0.5 * np.array([turn @ point for point in on_ball()]))
     assert moved.source == "here"
 
@@ -119,7 +119,7 @@ def test_what_is_not_33_finite_points_is_refused() -> None:
 
 
 def test_points_on_one_mesh_serve_all_of_its_topology() -> None:
-    landmarks, snapped = PointLandmarks("here", on_ball(0.005)).propagated(BALL, "balls")
+    landmarks, snapped = PointLandmarks("here", on_ball(0.005)).to_landmark_set(BALL, "balls")
     np.testing.assert_allclose(snapped.distance_m, 0.005)
     assert landmarks == LandmarkSet("here", "balls", 642, 1280, tuple(SPREAD.tolist()))
     other = Mesh("flat ball", BALL.vertices * (1, 0.7, 1), BALL.faces)

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from benches.data.surface.areas import part_areas
 from shapes import ball, box_mesh, evenly_drawn, figure
 
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
@@ -15,8 +16,8 @@ from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition import geodesics
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics
-from bodyseg_data.meshes.partition.surface_parts import part_areas, partition, partition_unmended
+from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod
+from bodyseg_data.meshes.partition.surface_parts import partition, partition_unmended
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:
@@ -166,7 +167,7 @@ def test_bad_landmarks_are_refused_by_name() -> None:
         (changed(good, 2, -1), f"must be vertices 0 to {last}, found Supramenton at -1"),
         (changed(good, 2, last + 1), f"must be vertices 0 to {last}, found Supramenton at {last + 1}"),
         (changed(good, 2, last), f"must lie on the surface, found Supramenton at {last}"),
-        (changed(good, 2, good[1]), f"must be different vertices, found Nuchale and Supramenton at {good[1]}"),
+        (changed(good, 2, good[1]), f"must be different vertices, found 'Nuchale' and 'Supramenton' at {good[1]}"),
     ):
         with pytest.raises(BadLandmarks, match=message):
             partition(mesh, landmarks)
@@ -184,7 +185,7 @@ def test_landmarks_that_share_one_place_are_refused() -> None:
 
 def test_a_sound_body_has_no_note() -> None:
     mesh = ball(subdivisions=3)
-    for method in get_args(Geodesics):
+    for method in get_args(GeodesicMethod):
         assert partition(mesh, evenly_drawn(mesh), method).note is None
 
 
@@ -234,7 +235,7 @@ def test_seams_that_are_not_welded_change_nothing() -> None:
 def test_a_method_that_cannot_answer_is_replaced_and_the_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = ball(subdivisions=3)
     landmarks = evenly_drawn(mesh)
-    wanted = partition(mesh, landmarks, ALWAYS_ANSWERS)
+    wanted = partition(mesh, landmarks, FALLBACK_METHOD)
 
     def too_thin(*arguments: Any) -> Any:
         raise Unanswerable("the method 'exact' cannot answer: it is tired")
@@ -259,7 +260,7 @@ def test_folds_without_any_area_fall_back() -> None:
 
 def test_an_unknown_method_is_refused() -> None:
     mesh = ball(subdivisions=3)
-    with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'euclid'"):
+    with pytest.raises(BadConfig, match="method .*found 'euclid'"):
         partition(mesh, evenly_drawn(mesh), "euclid")  # type: ignore[arg-type]  # on purpose
 
 

@@ -191,7 +191,7 @@ BROKEN = {
     "a corner outside": (
         "a.ply",
         changed("text.ply", b"3 0 3 2", b"3 0 6 2"),
-        "vertices 0 to 5, found .0, 6, 2. in tri",
+        "vertices 0 to 5, found .0, 6, 2. at face",
     ),
     "a corner below": ("a.ply", changed("text.ply", b"3 0 3 2", b"3 0 -1 2"), "vertices 0 to 5, found .0, -1, 2."),
     "an enormous corner": ("a.ply", changed("text.ply", b"3 0 3 2", b"3 0 9" + b"9" * 30 + b" 2"), "is no vertex"),
@@ -203,7 +203,7 @@ BROKEN = {
     "obj, corner x": ("a.obj", b"v 1 2 3\nf 1 1 x\n", "line 2 is not OBJ: invalid literal"),
     "obj, corner 0": ("a.obj", b"v 1 2 3\nf 1 0 1\n", "must be a vertex, found 0 after 1 vertices"),
     "obj, back too far": ("a.obj", b"v 1 2 3\nf 1 -2 1\nv 1 2 3\n", "must be a vertex, found -2 after 1 vertices"),
-    "obj, outside": ("a.obj", b"v 1 2 3\nf 1 1 2\n", "must be vertices 0 to 0, found .0, 0, 1."),
+    "obj, outside": ("a.obj", b"v 1 2 3\nf 1 1 2\n", "must use vertices 0 to 0, found .0, 0, 1."),
     "obj, enormous": ("a.obj", b"v 1 2 3\nf 1 1 9" + b"9" * 30, "is no vertex"),
     "obj, not text": ("a.obj", b"v 0 0 \xff\n", "line 1 is not OBJ"),
     "off, binary": ("a.off", b"OFF BINARY\n" + bytes(30), "the counts of vertices and faces must follow OFF"),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
-from bodyseg_data.shards.codecs.runs import Box, used_box
+from bodyseg_data.shards.codecs.runs import Box, bounding_box
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
 
 Image = NDArray[Any]
@@ -45,16 +45,16 @@ class Cropped:
 
     def encode(self, image: Image, background: int) -> bytes:
         """See `Baseline`."""
-        box = used_box(image != background)
+        box = bounding_box(image != background)
         fields = [image.itemsize, background, *image.shape, box.top, box.left, box.height, box.width]
-        return np.array(fields, "<u2").tobytes() + self.pack(np.ascontiguousarray(box.of(image)))
+        return np.array(fields, "<u2").tobytes() + self.pack(np.ascontiguousarray(box.crop(image)))
 
     def decode(self, data: bytes) -> Image:
         """See `Baseline`."""
         size, background, rows, columns, *edges = np.frombuffer(data[:16], "<u2").tolist()
         kind, box = (np.uint16 if size == 2 else np.uint8), Box(*edges)
         image: Image = np.full((rows, columns), background, kind)
-        box.of(image)[:] = self.unpack(data[16:], box, kind)
+        box.crop(image)[:] = self.unpack(data[16:], box, kind)
         return image
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
 from benches.measuring import Progress, least_time, mixed, silent
-from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core import kernels
@@ -28,7 +28,7 @@ from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.coarsening import coarsened
-from bodyseg_data.packing.occluder_range import exact_range, shadow_test
+from bodyseg_data.packing.occluder_range import exact_range
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from benches.data.loader.processes import private_mb, processor_seconds
-from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import Batch

@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import (
-    EDGE_M,
-    FARTHEST,
-    GAP_STEPS,
-    SURFACE_GAP_M,
     Floats,
     ShadowTest,
     four_texels,
     framed,
     reached,
 )
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M, SHADOW_THRESHOLDS
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 """Camera range, projector range, facing bit, as `ShadowTest.lit` takes them."""
@@ -31,7 +27,7 @@ Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 Stored = Literal["whole", "occluder", "coarse"]
 """All texels; those that can shade a pixel; those, rounded as far as no pixel's result changes."""
 
-_TORN: Final = np.int32(round(EDGE_M / RANGE_STEP_M))  # a larger difference between neighbours is no slope
+_TORN: Final = np.int32(SHADOW_THRESHOLDS.edge_steps)  # a larger difference between neighbours is no slope
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ def nearest(bias_mm: float) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         image, start = framed(projector_range), nearest_texel(projector_range, x, y)
-        lit: NDArray[np.bool_] = image.ravel().take(start) >= np.minimum(away - np.float32(1), FARTHEST) - bias
+        lit: NDArray[np.bool_] = image.ravel().take(start) >= np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         return lit
 
     return rule
@@ -86,9 +82,9 @@ def plane(bias_mm: float) -> Rule:
         across, down = slopes(image, start)
         half = np.float32(0.5)
         x_off, y_off = x - np.floor(x + half), y - np.floor(y + half)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias - across * x_off - down * y_off
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias - across * x_off - down * y_off
         # Nothing is behind an empty texel, whatever the slope beside it.
-        limit = np.minimum(limit, FARTHEST)
+        limit = np.minimum(limit, FARTHEST_STEPS)
         lit: NDArray[np.bool_] = image.ravel().take(start) >= limit
         return lit
 
@@ -101,7 +97,7 @@ def farthest(bias_mm: float) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         (a, b, c, d), _, _ = four_texels(projector_range, x, y)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         lit: NDArray[np.bool_] = np.maximum(np.maximum(a, b), np.maximum(c, d)) >= limit
         return lit
 
@@ -114,7 +110,7 @@ def votes(bias_mm: float) -> Rule:
 
     def rule(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         texels, along, below = four_texels(projector_range, x, y)
-        limit = np.minimum(away - np.float32(1), FARTHEST) - bias
+        limit = np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias
         a, b, c, d = ((texel >= limit).astype(np.float32) for texel in texels)
         upper, lower = a + along * (b - a), c + along * (d - c)
         lit: NDArray[np.bool_] = upper + below * (lower - upper) >= np.float32(0.5)
@@ -128,7 +124,9 @@ def interpolated(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away
     texels, along, below = four_texels(projector_range, x, y)
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = np.minimum(away - 1, FARTHEST) - (upper + below * (lower - upper)) <= GAP_STEPS
+    lit: NDArray[np.bool_] = (
+        np.minimum(away - 1, FARTHEST_STEPS) - (upper + below * (lower - upper)) <= SHADOW_THRESHOLDS.gap_steps
+    )
     return lit
 
 
@@ -167,7 +165,7 @@ def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Meth
     return Method(family, bias_mm, rule(bias_mm), 1 if rule is nearest else 4, compares=True)
 
 
-DEFAULT: Final = Method("interpolated, votes at edges", SURFACE_GAP_M * 1000, reached)
+DEFAULT: Final = Method("interpolated, votes at edges", SHADOW_THRESHOLDS.surface_gap_m * 1000, reached)
 NEAREST: Final = _compare("nearest texel", 20.0, nearest)
 """The default's closest baseline."""
 

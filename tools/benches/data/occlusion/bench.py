@@ -24,9 +24,10 @@ from benches.data.occlusion.views import (
     with_baseline,
 )
 from benches.measuring import Progress, silent
-from bodyseg_data.artifacts.occlusion import EDGE_M, SURFACE_GAP_M, ShadowTest
+from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 
 _TIMED_EVERY: Final = 5  # one ordinary view in five is timed, and its bytes are counted
 
@@ -64,7 +65,11 @@ def bench_occlusion(views: int = 60, progress: Progress = silent) -> dict[str, A
     plain = {tally.method: tally.row(bit) for tally in tallies}
     rows = [*plain.values(), *compiled.rows(plain)]
     default = next((row for row in rows if row["form"] == "compiled"), rows[0])
-    constants = {"surface_gap_mm": SURFACE_GAP_M * 1e3, "edge_mm": EDGE_M * 1e3, "facing_bit_bytes": bit}
+    constants = {
+        "surface_gap_mm": SHADOW_THRESHOLDS.surface_gap_m * 1e3,
+        "edge_mm": SHADOW_THRESHOLDS.edge_m * 1e3,
+        "facing_bit_bytes": bit,
+    }
     beaten = {
         "dominated_by": [_setting(row) for row in rows if dominates(_costs(row), _costs(default))],
         "numpy_dominated_by": [

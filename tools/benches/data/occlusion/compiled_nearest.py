@@ -13,12 +13,11 @@ from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
 from bodyseg_data.artifacts.scratch import scratch_for
 from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
-_FARTHEST: Final = np.float32(65535)
 _kernel = partial(compiled, feature="bench occlusion")
 
 
@@ -57,7 +56,7 @@ def nearest_image(shadow: Any, bias: Any, scratch: Any, lit_mask: Any) -> None:
     for point in range(count):
         # One step off, an empty texel wraps round to 65535, which is behind every point, as it should be.
         texel = np.float32(np.uint16(projector_range[np.uint64(start[point])] - np.uint16(1)))
-        marks[point] &= np.uint8(texel >= min(away[point] - _ONE, _FARTHEST) - bias)
+        marks[point] &= np.uint8(texel >= min(away[point] - _ONE, FARTHEST_STEPS) - bias)
     lit_mask[:] = False
     index: Any = np.uint64(0)
     for run in range(np.uint64(runs)):

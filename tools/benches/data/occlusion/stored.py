@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import least_time
-from bodyseg_data.artifacts.occlusion import FARTHEST, Floats, ShadowTest, framed
+from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
 from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels, split_labels
@@ -105,7 +105,7 @@ def shading_texels(
     indices = _texel_indices(image, x, y, texels)
     nearest = np.minimum.reduce([frame.ravel().take(index) for index in indices])
     # One step is far more than single precision can be off by.
-    shaded = np.minimum(away - np.float32(1), FARTHEST) - nearest > gap - np.float32(1)
+    shaded = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest > gap - np.float32(1)
     read = np.zeros(frame.shape, np.bool_)
     for index in indices:
         read.ravel()[index[shaded]] = True
@@ -120,7 +120,7 @@ def coarse_comparisons(
     `rendering/coarsening.py` does it for the default's rule; arguments as in `shading_texels`.
     """
     frame = framed(image).astype(np.int32)
-    limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST) - bias).astype(np.int32)
+    limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias).astype(np.int32)
     low, high = np.zeros(frame.size, np.int32), np.full(frame.size, _EMPTY, np.int32)
     for index in _texel_indices(image, x, y, texels):
         behind = frame.ravel()[index] >= limits

@@ -148,7 +148,7 @@ def exact_view(
         parts = Partition(labels, nowhere, find_borders(mesh, labels, nowhere))
     sample = Sampler(renderer, rig, mesh, parts, source, ref).take(view)
     camera, projector = rig.placed(mesh.centre, view)
-    seen = renderer.see(camera)
+    seen = renderer.render(camera)
     rows, columns = np.nonzero(seen.face >= 0)
     points = surface_points(seen, camera, rows, columns)
     pixels, away = projector.project(points)
@@ -168,7 +168,7 @@ def exact_view(
     images, by_thin = {}, np.zeros(len(points), np.bool_)
     for scale in scales:
         finer = replace(projector, camera=rig.with_projector_scale(scale).projector)
-        surface = renderer.see(finer)
+        surface = renderer.render(finer)
         images[scale] = steps(surface.range, sample.key)
         if scale == max(scales):
             thin_faces: Mask = np.isin(parts.labels, _THIN)[mesh.faces[:, 0]]

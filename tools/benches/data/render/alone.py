@@ -43,8 +43,8 @@ class _Ours:
 
     def render(self, view: View) -> NDArray[Any]:
         camera, projector = self._rig.placed(self._centre, view)
-        seen = self._renderer.see(camera)
-        self._renderer.see(projector)
+        seen = self._renderer.render(camera)
+        self._renderer.render(projector)
         return seen.range
 
     def close(self) -> None:

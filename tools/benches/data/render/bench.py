@@ -169,7 +169,7 @@ def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) 
         exact, plain = open_renderer("opengl", body.mesh), PlainScenes(packing.rig, body.mesh, parts.labels)
         sampler = Sampler(open_renderer(packing.renderer, body.mesh), packing.rig, body.mesh, parts, "open", ref)
         for view in views:
-            true_m = exact.see(packing.rig.placed(body.mesh.centre, view)[0]).range
+            true_m = exact.render(packing.rig.placed(body.mesh.centre, view)[0]).range
             sample, drawn = sampler.take(view), plain.take(view)
             for name, image in (("ours", sample.range), ("plain", drawn["range"])):
                 both = (true_m > 0) & (image > 0)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.codec.baselines import predicted
+from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
@@ -24,7 +25,7 @@ from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.occluder_range import occluder_range, shadow_test
+from bodyseg_data.packing.occluder_range import occluder_range
 from bodyseg_data.packing.pack import Packing
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
@@ -85,7 +86,7 @@ class _Scene:
     def by_pixel(self, view: View, renderer: EmbreeRenderer, whole_projector: bool = True) -> Images:
         """Each pixel's part and facing from its own point."""
         camera, projector = self.rig.placed(self.mesh.centre, view)
-        seen = renderer.see(camera)
+        seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
         faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
@@ -94,7 +95,7 @@ class _Scene:
         facing[rows, columns] = faces_towards(self.mesh, faces, points, projector.position)
         camera_range = steps(seen.range, view.name)
         if whole_projector:
-            projector_range = steps(renderer.see(projector).range, view.name)
+            projector_range = steps(renderer.render(projector).range, view.name)
         else:
             test = shadow_test(self.rig)
             projector_range = occluder_range(
@@ -195,9 +196,9 @@ class _Timed:
     renderer: Renderer
     clock: _Clock
 
-    def see(self, camera: PlacedCamera) -> Surface:
+    def render(self, camera: PlacedCamera) -> Surface:
         with self.clock.on("camera"):
-            return self.renderer.see(camera)
+            return self.renderer.render(camera)
 
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         with self.clock.on("projector"):

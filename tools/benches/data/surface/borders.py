@@ -126,7 +126,7 @@ def labelled_pixels(
 ) -> tuple[dict[str, Any], NDArray[np.intp]]:
     """The labels of one view's foreground pixels that landmarks reach, by each method and by exact distances."""
     camera, _ = rig.placed(body.mesh.centre, view)
-    seen = EmbreeRenderer(body.mesh).see(camera)
+    seen = EmbreeRenderer(body.mesh).render(camera)
     rows, columns = np.nonzero(seen.face >= 0)
     faces = seen.face[rows, columns]
     points = surface_points(seen, camera, rows, columns)

@@ -34,7 +34,7 @@ def draw_borders(figures: dict[str, Any], path: Path) -> None:
     parts = partition(body.mesh, body.landmarks)
     fields = landmark_fields(body, parts)
     camera, _ = rig.placed(body.mesh.centre, _VIEW)
-    seen = EmbreeRenderer(body.mesh).see(camera)
+    seen = EmbreeRenderer(body.mesh).render(camera)
     labels, exact = labelled_pixels(rig, body, parts, fields, _VIEW)
     reached = seen.face >= 0
     reached[reached] = np.isfinite(fields[0][body.mesh.faces[seen.face[reached]]]).all(axis=1)

@@ -85,7 +85,7 @@ def roughness(body: Body) -> Floats:
     found = []
     for azimuth in AZIMUTHS:
         camera, _ = rig.placed(body.mesh.centre, View(_DISTANCE_CM, azimuth))
-        seen = renderer.see(camera)
+        seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
         points = surface_points(seen, camera, rows, columns)
         wanted = np.zeros(seen.face.shape, np.bool_)

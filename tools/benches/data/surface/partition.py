@@ -21,12 +21,12 @@ from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.geodesics import ALWAYS_ANSWERS, Geodesics, nearest_sources
+from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
 from bodyseg_data.packing.pack import spread
 
-METHODS: Final[tuple[Geodesics, ...]] = get_args(Geodesics)
-DEFAULT: Final[Geodesics] = "exact"
+METHODS: Final[tuple[GeodesicMethod, ...]] = get_args(GeodesicMethod)
+DEFAULT: Final[GeodesicMethod] = "exact"
 
 _OPEN_BODIES: Final = 8
 _MIT_FRAMES: Final = 3
@@ -72,7 +72,7 @@ def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dic
     return {
         "methods": methods,
         "default": DEFAULT,
-        "falls_back_to": ALWAYS_ANSWERS,
+        "falls_back_to": FALLBACK_METHOD,
         "open": [ref.mesh for ref in chosen],
         "mit": on_frames,
         "broken": chosen[0].mesh,

@@ -15,13 +15,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data.surface.areas import part_areas
 from benches.measuring import Progress, silent
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import LANDMARKS, PARTS
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import part_areas, partition
+from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.repair import load_pymeshlab
 
 OPEN: Final = (
@@ -69,7 +70,7 @@ def measure(mesh: Mesh, positions: NDArray[np.float64], proposal: Proposal) -> d
     vertices = proposal.landmarks.for_mesh(mesh)
     found = mesh.vertices[vertices]
     error = 100 * np.linalg.norm(found - positions, axis=1)
-    other = _other_side()
+    other = [part.mirror for part in PARTS]
     swapped = np.linalg.norm(found - positions[other], axis=1) < np.linalg.norm(found - positions, axis=1)
     true = np.linalg.norm(mesh.surface_vertices[:, None] - positions, axis=2).argmin(axis=0)
     labels = [partition(mesh, at).labels for at in (vertices, np.unique(mesh.faces)[true])]
@@ -113,9 +114,3 @@ def shuffled(mesh: Mesh, seed: int) -> Mesh:
     order = rng.permutation(len(vertices))
     renumbered = np.argsort(order)
     return Mesh(mesh.name, vertices[order], renumbered[faces][rng.permutation(len(faces))].astype(np.int32))
-
-
-def _other_side() -> NDArray[np.int64]:
-    """The label of each part's counterpart, [33]; its own in the middle."""
-    step = {"right": 1, "left": -1, "middle": 0}
-    return np.array([part.label + step[part.side] for part in PARTS])

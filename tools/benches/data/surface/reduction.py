@@ -142,7 +142,7 @@ class _Reference:
         images: list[tuple[NDArray[Any], ...]] = []
         for view in self.views:
             camera, projector = self.rig.placed(self.body.mesh.centre, view)
-            seen = renderer.see(camera)
+            seen = renderer.render(camera)
             rows, columns = np.nonzero(seen.face >= 0)
             faces, points = seen.face[rows, columns], surface_points(seen, camera, rows, columns)
             labels, facing = np.zeros(seen.face.shape, np.uint8), np.zeros(seen.face.shape, np.bool_)
@@ -184,7 +184,7 @@ class _Reference:
         sampler_s, sampler = least_time(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
         cameras = [self.rig.placed(copy.centre, view)[0] for view in self.views]
         pass_s, rays_s = (
-            statistics.median(least_time(partial(one.see, camera), 2)[0] for camera in cameras)
+            statistics.median(least_time(partial(one.render, camera), 2)[0] for camera in cameras)
             for one in (renderer, rays)
         )
         view_s = statistics.median(least_time(partial(_encoded, sampler, view), 2)[0] for view in self.views)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from torch import nn
 
 from benches.measuring import silent
 from benches.model.ablation.conditions import (
@@ -42,6 +41,7 @@ from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"
@@ -137,7 +137,7 @@ def _evaluated(
 ) -> dict[str, Accuracies]:
     """Row -> condition -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
-    networks: dict[Path, nn.Module] = {}
+    networks: dict[Path, Network] = {}
     accuracies: dict[str, Accuracies] = {}
     for done, (row, condition, run) in enumerate(jobs, start=1):
         if run.path not in networks:

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.variants.scores import Condition
-from bodyseg_data.artifacts.losses import lost_grazing, lost_patches, lost_stripes
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import Artifacts, RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.losses import SHAPES, lost
+from bodyseg_data.artifacts.strengths import Artifacts
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.evaluation.evaluation import fixed_artifacts
 
 STEPS_MM: Final = (1, 2, 4, 8)
 """Steps of range, coarser than the stored 0.1 mm."""
@@ -57,7 +57,7 @@ CONDITIONS: Final = (
     AblationCondition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
     *(
         AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
-        for kind in ("patches", "stripes", "grazing")
+        for kind in SHAPES
     ),
     AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
     AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
@@ -91,12 +91,8 @@ class ConditionImages(RangeImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: AblationCondition) -> None:
-        usual = Artifacts()
-        strengths = Artifacts(
-            usual.noise if condition.noise_mm is None else Noise(condition.noise_mm, condition.noise_mm),
-            usual.missing_data if condition.missing is None else MissingData((condition.missing,)),
-        )
-        super().__init__(path, condition.variant, "test", _SEED, artifacts=strengths, only=condition.only)
+        fixed = Artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
+        super().__init__(path, condition.variant, "test", _SEED, artifacts=fixed, only=condition.only)
         self._condition = condition
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
@@ -118,21 +114,16 @@ class ConditionImages(RangeImages):
 
     def _alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         if self._condition.lost is not None:
-            gone = self._lost(index, epoch)
+            gone = self._lost(self._condition.lost, index, epoch)
             image[gone] = 0
             labels[gone] = BACKGROUND
         if self._condition.step_mm is not None:
             image[...] = stepped(image, self._condition.step_mm) * steps_of(self._condition.step_mm)
 
-    def _lost(self, index: int, epoch: int) -> NDArray[np.bool_]:
-        kind, share = self._condition.lost, self._condition.share
+    def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
-        draws = generator(self.seed, epoch, clean.key, f"lost {kind}")
-        if kind == "patches":
-            return lost_patches(clean.range, share, draws)
-        if kind == "stripes":
-            return lost_stripes(clean.range, share, draws)
-        return lost_grazing(clean.range, share, self.manifest.rig.camera)
+        draws = generator(self.seed, epoch, clean.key, f"lost {shape}")
+        return lost(shape, clean.range, self._condition.share, self.manifest.rig.camera, draws)
 
 
 def steps_of(step_mm: float) -> int:

@@ -15,7 +15,8 @@ from benches.model.ablation.conditions import STEPS_MM
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import Artifacts, VariantName
+from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.variants import VariantName
 
 Tree = dict[str, Any]
 Source = Literal["", "dressed", "bare"]

@@ -13,7 +13,7 @@ from bodyseg_data.commands.options import place_name
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
-from bodyseg_model.networks.registry import build, settings_of
+from bodyseg_model.networks.registry import build
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS, Recipe
 
@@ -63,7 +63,7 @@ def plan_of(run: Run) -> Plan:
         if card["network"] != NETWORK:
             raise BadConfig(f"{run.path} must be a training of {NETWORK}, found {card['network']!r}")
         preset = asdict(PRESETS[NETWORK])
-        return Plan(Recipe.from_json(preset | card["recipe"]), settings_of(build(NETWORK, card["settings"])))
+        return Plan(Recipe.from_json(preset | card["recipe"]), build(NETWORK, card["settings"]).settings)
     except (KeyError, TypeError, ValueError) as error:
         raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
 
@@ -76,7 +76,7 @@ def check_run(run: Run, plan: Plan, expected: Tree) -> None:
     card = read_json(run.path / "network.json")
     ours = plan_of(run)
     wanted: dict[str, Any] = {
-        "settings": settings_of(build(NETWORK, {**plan.settings, **run.row.settings})),
+        "settings": build(NETWORK, {**plan.settings, **run.row.settings}).settings,
         "recipe": asdict(plan.recipe),
         "variant": run.row.variant,
         "data": expected["data"] | {"seed": run.seed},

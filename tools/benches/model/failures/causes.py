@@ -13,14 +13,13 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.variants import RangeImage
+from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, PARTS
+from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
-from bodyseg_model.networks.batch_transforms import MIRRORED_PARTS
 
 About = Literal["a place", "a mistake", "an image"]
 
@@ -146,7 +145,7 @@ def _adjoining() -> NDArray[np.bool_]:
     for name, others in _JOINED.items():
         for other in others:
             pair = [labels[name], labels[other]]
-            for one, two in (pair, MIRRORED_PARTS[pair].tolist()):
+            for one, two in (pair, MIRRORED_LABELS[pair].tolist()):
                 found[one, two] = found[two, one] = True
     return found
 
@@ -194,7 +193,7 @@ def holds(prediction: Prediction, camera: Camera) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         grazing = viewing_angles(clean.range, camera) > GRAZING_DEG
     everywhere = np.ones(len(where), np.bool_)
-    sigma = shown.sigma_mm or 0.0
+    sigma = shown.drawn.get("sigma_mm", 0.0)
     found: dict[str, NDArray[np.bool_]] = {
         "lost_data": at(measured < LEAST_MEASURED * window_sums(body, NEAR_PX)),
         "out_of_frame": at(edge_distance(body) < FRAME_PX),

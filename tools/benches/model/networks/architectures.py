@@ -16,7 +16,6 @@ from typing import Any, Final
 
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from benches.measuring import silent
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
@@ -31,7 +30,8 @@ from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report
-from bodyseg_model.networks.registry import parameters, settings_of
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import parameters
 from bodyseg_model.training.distributed import find_device
 
 FOREST: Final = "forest"
@@ -136,7 +136,7 @@ def bench_architectures(
 def _facts(group: Sequence[Run], frame: NDArray[Any]) -> Tree:
     first, network = group[0], group[0].network
     cards = {run.path.name: run.trained.card for run in group}
-    settings = settings_of(network)
+    settings = network.settings
     return {
         "family": first.family,
         "label": _label(first, settings),
@@ -192,7 +192,7 @@ def _cells() -> list[Cell]:
     return cells
 
 
-def _row(cell: Cell, networks: dict[str, nn.Module], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
+def _row(cell: Cell, networks: dict[str, Network], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
     """Times of all networks in one cell; the forest runs on the processor alone."""
     device = torch.device(cell.device)
     asked = {name: one.to(device) for name, one in networks.items() if cell.device == "cpu" or name != FOREST}

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
-from torch import nn
 
 from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
@@ -26,6 +25,7 @@ from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 
 FAR_M: Final = np.float32(10.0)
@@ -136,7 +136,7 @@ class Trees(NamedTuple):
     roots: NDArray[np.int32]
 
 
-class DepthForest(nn.Module):
+class DepthForest(Network):
     """Range image -> logarithms of the parts' probabilities: used as any other network.
 
     window: see `smoothed`.
@@ -152,7 +152,7 @@ class DepthForest(nn.Module):
         leaves = self.trees.leaves
         return 2 * (len(self.trees.nodes) - len(leaves)) + leaves.size
 
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Logarithms of probabilities, float32 [B, 33, H, W], of range images in metres, float32 [B, 1, H, W].
 
         They are 0 where nothing was measured. Raises BadConfig for any other shape, MissingLibrary

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from torch import nn
-
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
-from bodyseg_model.networks.registry import settings_of
+from bodyseg_model.networks.network import Network
 
 SHARED: Final = ("steps", "batch_size", "accumulate")
 """Fields of a recipe that all networks share; the others may be tuned to a network."""
@@ -32,7 +30,7 @@ class Run:
     trained: Trained
 
     @property
-    def network(self) -> nn.Module:
+    def network(self) -> Network:
         """The network, in evaluation mode."""
         return self.trained.network
 
@@ -87,7 +85,7 @@ def _training_of(run: Run) -> Tree:
 
 def _everything_of(run: Run) -> Tree:
     """Facts of a training that the seeds of one name must share."""
-    return {"network": run.family, "settings": settings_of(run.network), "recipe": run.recipe}
+    return {"network": run.family, "settings": run.network.settings, "recipe": run.recipe}
 
 
 def _check_alike(run: Run, other: Run, facts: Callable[[Run], Tree]) -> None:
@@ -105,4 +103,4 @@ def is_shipped(run: Run) -> bool:
     if not SHIPPED.exists():
         return False
     shipped = load_network(SHIPPED)
-    return (run.family, settings_of(run.network)) == (shipped.card["network"], settings_of(shipped.network))
+    return (run.family, run.network.settings) == (shipped.card["network"], shipped.network.settings)

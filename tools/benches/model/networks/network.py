@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from benches.measuring import silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
@@ -33,6 +32,7 @@ from benches.model.networks.network_times import (
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.machine import processors
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, parameters
 
 REFERENCE: Final = "compact"
@@ -50,7 +50,7 @@ class _Candidate:
     """kind: which of `NETWORKS`. run: the name of the folder or file its weights are from; None for new weights."""
 
     kind: str
-    network: nn.Module
+    network: Network
     run: str | None
 
 

@@ -11,10 +11,10 @@ from typing import Any, Final, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from benches.model.networks.network_frames import as_batch
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.training.distributed import threads
 
@@ -42,7 +42,7 @@ class Cell:
 
 def time_cell(
     cell: Cell,
-    networks: Mapping[str, nn.Module],
+    networks: Mapping[str, Network],
     batches: Sequence[torch.Tensor],
     rounds: int,
     budget_s: float,
@@ -88,7 +88,7 @@ def summary(taken: Mapping[str, Sequence[float]], reference: str) -> dict[str, A
     return rows
 
 
-def _job(task: Task, network: nn.Module, batch: torch.Tensor) -> Callable[[], Any]:
+def _job(task: Task, network: Network, batch: torch.Tensor) -> Callable[[], Any]:
     if task == "labels":
         return lambda: predict(network, batch)
 
@@ -116,7 +116,7 @@ def _wait(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def operations(network: nn.Module, frame: NDArray[np.float32]) -> float:
+def operations(network: Network, frame: NDArray[np.float32]) -> float:
     """Multiplications and additions of `forward` on a frame [H, W], in thousand millions."""
     with torch.inference_mode(), FlopCounterMode(display=False) as counter:
         network(as_batch(frame, 1, device_of(network)))

@@ -14,7 +14,6 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.sources import open_source
@@ -28,8 +27,9 @@ from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.segmentation.cameras import SENSORS, frame_camera
+from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
 
 Method = Literal["as it is", "scaled", "turned and scaled"]
@@ -64,10 +64,9 @@ class Scene:
 def all_scenes() -> list[Scene]:
     """The known camera as it is known; the others at all distances, and past a body in all directions."""
     scenes = [Scene(KNOWN, load_rig().camera, KNOWN_AT_M)]
-    for shape, (sensor, _) in SENSORS.items():
-        camera = frame_camera(shape, sensor).camera
-        scenes += [Scene(sensor, camera, distance) for distance in DISTANCES_M]
-        scenes += [Scene(sensor, camera, ASIDE_AT_M, turn) for turn in DIRECTIONS_DEG]
+    for sensor in other_sensors():
+        scenes += [Scene(sensor.title, sensor.camera, distance) for distance in DISTANCES_M]
+        scenes += [Scene(sensor.title, sensor.camera, ASIDE_AT_M, turn) for turn in DIRECTIONS_DEG]
     return scenes
 
 
@@ -118,7 +117,7 @@ def bench_sensors(
     }
 
 
-def label(network: nn.Module, range_m: Image, camera: Camera, method: Method) -> Labels:
+def label(network: Network, range_m: Image, camera: Camera, method: Method) -> Labels:
     """Labels [H, W] of a frame of one body without background, [H, W], metres."""
     if method == "as it is":
         return predict(network, torch.from_numpy(range_m)[None, None]).labels[0].numpy()
@@ -131,7 +130,7 @@ def label(network: nn.Module, range_m: Image, camera: Camera, method: Method) ->
 
 def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera) -> tuple[Image, Labels]:
     """Range image of a body by a camera, metres, and the labels of its parts."""
-    seen = renderer.see(placed)
+    seen = renderer.render(placed)
     rows, columns = np.nonzero(seen.face >= 0)
     truth = np.full(seen.face.shape, BACKGROUND, np.uint8)
     truth[rows, columns] = parts.labels_at(mesh, seen.face[rows, columns], surface_points(seen, placed, rows, columns))

@@ -112,7 +112,7 @@ def _images_a_step(plan: Plan) -> int:
 
 
 def _curves(scores_of: ScoresOf, sweep: Sweep) -> Tree:
-    others = [name for name, has in vars(VARIANTS[sweep.conditions[0].variant]).items() if has]
+    others = list(VARIANTS[sweep.conditions[0].variant])
     curves = {}
     for variant in VARIANTS:
         points = [over_seeds(accuracies(scores_of, variant, condition)) for condition in sweep.conditions]

@@ -212,7 +212,7 @@ def _lost(scores_of: ScoresOf, variants: Sequence[VariantName], sweep: Sweep, st
     found: Tree = {}
     for variant in variants:
         pairs = zip(*(accuracies(scores_of, variant, condition) for condition in ends), strict=True)
-        found[variant] = over_seeds([100 * (clean - worse) for clean, worse in pairs], places=2)
+        found[variant] = over_seeds([100 * (clean - worse) for clean, worse in pairs], decimals=2)
     return found
 
 

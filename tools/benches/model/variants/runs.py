@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
-from bodyseg_model.networks.registry import build, settings_of
+from bodyseg_model.networks.registry import build
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import Report, RunOptions, Training
 from bodyseg_model.training.recipes import Recipe, recipe_for
@@ -95,7 +95,7 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
         if steps is not None and shared.recipe.steps != steps:
             raise BadConfig(f"{run.path} is a training of {shared.recipe.steps} steps, --steps asks for {steps}")
     else:
-        shared = Plan(recipe_for(NETWORK, steps=steps), settings_of(build(NETWORK)), identity)
+        shared = Plan(recipe_for(NETWORK, steps=steps), build(NETWORK).settings, identity)
     for run, plan in there:
         for name, wanted in shared.of(run).items():
             if plan.get(name) != wanted:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from torch import nn
-
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
+from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of
 
 FILE: Final = "cached_results.json"
@@ -92,13 +91,13 @@ class Evaluator:
             self._opened = condition, condition.open(self._data)
         return self._opened[1]
 
-    def scores(self, folder: Path, network: nn.Module, condition: Condition, extras: bool) -> dict[str, Any]:
+    def scores(self, folder: Path, network: Network, condition: Condition, extras: bool) -> dict[str, Any]:
         """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
 
         extras: count confidences and distances to borders as well. Raises as `ResultCache` and `evaluate`.
         """
         images = self.images(condition)
-        question = {
+        query = {
             "condition": condition.name,
             "images": images.identity(),
             "count": self._count,
@@ -107,12 +106,12 @@ class Evaluator:
             "device": device_of(network).type,
         }
         cache = self._cache(folder, type(condition).__module__)
-        found = cache.get(question)
+        found = cache.get(query)
         if found is None:
             chosen = EXTRAS if extras else ()
             answer = report(evaluate(network, images, self._count, extras=chosen, batch_size=_BATCH))
             found = {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
-            cache.put(question, found)
+            cache.put(query, found)
         return found
 
     def _cache(self, folder: Path, conditions: str) -> ResultCache:

@@ -1,7 +1,6 @@
-"""The shadow test one pixel at a time: slow, plain, and equal to `occlusion.py` in every bit.
+"""The shadow test one pixel at a time: slow, plain, and equal to `bodyseg_data/artifacts/occlusion.py` in every bit.
 
-For reading, and for tests to compare with. The arithmetic is float32 in the same order of operations; a compiler for
-loops over arrays (numba) takes these functions as they are, which is how the price of a compiled form is measured.
+The arithmetic is float32 in the same order of operations.
 """
 
 from __future__ import annotations
@@ -11,19 +10,19 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import EDGE_STEPS, FARTHEST, GAP_STEPS
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 _NONE, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 
 
-def lit(
+def lit_by_pixel(
     camera_range: NDArray[np.uint16],
     projector_range: NDArray[np.uint16],
     faces_projector: NDArray[np.bool_],
     slopes: NDArray[np.float32],
     offsets: NDArray[np.float32],
 ) -> NDArray[np.bool_]:
-    """See `occlusion.ShadowTest`, whose `lit` this is and whose `slopes` and `offsets` it takes."""
+    """As `occlusion.ShadowTest.lit`; slopes, offsets: those of the `ShadowTest`."""
     answer = np.zeros(camera_range.shape, np.bool_)
     last_x = np.float32(projector_range.shape[1]) - _HALF
     last_y = np.float32(projector_range.shape[0]) - _HALF
@@ -44,16 +43,16 @@ def lit(
 
 
 def reached(projector_range: NDArray[np.uint16], x: np.float32, y: np.float32, away: np.float32) -> bool:
-    """Whether light gets to the point at texel coordinates (x, y) and range `away` in the projector's frame."""
+    """Decide whether light reaches the point at texel coordinates (x, y) and range `away` in the projector's frame."""
     left, top = floor(x), floor(y)
     along, below = x - np.float32(left), y - np.float32(top)
     a, b = _texel(projector_range, top, left), _texel(projector_range, top, left + 1)
     c, d = _texel(projector_range, top + 1, left), _texel(projector_range, top + 1, left + 1)
-    away = min(away - _ONE, FARTHEST)
-    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < EDGE_STEPS:
+    away = min(away - _ONE, FARTHEST_STEPS)
+    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < SHADOW_THRESHOLDS.edge_steps:
         upper, lower = a + along * (b - a), c + along * (d - c)
-        return bool(away - (upper + below * (lower - upper)) <= GAP_STEPS)
-    limit = away - EDGE_STEPS
+        return bool(away - (upper + below * (lower - upper)) <= SHADOW_THRESHOLDS.gap_steps)
+    limit = away - SHADOW_THRESHOLDS.edge_steps
     votes = (_ONE - below) * (_ONE - along) if a >= limit else _NONE
     votes += (_ONE - below) * along if b >= limit else _NONE
     votes += below * (_ONE - along) if c >= limit else _NONE
@@ -62,7 +61,7 @@ def reached(projector_range: NDArray[np.uint16], x: np.float32, y: np.float32, a
 
 
 def _texel(projector_range: NDArray[np.uint16], row: int, column: int) -> np.float32:
-    """One texel less one step, the border repeated; what shows nothing is as far away as can be."""
+    """One texel less one step, the border repeated; an empty one is as far away as can be."""
     rows, columns = projector_range.shape
     texel = projector_range[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)]
-    return np.float32(texel) - _ONE if texel > 0 else FARTHEST
+    return np.float32(texel) - _ONE if texel > 0 else FARTHEST_STEPS

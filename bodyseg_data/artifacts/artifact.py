@@ -1,0 +1,97 @@
+"""The protocol of an artifact: strengths that are set, draws for one image, and an alteration in NumPy.
+
+A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/__init__.py`):
+
+    @dataclass(frozen=True)
+    class Rounding(Artifact):
+        name, kind, alters_labels = "rounding", "noise", False
+        step_mm: float = 1.0
+
+        def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None: ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import Field, dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core.rig import Rig
+from bodyseg_data.core.sample import Sample, shape_of
+
+Kind = Literal["occlusion", "noise", "missing_data"]
+"""The three artifacts of the paper's Table 1. Every artifact is of one kind, and variants name kinds."""
+
+
+@dataclass(frozen=True, repr=False)
+class RangeImage:
+    """A sample as a sensor would deliver it.
+
+    range: uint16 [H, W], steps of 0.1 mm, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
+    drawn: the quantities drawn for this image by name (`Artifact.drawn`): "sigma_mm", "missing_rate".
+    """
+
+    key: str
+    range: NDArray[np.uint16]
+    labels: NDArray[np.uint8]
+    drawn: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        measured = int(np.count_nonzero(self.range))
+        drawn = "".join(f", {name} {value:g}" for name, value in self.drawn.items())
+        return f"RangeImage({self.key!r}, {shape_of(self.range)}, {measured} pixels measured{drawn})"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A clean sample and the rig that sees it: the input of every artifact, which none of them alters."""
+
+    sample: Sample
+    rig: Rig
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """Flat indices of the clean foreground in reading order, [N].
+
+        An artifact that draws once a pixel draws for these, whatever was lost before it: the draws of one pixel are
+        then the same in every variant.
+        """
+        return np.flatnonzero(self.sample.range)
+
+
+class Artifact(Protocol):
+    """A fault of a sensor, made in a clean range image. Implementations are frozen dataclasses; fields are strengths.
+
+    name: of the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
+    purposes: of its random numbers (`Draws`); no other artifact may have them. drawn: quantities drawn once an image,
+    name -> caption to format with the value. in_paper: whether images have it unless it is taken away.
+    needs_projector: whether `apply` reads the projector's range. alters_labels: whether a pixel may get another label
+    or none. Strengths out of range raise BadConfig when the object is made.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    name: ClassVar[str]
+    kind: ClassVar[Kind]
+    purposes: ClassVar[tuple[str, ...]] = ()
+    drawn: ClassVar[Mapping[str, str]] = {}
+    in_paper: ClassVar[bool] = False
+    needs_projector: ClassVar[bool] = False
+    alters_labels: ClassVar[bool] = True
+
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """The quantities of one image, by their names in `drawn`."""
+        return {}
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """Alter an image in place, in NumPy: the reference of any faster form.
+
+        image: as the artifacts before this one left it, 0 in range where pixels are lost, which stay lost; contiguous.
+        Labels of lost pixels become background afterwards. image.drawn holds the quantities of all artifacts. draws:
+        the same numbers whichever other artifacts there are. Raises BadSample for a scene that lacks what is needed.
+        """
+        ...

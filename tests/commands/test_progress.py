@@ -1,0 +1,41 @@
+"""Progress moves while a command says nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from bodyseg_data.commands.progress import Progress
+
+
+def lines_within(capsys: pytest.CaptureFixture[str], count: int) -> list[str]:
+    """Lines on standard error, as soon as there are `count`."""
+    lines: list[str] = []
+    deadline = time.monotonic() + 20
+    while len(lines) < count:
+        assert time.monotonic() < deadline
+        lines += capsys.readouterr().err.splitlines()
+        time.sleep(0.005)
+    return lines
+
+
+def test_lines_come_while_no_update_does(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress("packing", "views", interval_s=0.02) as progress:
+        assert lines_within(capsys, 2)[0].startswith("packing: starting, ")
+        progress.update(3, 9)
+        assert "packing: 3 of 9 views, 0 s" in lines_within(capsys, 3)
+    assert "progress" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_quick_command_says_only_that_it_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress("packing", "views", interval_s=100) as progress:
+        progress.update(0, 2)
+        progress.update(1, 2)
+        progress.update(2, 2, "all there")
+        assert progress.before == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "packing: 0 of 2 views, 0 s",
+        "packing: 2 of 2 views, 0 s: all there",
+    ]

@@ -1,0 +1,152 @@
+"""The registry of networks: every entry keeps the protocol, and a new one is one new file and one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from folders import HELPERS
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_model.networks import registry
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import NETWORKS, build, network_class, parameters, predict
+from bodyseg_model.training.loss import NetworkWithLoss
+from bodyseg_model.training.recipes import PRESETS
+
+PACKAGE = Path(registry.__file__).parents[1]
+
+SMALL: dict[str, dict[str, Any]] = {
+    "fcn_alexnet": {"width": 1 / 16},
+    "compact": {"patch": 8, "widths": [6, 8], "blocks": [0, 1]},
+    "segformer": {"shrink": 2},
+}
+"""Settings that make a network small; a name that is not here is tested with its defaults."""
+
+
+def small(name: str) -> Network:
+    try:
+        return build(name, SMALL.get(name), seed=2).eval()
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+
+
+def figure(rows: int, columns: int) -> torch.Tensor:
+    range_m = torch.zeros(1, 1, rows, columns)
+    range_m[:, :, rows // 4 : -rows // 4, columns // 4 : -columns // 4] = 2.5
+    return range_m
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_every_network_keeps_the_protocol(name: str) -> None:
+    network, range_m = small(name), figure(70, 45)
+    assert type(network) is network_class(name)
+    assert network.margin >= 1 and network.crop_multiple >= 1
+    assert network.default_recipe in PRESETS
+    step = network.output_stride
+    with torch.no_grad():
+        assert network.scores(range_m).shape == (1, 33, -(-70 // step), -(-45 // step))
+        full = network(range_m)
+        assert full.shape == (1, 33, 70, 45)
+        rows, columns = torch.tensor([0, 7, 69]), torch.tensor([3, 44])
+        if step == 1:
+            torch.testing.assert_close(network.scores_at(range_m, rows, columns), full[:, :, rows][..., columns])
+    labels = predict(network, range_m).labels
+    assert torch.equal(labels == 255, range_m[:, 0] == 0)
+    with pytest.raises(BadConfig, match=r"range images must be \[B, 1, H, W\]"):
+        network(torch.zeros(1, 2, 8, 8))
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_settings_are_json_that_makes_the_same_network(name: str) -> None:
+    network = small(name)
+    settings = json.loads(json.dumps(network.settings))
+    assert settings == network.settings and SMALL.get(name, {}).items() <= settings.items()
+    again = build(name, settings, seed=2).eval()
+    assert all(torch.equal(one, two) for one, two in zip(network.parameters(), again.parameters(), strict=True))
+    assert all(f"{key}={value!r}" in repr(network) for key, value in settings.items())
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_every_network_is_trained_at_any_loss_stride(name: str) -> None:
+    network, range_m = small(name), figure(48, 32)
+    labels = torch.where(range_m[:, 0] > 0, 4, 255).to(torch.uint8)
+    for stride in (1, 4):
+        network.zero_grad()
+        loss, counts = NetworkWithLoss(network, torch.ones(33), stride)(range_m, labels, torch.tensor([0.5, 0.0]))
+        loss.backward()
+        assert int(counts.sum()) == int((labels != 255).sum()) // max(stride, network.output_stride) ** 2
+        assert any(weight.grad is not None and weight.grad.any() for weight in network.parameters())
+
+
+def test_by_default_a_network_reads_no_pretrained_weights(tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match=r"Compact cannot start from pretrained weights, found .*a\.onnx"):
+        small("compact").load_pretrained(tmp_path / "a.onnx")
+
+
+def test_scores_of_chosen_pixels_are_those_of_all() -> None:
+    class Plain(Network):
+        def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+            return range_m * torch.arange(33.0)[:, None, None]
+
+    network, range_m = Plain(), figure(8, 6)
+    rows, columns = torch.tensor([2, 5]), torch.tensor([1, 3, 4])
+    assert torch.equal(network(range_m), network.scores(range_m))
+    assert torch.equal(network.scores_at(range_m, rows, columns), network(range_m)[:, :, rows][..., columns])
+    assert network.settings == {} and parameters(network) == 0
+
+
+def test_a_network_must_define_its_scores() -> None:
+    with pytest.raises(TypeError, match="scores"):
+        Network()  # type: ignore[abstract]
+
+
+def test_an_unknown_network_is_refused() -> None:
+    with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, .*, found 'unet'"):
+        build("unet")
+
+
+def test_a_new_network_is_one_new_file_and_one_line(figures_set: Path, tmp_path: Path) -> None:
+    """The toy network is put into a copy of the package, then trained, evaluated, exported and used by its commands."""
+    copy = tmp_path / "bodyseg_model"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(HELPERS / "toy_network.py", copy / "networks" / "toy.py")
+    file, before = copy / "networks" / "registry.py", (PACKAGE / "networks" / "registry.py").read_text()
+    line = '    "compact": "compact.Compact",\n'
+    assert before.count(line) == 1
+    file.write_text(before.replace(line, line + '    "toy": "toy.Toy",\n'))
+
+    run, data = str(tmp_path / "run"), str(figures_set)
+    commands = [
+        ["train", "--data", data, "--network", "toy", "--settings", '{"width": 5}', "--steps", "2", "--out", run],
+        ["evaluate", "--data", data, "--run", run, "--frames", "2", "--json", str(tmp_path / "scores.json")],
+        ["export", "--run", run, "--out", str(tmp_path / "toy.safetensors")],
+    ]
+    script = (
+        "import json, sys\n"
+        "import bodyseg_model\n"
+        "from bodyseg_model.commands.cli import main\n"
+        "assert bodyseg_model.__file__ == sys.argv[1], bodyseg_model.__file__\n"
+        "sys.exit(max(main(words) for words in json.loads(sys.argv[2])))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(copy / "__init__.py"), json.dumps(commands)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{PACKAGE.parent}", "OMP_NUM_THREADS": "1"},
+        cwd=tmp_path,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    card = json.loads((tmp_path / "toy.json").read_text())
+    assert (card["network"], card["settings"]) == ("toy", {"width": 5})
+    assert card["recipe"]["steps"] == 2 and card["recipe"]["crop"], "the recipe of compact is the default"
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert scores["card"]["network"] == "toy" and scores["images"] == 8

@@ -1,0 +1,92 @@
+"""The thresholds of the shadow test shape the bytes of shards: neither the format nor a restart may miss a change."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import pytest
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.sample import SHADOW_THRESHOLDS, ShadowThresholds
+from bodyseg_data.shards.manifest import MANIFEST_FORMAT, read_manifest
+
+ROOT = Path(__file__).parents[2]
+
+PACK_WITH_HALF = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+from bodyseg_data.core import sample
+
+name, out = sys.argv[1], Path(sys.argv[2])
+sample.SHADOW_THRESHOLDS = replace(sample.SHADOW_THRESHOLDS, **{name: getattr(sample.SHADOW_THRESHOLDS, name) / 2})
+
+import numpy as np
+from fakes import Figures
+from plain_views import take_whole_frames
+from shapes import figure
+from test_sampler import REF, RIG, check_against_whole_frames, halves
+from bodyseg_data.artifacts import occlusion, occlusion_compiled
+from bodyseg_data.core.rig import Camera, Rig
+from bodyseg_data.core.views import View, ViewGrid
+from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.occluder_range import occluder_range
+
+device = Camera(6, 8, 10.0, (4.0, 3.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
+test = occlusion.ShadowTest(Rig("one", 2.0, device, device))
+wall, facing = np.full((6, 8), 20_000, np.uint16), np.ones((6, 8), bool)
+for nearer in (25, 45, 55, 80, 120, 250):  # steps: around half of each threshold, and the whole
+    screen = np.where(np.indices(wall.shape)[1] < 4, wall - np.uint16(nearer), wall)
+    stored = occluder_range(test, wall, facing, lambda texels: screen.ravel()[texels])
+    assert (test.lit(wall, stored, facing) == test.lit(wall, screen, facing)).all(), nearer
+
+mesh = figure()
+parts = halves(mesh)
+check_against_whole_frames(RIG, mesh, parts, View(215, 60))
+ranges, projected, _, facing = take_whole_frames(RIG, mesh, parts, View(215, 60))
+test = occlusion.ShadowTest(RIG)
+assert (occlusion_compiled.lit(test, ranges, projected, facing) == test.lit(ranges, projected, facing)).all()
+packing.open_source = lambda *where: Figures()
+views = ViewGrid(span_deg=360, count=4)
+packing.pack(packing.Packing("open", meshes=2, views=views), out, ThreadPoolExecutor(1), 1)
+"""
+
+
+def test_a_change_of_threshold_is_a_change_of_format() -> None:
+    """Sets do not say which thresholds they were packed for: their format does."""
+    assert MANIFEST_FORMAT == "bodyseg shards 3"
+    assert asdict(SHADOW_THRESHOLDS) == {"surface_gap_m": 0.006, "edge_m": 0.020}
+    text = (ROOT / "docs" / "shard_format.md").read_text()
+    for name, value in asdict(SHADOW_THRESHOLDS).items():
+        assert f"`{name}` = {value:g}" in text
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(ShadowThresholds)])
+def test_another_threshold_packs_other_bytes_and_carries_on_no_packing(
+    name: str, tmp_path: Path, pack_figures: Callable[..., Path]
+) -> None:
+    """Packing and both forms of the shadow test agree on it, as the other process asserts."""
+    other = tmp_path / "other"
+    paths = (ROOT, ROOT / "tools", ROOT / "tests" / "helpers", ROOT / "tests" / "packing")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+    done = subprocess.run(
+        [sys.executable, "-c", PACK_WITH_HALF, name, str(other)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    usual = pack_figures(tmp_path / "usual", meshes=2)
+    assert [(usual / shard.name).read_bytes() for shard in read_manifest(usual).shards] != [
+        (other / shard.name).read_bytes() for shard in read_manifest(other).shards
+    ]
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+        pack_figures(other, meshes=2)

@@ -1,0 +1,78 @@
+"""The built wheel: what it holds, and that it streams outside the checkout."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from folders import ROOT
+
+STREAM = """
+import sys
+import bodyseg_data, bodyseg_model
+from bodyseg_data import RangeImages, loader
+folder = sys.argv[1]
+assert bodyseg_data.__file__.startswith(folder) and bodyseg_model.__file__.startswith(folder)
+for variant in ("none", "all"):
+    images = RangeImages(sys.argv[2], variant=variant, split="train")
+    keys = [key for batch in loader(images, batch_size=4, num_workers=1) for key in batch["key"]]
+    assert len(keys) == len(set(keys)) == len(images) == 16
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_model.networks.checkpoints import shipped_network
+load_rig("paper"), load_landmarks("open"), shipped_network()
+try:
+    import benches
+except ImportError:
+    print("streamed")
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy: building leaves files beside its sources."""
+    copy = tmp_path_factory.mktemp("source") / "project"
+    for name in ("bodyseg_data", "bodyseg_model", "tools"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"), symlinks=True)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
+    build = "import setuptools.build_meta as backend; backend.build_wheel('dist')"
+    done = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    (built,) = (copy / "dist").glob("*.whl")
+    return built
+
+
+def test_the_wheel_holds_both_packages_and_nothing_else(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"bodyseg_data", "bodyseg_model", "bodyseg"}
+    sources = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("bodyseg_data", "bodyseg_model")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert {name for name in names if ".dist-info/" not in name} == sources
+    metadata = zipfile.ZipFile(wheel).read(next(name for name in names if name.endswith("/METADATA"))).decode()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert f"Version: {project['version']}" in metadata
+
+
+def test_the_wheel_streams_outside_the_checkout(wheel: Path, tmp_path: Path, figures_set: Path) -> None:
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    zipfile.ZipFile(wheel).extractall(site)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
+        "PYTHONPATH": str(site)
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", STREAM, str(site), str(figures_set)],
+        cwd=elsewhere, env=environment, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout.strip()) == (0, "streamed"), done.stderr

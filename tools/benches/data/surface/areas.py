@@ -1,0 +1,21 @@
+"""Areas of the parts of a labelled mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.meshes.mesh import Mesh
+
+
+def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Share of the mesh's area that each part covers, float64 [33], sum 1.
+
+    labels: uint8 [V], 0 to 32. The area of a triangle is shared equally by its corners.
+    """
+    areas = np.linalg.norm(mesh.normals, axis=1) / 2
+    shares = np.zeros(PART_COUNT)
+    for corner in range(3):
+        np.add.at(shares, labels[mesh.faces[:, corner]], areas / (3 * areas.sum()))
+    return shares
