@@ -81,7 +81,10 @@ def encode_png(image: NDArray[Any]) -> bytes:
 
 
 def decode_png(data: bytes) -> NDArray[Any]:
-    """Decode a greyscale PNG to uint8 or uint16 [H, W]. Raises ValueError for other files and sides over `MAX_SIDE`."""
+    """Decode a greyscale PNG to an image [H, W], uint8 or uint16.
+
+    Raises ValueError for other files and sides over `MAX_SIDE`.
+    """
     from PIL import Image
 
     # Checked before opening: Pillow allocates memory, and warns, by the sizes in the header and in other chunks.

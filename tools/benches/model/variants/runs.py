@@ -41,11 +41,11 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        """Whether its network is there: the card is written last."""
+        """True if its network is there: the card is written last."""
         return RunFolder(self.path).network.with_suffix(".json").exists()
 
     def plan(self) -> dict[str, Any] | None:
-        """What its folder says is trained there on what; None if nothing is. Raises BadConfig for a damaged file."""
+        """The card, or the plan of an unfinished training; None if there is neither. Raises BadConfig if damaged."""
         for name in ("network.json", "run.json"):
             if (self.path / name).exists():
                 return read_json(self.path / name)
@@ -54,14 +54,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """What all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
+    """Facts that all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
 
     recipe: Recipe
     settings: dict[str, Any]
     data: dict[str, Any]
 
     def of(self, run: Run) -> dict[str, Any]:
-        """What the folder of `run` has to say."""
+        """Facts that the card in the folder of `run` must have."""
         return {
             "network": NETWORK,
             "settings": self.settings,
@@ -79,7 +79,7 @@ def runs_in(folder: Path, seeds: int) -> list[Run]:
 
 
 def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
-    """What the trainings that are there share, and what the others will; the preset recipe if there is none.
+    """The plan of the trainings that are there, to be that of the others too; the preset recipe if there is none.
 
     Raises BadConfig, naming the folder, if one is of other data, of another network, recipe or number of steps.
     """
@@ -103,6 +103,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
                     f"{plan.get(name)!r}, expected {wanted!r}"
                 )
     return shared
+
+
+def origin(folder: Path) -> dict[str, Any]:
+    """Name of a training's folder, and the command, commit and hardware on its card."""
+    card = read_json(folder / "network.json")
+    return {"name": folder.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
 
 
 def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Report) -> None:
