@@ -1,4 +1,4 @@
-"""Scores by which a segmentation of range images into body parts is judged."""
+"""Networks that segment range images into body parts: training, evaluation, segmentation of frames, stability."""
 
 from __future__ import annotations
 

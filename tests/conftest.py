@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
 import pytest
-from fakes import Figures
+from fakes import FiguresEntry
 from folders import SHARED_DATA
 
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 
@@ -27,17 +29,13 @@ def mit_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def pack_figures() -> Callable[..., Path]:
-    """Pack the plain figures of `fakes` into a folder, in this process."""
+    """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
 
-    def pack(out: Path, **options: Any) -> Path:
+    def pack(out: Path, executor: Executor | None = None, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
-        packing._source.cache_clear()
-        try:
-            with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as executor:
-                patch.setattr(packing, "open_source", lambda *where: Figures())
-                packing.pack(packing.Packing("open", **wanted), out, executor, 1)
-        finally:
-            packing._source.cache_clear()
+        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
+            patch.setitem(SOURCES, "open", FiguresEntry())
+            packing.pack(packing.Packing("open", **wanted), out, executor or thread, 1)
         return out
 
     return pack

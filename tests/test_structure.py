@@ -7,9 +7,8 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).parents[1]
 
@@ -137,28 +136,40 @@ def test_rooms_are_small_enough_to_look_over() -> None:
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 
 
-def loaded_by(statement: str) -> list[str]:
-    script = f"import sys; {statement}; print(*sorted({{name.partition('.')[0] for name in sys.modules}}))"
+def loaded_by(*statements: str) -> list[set[str]]:
+    """Top-level modules loaded after each statement, run one after the other in a fresh process."""
+    script = "import sys\n" + "".join(
+        f"{statement}\nprint('\\nloaded', *{{name.partition('.')[0] for name in sys.modules}})\n"
+        for statement in statements
+    )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
-    return done.stdout.split()
+    loaded = [set(line.split()[1:]) for line in done.stdout.splitlines() if line.startswith("loaded ")]
+    assert len(loaded) == len(statements)
+    return loaded
+
+
+def loaded_too_much(statements: Sequence[str], heavy: Iterable[str]) -> dict[str, set[str]]:
+    """Statement -> what of `heavy` is loaded once it has run."""
+    return {
+        statement: found
+        for statement, loaded in zip(statements, loaded_by(*statements), strict=True)
+        if (found := loaded.intersection(heavy))
+    }
 
 
 def test_importing_the_package_is_light() -> None:
-    loaded = loaded_by("import bodyseg_data")
-    assert not {"torch", "numpy", *HEAVY} & set(loaded)
+    assert not loaded_too_much(["import bodyseg_data"], {"torch", "numpy", *HEAVY})
+    assert loaded_too_much(["import bodyseg_data", "import numpy"], {"numpy"}) == {"import numpy": {"numpy"}}
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "from bodyseg_data import RangeImages, loader",
-        "from bodyseg_data.commands.cli import main; main(['--help'])",
+def test_the_command_line_is_parsed_by_whom_it_is_for() -> None:
+    statements = [
         "from bodyseg_data.commands.cli import main; main(['--version'])",
+        "from bodyseg_data.commands.cli import main; main(['--help'])",
+        "from bodyseg_data import RangeImages, loader",
         "import bodyseg_data.commands.verify, bodyseg_model.commands.train",
-    ],
-)
-def test_the_command_line_is_parsed_by_whom_it_is_for(statement: str) -> None:
-    assert not {"cyclopts", "rich"} & set(loaded_by(statement))
+    ]
+    assert not loaded_too_much(statements, {"cyclopts", "rich"})
 
 
 def test_a_command_imports_no_other() -> None:
@@ -171,9 +182,8 @@ def test_a_command_imports_no_other() -> None:
     assert not {"torch", *HEAVY} & loaded
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
+def test_streaming_and_planning_need_no_renderer() -> None:
+    statements = [
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation",
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify",
         "import bodyseg_data.bodies.sources; bodyseg_data.bodies.sources.open_source('open').bodies()",
@@ -181,10 +191,8 @@ def test_a_command_imports_no_other() -> None:
         "import bodyseg_model.commands.segment, bodyseg_model.commands.train, bodyseg_model.commands.evaluate",
         "import bodyseg_data.packing.engines.cluster, bodyseg_data.packing.engines.processes",
         "import bodyseg_data.commands.shard",
-    ],
-)
-def test_streaming_and_planning_need_no_renderer(statement: str) -> None:
-    assert not set(HEAVY) & set(loaded_by(statement))
+    ]
+    assert not loaded_too_much(statements, HEAVY)
 
 
 def test_streaming_installs_no_renderer() -> None:

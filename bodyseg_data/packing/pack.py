@@ -23,7 +23,7 @@ from typing import Any, Final
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
@@ -87,7 +87,7 @@ class Packing:
     def opened(self, plan: str = "") -> BodySource:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
         if self.path is None:
-            return _source(self.source, None, self.landmarks, self.units, self.up)
+            return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
         return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
 
 
@@ -213,9 +213,9 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
 
 
 @lru_cache(maxsize=4)
-def _source(name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
-    """A process opens its source once: loading a body model takes seconds."""
-    return open_source(name, path, landmarks, units, up)
+def _source(entry: SourceEntry | None, name: str, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
+    """Open a source once a process, and again once another entry is registered: loading a body model takes seconds."""
+    return open_source(name, None, landmarks, units, up)
 
 
 @lru_cache(maxsize=4)  # several packings may share a worker

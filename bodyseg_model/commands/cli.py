@@ -13,7 +13,7 @@ COMMANDS: Final[cli.Commands] = {
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
-    "stability": ("bodyseg_model.commands.stability", "test networks where methods fail"),
+    "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts, motion, arithmetic"),
 }
 
 

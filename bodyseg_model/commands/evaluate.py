@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +31,7 @@ _FORMAT: Final = "bodyseg evaluation 1"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg evaluate`."""
 
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
@@ -43,7 +42,7 @@ class Options:
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
     artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
-    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    seed: int = option("seed of the artifacts, and of the choice of images", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
     batch_size: int = option("images that go through the network together", 16)
@@ -53,17 +52,17 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Evaluate, write the scores, then draw."""
+    """Evaluate, write the scores, then draw the figures."""
     _check(options)
     trained = shipped_network() if options.run is None else load_network(options.run)
     trained.network.to(find_device(options.device))
     sets = _open(options)
-    facts = _facts(options, trained)  # before: files may change meanwhile
+    facts = _facts(options, trained)  # first, as files may change meanwhile
     picture = None if options.figures is None else SamplePicture()
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
     scores = report(found)
-    seconds = {name: round(value, 2) for name, value in vars(found.seconds).items()}
+    seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images) for images in sets]
     write_figures(
         options.json,
@@ -89,7 +88,7 @@ def _check(options: Options) -> None:
     use_threads(options.threads)
     check_target(options.json, "--json")
     if options.figures is not None:
-        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+        new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
         try:
             options.figures.mkdir(exist_ok=True)
         except OSError as error:
@@ -98,27 +97,30 @@ def _check(options: Options) -> None:
 
 
 def _open(options: Options) -> list[RangeImages]:
-    """The sets. Raises BadConfig if two of them share a sample, which would then count twice."""
-    sets, held = [], dict[str, str]()
+    """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
+    sets, path_of = [], dict[str, str]()
     artifacts = parse_artifacts(options.artifacts, "--artifacts")
     for path in options.data:
         images = open_images(
             path, options.variant, options.split, options.seed, options.noise_mm, options.missing, artifacts
         )
         for key in images.keys:
-            if key in held:
-                raise BadConfig(f"a sample counts once: {key} of {path} is also in {held[key]}")
-        held |= dict.fromkeys(images.keys, path)
+            if key in path_of:
+                raise BadConfig(f"a sample counts once: {key} of {path} is also in {path_of[key]}")
+        path_of |= dict.fromkeys(images.keys, path)
         sets.append(images)
     return sets
 
 
 def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
     total = sum(_count(images, options.images) for images in sets)
-    found = Evaluation()
+    found, before = Evaluation(), 0
+
+    def show(done: int, _: int) -> None:
+        progress.update(before + done, total)
+
     with Progress("evaluating", "images") as progress:
         for images in sets:
-            before = sum(scores.images for scores in found.subsets.values())
             found.merge(
                 evaluate(
                     trained.network,
@@ -126,26 +128,23 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     options.images,
                     batch_size=options.batch_size,
                     num_workers=options.num_workers,
-                    progress=partial(_show, progress, before, total),
+                    progress=show,
                     watch=None if picture is None else picture.watch,
                 )
             )
+            before += _count(images, options.images)
     return found
 
 
-def _show(progress: Progress, before: int, total: int, done: int, _: int) -> None:
-    progress.update(before + done, total)
-
-
 def _times(trained: Trained, images: RangeImages, frames: int) -> dict[str, Any]:
-    """On the first images of the first set that were judged."""
+    """Time the network on the first images of the first set."""
     chosen = images.order(images.epoch)[:frames].tolist()
     times = dataclasses.asdict(time_frames(trained.network, [images[index]["range"][None] for index in chosen]))
     return {name: round(value, 2) if isinstance(value, float) else value for name, value in times.items()}
 
 
 def _facts(options: Options, trained: Trained) -> dict[str, Any]:
-    """What was asked for, of which network, where."""
+    """Provenance of the scores: command, network, artifacts."""
     facts: dict[str, Any] = {"format": _FORMAT, **provenance(command_line("bodyseg evaluate", options))}
     facts["run"] = None if options.run is None else options.run.name
     facts["card"] = trained.card

@@ -1,4 +1,4 @@
-"""`bodyseg export`: a trained network as two small files that can be given to others."""
+"""`bodyseg export`: write a trained network as two small files, weights and card."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OF_THE_FILE = ("format", "network", "settings")
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg export`."""
 
     run: Path = option("a training's folder, or a .safetensors file")
     out: Path = option("the .safetensors file to write; its card goes beside it as .json")
@@ -25,7 +25,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Write filters in 16 bits, and the card."""
+    """Write the network, its filters in 16 bits, and the card."""
     if options.out.suffix != ".safetensors":
         raise BadConfig(f"--out must be a .safetensors file, found {options.out}")
     trained = load_network(options.run)

@@ -17,12 +17,13 @@ from bodyseg_data.core.files import write_result
 from bodyseg_data.core.machine import hardware
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import save_picture
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.segmenter import Segmenter, Stopwatch
+from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
 from bodyseg_model.training.distributed import find_device
 
@@ -35,12 +36,12 @@ _PREVIEW: Final = "preview.gif"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg segment`."""
 
     frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
-    units: str = option("what one step of a frame is: mm, 0.1mm, cm ...", "mm")
+    units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
@@ -58,7 +59,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Label every frame, then write what sums them up."""
+    """Label every frame, then write the summary."""
     step_m, background, preview = metres_a_step(options.units), _background(options), Preview(options.fps)
     frames = find_frames(options.frames)
     first = frames[0].read()
@@ -126,7 +127,7 @@ def _background(options: Options) -> Background:
 
 
 def _make_folders(out: Path) -> None:
-    """Folders for results. An earlier summary goes first: one that is there belongs to all that is there."""
+    """Make the folders of results. An earlier summary is deleted first, so that a summary is always of all results."""
     try:
         for folder in ("labels", "overlay"):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -136,19 +137,19 @@ def _make_folders(out: Path) -> None:
 
 
 def _facts(trained: Trained) -> dict[str, Any]:
-    """Of the network's card, what tells one network from another."""
+    """Entries of the network's card that identify it."""
     return {
         name: trained.card[name] for name in ("network", "variant", "seed", "steps", "data") if name in trained.card
     }
 
 
 def _remarks(camera: FrameCamera, summary: SequenceSummary, frames: int, out: Path) -> list[str]:
-    """What was done, and what looks wrong."""
+    """Lines for standard error: the results, and warnings about what looks wrong."""
     lines = [f"wrote {frames} frames to {out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
     if camera.assumed:
-        lines.append(f"camera {camera.origin}: --focal or --rig says otherwise")
+        lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     return lines

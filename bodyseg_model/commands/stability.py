@@ -1,4 +1,4 @@
-"""`bodyseg stability`: networks under rising severity of what a sensor does, in motion, and in coarser arithmetic."""
+"""`bodyseg stability`: robustness of networks to sensor artifacts, motion and coarser arithmetic."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.stability.examining import evaluate_conditions
+from bodyseg_model.stability.accuracies import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
 from bodyseg_model.stability.numerical import numerical
 from bodyseg_model.stability.scenes import Scenes
-from bodyseg_model.stability.severities import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.summary import motion_over_seeds, summarise
+from bodyseg_model.stability.sweeps import SWEEPS, Sweep, chosen
 from bodyseg_model.stability.tables import tables
 from bodyseg_model.stability.temporal import temporal
 from bodyseg_model.training.distributed import find_device, use_threads
@@ -33,41 +33,41 @@ Part = Literal["images", "temporal", "numerical"]
 
 _FORMAT: Final = "bodyseg stability 1"
 _CACHED: Final = "cached_results"
-"""In --out: a folder with what was measured before an interruption."""
+"""Folder in --out with the results measured so far."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg stability`."""
 
     run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
     out: Path = option("folder for stability.json, stability.png, and cached results to carry on from")
     reference: tuple[Path, ...] = option(
-        "runs whose errors are 1 in mCE: FCN-AlexNet trained on none (default: no mCE)", ()
+        "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
     parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
-    images: int = option("images of every setting", 40)
-    seed: int = option("of the artifacts' draws, and of which images are taken", 0)
+    images: int = option("images of every condition", 40)
+    seed: int = option("seed of the artifacts, and of the choice of images", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 
 
 def run(options: Options) -> int:
-    """Measure the parts asked for, write the figures, then draw."""
+    """Measure the chosen parts, write stability.json, then draw."""
     if options.images < 1:
         raise BadConfig(f"--images must be at least 1, found {options.images}")
     use_threads(options.threads)
     sweeps = chosen(options.sweeps, options.hard is not None)
     device = find_device(options.device)
-    facts = provenance(command_line("bodyseg stability", options))  # before: files may change meanwhile
+    facts = provenance(command_line("bodyseg stability", options))  # first, as files may change meanwhile
     runs = load_runs((*options.run, *options.reference))
     groups = group(runs)
     reference = group_of(groups, options.reference)
     if "images" in options.parts:
-        new_chart(1, 1)  # what cannot be drawn should not be found out after hours
+        new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
     try:
         (options.out / _CACHED).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -102,13 +102,15 @@ def run(options: Options) -> int:
 def _images(
     options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
 ) -> dict[str, Any]:
-    """The sweeps over images."""
+    """Measure the sweeps over images."""
     images = RangeImages(options.data, "none", "test", options.seed)
     hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
-    settings = list(dict.fromkeys(setting for name, sweep in sweeps.items() for setting in sweep.settings(name)))
+    conditions = list(
+        dict.fromkeys(condition for name, sweep in sweeps.items() for condition in sweep.conditions(name))
+    )
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
-        found = evaluate_conditions(runs, settings, scenes, options.out / _CACHED, progress.update)
+        found = evaluate_conditions(runs, conditions, scenes, options.out / _CACHED, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,
@@ -119,7 +121,7 @@ def _images(
 
 
 def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[str, Any]:
-    """How steady labels are while bodies move."""
+    """Measure the temporal consistency of labels while bodies move."""
     networks = {each.name: each.trained.network for each in runs}
     rig = RangeImages(options.data, "none", "test").manifest.rig
     with Progress("motion", "frames") as progress:
@@ -128,7 +130,7 @@ def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[st
 
 
 def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
-    """What changes with the arithmetic, for the first network of every group: another seed computes the same way."""
+    """Compare computations on the first network of every group; networks of other seeds compute in the same way."""
     found = {}
     with Progress("arithmetic", "networks") as progress:
         for done, each in enumerate(groups):
@@ -157,7 +159,7 @@ def _origin(run: Run) -> dict[str, Any]:
 
 
 def _remarks(groups: list[Group], reference: Group | None) -> str:
-    """What a reader of the figures should know."""
+    """Lines for standard error about missing seeds or reference."""
     few = [each.label for each in groups if each.few_seeds]
     lines = [f"fewer than {FEWEST_SEEDS} seeds, so no spread to speak of: {', '.join(few)}\n"] if few else []
     lines += [] if reference is not None else ["no --reference, so no mCE\n"]

@@ -1,8 +1,8 @@
-"""What confidences are worth: calibration and risk-coverage, from counts whose size does not grow with the images.
+"""Calibration of confidences and risk-coverage, from counts whose size does not grow with the number of images.
 
-Confidences are counted in steps of 1/1500 from 1 down to 0, the first step, where most pixels lie, in 1500 steps of its
-own. Every number here but the area under the risk-coverage curve is exact; for that one, pixels of one step are taken
-to be in random order.
+Confidences are counted in bins of 1/1500 from 1 down to 0; the first bin, which has most pixels, is divided into 1500
+finer ones. Every score here is exact, except that the area under the risk-coverage curve assumes pixels of one bin to
+be in random order.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ FINER: Final = 1500
 CELLS: Final = FINER + STEPS - 1
 ECE_BINS: Final = 15
 THRESHOLD_STEPS: Final = 30
-"""Thresholds are multiples of 1/30, at which counts are kept part by part: 50, 60, 70, 80, 90 % are among them."""
+"""Counts by part are kept in bins of 1/30, so thresholds are multiples of it: 50, 60, 70, 80, 90 % are among them."""
 
-_ROUNDING: Final = 1e-4  # softmax and interpolation may end up as far above 1
+_ROUNDING: Final = 1e-4  # softmax and interpolation may exceed 1 by as much
 
 _TRUTH, _PREDICTED = np.divmod(np.arange(PAIRS), PART_COUNT)
 _WRONG: Final = (_TRUTH != _PREDICTED).astype(np.int64)
-_FIRST_PLACE: Final = (2 * _TRUTH + _WRONG) * THRESHOLD_STEPS
-"""Pair number -> whether it is wrong, and where its counts by part begin."""
+_FIRST_BIN: Final = (2 * _TRUTH + _WRONG) * THRESHOLD_STEPS
+"""Pair number -> 1 if it is wrong, and the flat index of its first bin in `by_part`."""
 
 
 @dataclass(frozen=True)
-class Kept:
-    """What is left when unsure pixels are dropped: their share, and how much of it is right.
+class ConfidentPixels:
+    """Pixels above a threshold of confidence: their share of all, and their accuracy.
 
-    average_per_class_accuracy: over the parts of which pixels are left.
+    average_per_class_accuracy: over the parts that have such pixels.
     """
 
-    share: float
+    share_of_pixels: float
     pixel_accuracy: float
     average_per_class_accuracy: float
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """The pixels of one of 15 bins of confidence; means are NaN in an empty one."""
+    """One of 15 bins of confidence. confidence, accuracy: means over its pixels, NaN in an empty bin."""
 
-    above: float
+    confidence_above: float
     up_to: float
     pixels: int
     confidence: float
@@ -56,10 +56,10 @@ class Reliability:
 
 
 class Confidences:
-    """Counts pixels by confidence and by whether they are right.
+    """Counts of right and wrong pixels by confidence.
 
-    counts: int64 [2, CELLS], right and wrong, the surest first; sums: float64 [CELLS], of confidences;
-    by_part: int64 [33, 2, 30], by true part, right and wrong, and step of 1/30, the surest first.
+    counts: int64 [2, CELLS], row 0 right, row 1 wrong, most confident first; sums: float64 [CELLS], of confidences;
+    by_part: int64 [33, 2, 30], by true part, right or wrong, and bin of 1/30, most confident first.
     """
 
     def __init__(self) -> None:
@@ -67,10 +67,13 @@ class Confidences:
         self.sums: NDArray[np.float64] = np.zeros(CELLS)
         self.by_part: NDArray[np.int64] = np.zeros((PART_COUNT, 2, THRESHOLD_STEPS), np.int64)
 
+    def __repr__(self) -> str:
+        return f"Confidences({self.pixels} pixels, mean {self.mean():.3f})"
+
     def add(self, pairs: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
         """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and confidences, float32 [N], 0 to 1.
 
-        Raises BadConfig for confidences that are none.
+        Raises BadConfig for confidences outside 0 to 1.
         """
         if not pairs.size:
             return
@@ -84,26 +87,26 @@ class Confidences:
         cell += CELLS * _WRONG.take(pairs)
         self.counts += np.bincount(cell, minlength=2 * CELLS).reshape(2, CELLS)
         step //= STEPS // THRESHOLD_STEPS
-        step += _FIRST_PLACE.take(pairs)
+        step += _FIRST_BIN.take(pairs)
         self.by_part += np.bincount(step, minlength=self.by_part.size).reshape(self.by_part.shape)
 
     def merge(self, other: Confidences) -> None:
-        """Count all of another one's pixels."""
+        """Add the counts of other pixels."""
         self.counts += other.counts
         self.sums += other.sums
         self.by_part += other.by_part
 
     @property
     def pixels(self) -> int:
-        """How many pixels were counted."""
+        """Number of pixels counted."""
         return int(self.counts.sum())
 
     def mean(self) -> float:
-        """Mean confidence, NaN if nothing was counted."""
+        """Mean confidence; NaN if nothing was counted."""
         return float(self.sums.sum()) / self.pixels if self.pixels else float("nan")
 
     def reliability(self) -> list[Reliability]:
-        """Confidence and accuracy in 15 bins of equal width, open below and closed above, the lowest first."""
+        """Confidence and accuracy in 15 bins of equal width, open below and closed above, lowest first."""
         width = STEPS // ECE_BINS
         starts = [0, *(FINER - 1 + width * number for number in range(1, ECE_BINS))]
         right, wrong = np.add.reduceat(self.counts, starts, axis=1)
@@ -127,7 +130,7 @@ class Confidences:
         return float(gaps / self.pixels)
 
     def aurc(self) -> float:
-        """Area under the risk-coverage curve: mean over k of the share of wrong pixels among the k surest.
+        """Area under the risk-coverage curve: mean over k of the share of wrong pixels among the k most confident.
 
         Geifman, Uziel and El-Yaniv, "Bias-reduced uncertainty estimation for deep neural classifiers", ICLR 2019.
         NaN if nothing was counted.
@@ -135,23 +138,23 @@ class Confidences:
         if not self.pixels:
             return float("nan")
         inside = self.counts.sum(axis=0)
-        held = inside > 0
-        inside, wrong = inside[held].astype(np.float64), self.counts[1][held].astype(np.float64)
+        filled = inside > 0
+        inside, wrong = inside[filled].astype(np.float64), self.counts[1][filled].astype(np.float64)
         before, wrong_before = np.cumsum(inside) - inside, np.cumsum(wrong) - wrong
-        # Within a step wrong pixels are spread evenly: the integral of (E + rho t) / (N + t) for t from 0 to its size.
+        # Wrong pixels are uniform within a bin: the integral of (E + rho t) / (N + t) for t from 0 to the bin's size.
         rho = wrong / inside
         grown = np.log1p(np.divide(inside, before, out=np.zeros_like(inside), where=before > 0))
         return float((wrong + (wrong_before - rho * before) * grown).sum()) / self.pixels
 
     def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coverage and risk wherever a step ends, float64 [M] each: share of pixels kept, and share of these wrong."""
+        """Coverage and risk at the end of every bin, float64 [M] each: share of pixels kept, and of these wrong."""
         inside = self.counts.sum(axis=0)
-        held = inside > 0
-        kept = np.cumsum(inside[held])
-        return kept / max(self.pixels, 1), np.cumsum(self.counts[1][held]) / kept
+        filled = inside > 0
+        kept = np.cumsum(inside[filled])
+        return kept / max(self.pixels, 1), np.cumsum(self.counts[1][filled]) / kept
 
-    def above(self, threshold: float) -> Kept:
-        """What is left when only pixels of more confidence than `threshold` are kept.
+    def above(self, threshold: float) -> ConfidentPixels:
+        """Share and accuracy of the pixels whose confidence is above `threshold`.
 
         Raises BadConfig unless the threshold is a multiple of 1/30 from 0 to below 1.
         """
@@ -162,7 +165,7 @@ class Confidences:
         right, wrong = self.by_part[:, :, :steps].sum(axis=2).T
         kept = right + wrong
         if not kept.any():
-            return Kept(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
+            return ConfidentPixels(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
         shown = kept > 0
         average = float((right[shown] / kept[shown]).mean())
-        return Kept(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)
+        return ConfidentPixels(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)

@@ -1,7 +1,7 @@
-"""A digest of the code that computes a result: as long as it stays, so does the result.
+"""Digest of the code that computes a result: while the digest is the same, the result is.
 
-The code of a module is all modules of the project that it imports, directly or not, and itself. They are parsed, not
-imported; comments, docstrings and layout do not count.
+The digest of a module covers the module and all modules of the project that it imports, directly or not. They are
+parsed, not imported; comments, docstrings and layout do not count.
 """
 
 from __future__ import annotations
@@ -22,15 +22,23 @@ from typing import Final
 from bodyseg_data.core.errors import BadConfig
 
 PACKAGES: Final = ("bodyseg_data", "bodyseg_model")
-"""The project's packages, whose modules are followed; so are those of the packages that the given modules are in."""
+"""Packages whose modules are followed, besides the packages of the given modules."""
 
 NEUTRAL: Final = frozenset(
     [
-        *("PIL", "aiohttp", "fsspec", "safetensors", "tqdm", "webdataset", "zstandard"),  # bytes come as they went
-        *("llvmlite", "numba"),  # compiled loops give NumPy's bits
+        *(
+            "PIL",
+            "aiohttp",
+            "fsspec",
+            "safetensors",
+            "tqdm",
+            "webdataset",
+            "zstandard",
+        ),  # bytes pass unchanged
+        *("llvmlite", "numba"),  # compiled loops compute the same bits as NumPy
     ]
 )
-"""Libraries of which another version, or none, changes no result."""
+"""Libraries whose version, or absence, changes no result."""
 
 _STANDARD: Final = sys.stdlib_module_names
 _IMPORTERS: Final = ("import_module", "__import__")
@@ -39,7 +47,7 @@ _DOTTED: Final = re.compile(r"[^\W\d]\w*(?:\.[^\W\d]\w*)*")
 
 @cache
 def installed_versions() -> Mapping[str, Sequence[str]]:
-    """Name of an installed library, as it is imported -> its distributions with their versions."""
+    """Map the import name of every installed library to its distributions with their versions."""
     return {
         name: sorted(f"{each} {version(each)}" for each in set(distributions))
         for name, distributions in packages_distributions().items()
@@ -47,15 +55,14 @@ def installed_versions() -> Mapping[str, Sequence[str]]:
 
 
 def code_digest(*modules: str) -> str:
-    """`SourceTree.digest` of installed modules, given by their full names, as they were when first asked about."""
+    """`SourceTree.digest` of installed modules, given by full names; sources are read once in a process."""
     return _installed(frozenset([*PACKAGES, *(name.partition(".")[0] for name in modules)])).digest(modules)
 
 
 class SourceTree:
     """The source files of some packages, each parsed once.
 
-    packages: name of a package or of a module outside packages -> the folder of the one, the file of the other.
-    versions: of libraries.
+    packages: name -> folder of a package, or name -> file of a single module. versions: of libraries.
     """
 
     def __init__(
@@ -66,12 +73,15 @@ class SourceTree:
         self._packages, self._versions = dict(packages), versions
         self._sources: dict[str, _Source] = {}
 
+    def __repr__(self) -> str:
+        return f"SourceTree({', '.join(sorted(self._packages))})"
+
     def digest(self, modules: Iterable[str]) -> str:
-        """A digest of `imported_by(modules)`, 32 hexadecimal digits.
+        """Digest of the modules in `imported_by(modules)`, 32 hexadecimal digits.
 
         It covers their syntax trees, the files that they name with `importlib.resources.files`, and the versions of
-        the libraries that they import, `NEUTRAL` aside: another torch may add in another order, another anny may
-        make other bodies. Raises BadConfig as `imported_by`.
+        the libraries that they import, except `NEUTRAL` ones: another torch may add in another order, another anny
+        may generate other bodies. Raises BadConfig as `imported_by`.
         """
         sources = {name: self._sources[name] for name in self.imported_by(modules)}
         libraries = {each for source in sources.values() for each in source.libraries} - NEUTRAL
@@ -83,11 +93,11 @@ class SourceTree:
         return _hash(json.dumps(facts, sort_keys=True).encode())
 
     def imported_by(self, modules: Iterable[str]) -> list[str]:
-        """`modules`, all that they import of the packages, directly or not, and the packages these are in; sorted.
+        """List `modules`, all modules of the packages that they import, directly or not, and their packages; sorted.
 
-        An import counts wherever it stands, in a function as well. So does a string that is the full name of a module,
-        with or without `:attribute`; and in a module that calls `import_module` with a name that it computes, a string
-        that names a module of the same package, or the beginning, up to a dot, of the names of a package's modules.
+        Imports anywhere in a module count, also in functions. So does a string that is the full name of a module, with
+        or without `:attribute`. In a module that calls `import_module` with a computed name, a string also counts if it
+        names a module of the same package, or if it ends with a dot and is the prefix of a package's modules.
 
         Raises BadConfig for one of `modules` that has no source here, or a source that cannot be parsed.
         """
@@ -112,8 +122,8 @@ class SourceTree:
         top, _, rest = name.partition(".")
         if top not in self._packages:
             return None
-        place = self._packages[top].joinpath(*rest.split("."))
-        files = [place / "__init__.py", place.with_suffix(".py") if rest else place]
+        path = self._packages[top].joinpath(*rest.split("."))
+        files = [path / "__init__.py", path.with_suffix(".py") if rest else path]
         return next((file for file in files if file.is_file()), None)
 
     def _parse(self, name: str, file: Path) -> _Source:
@@ -127,13 +137,13 @@ class SourceTree:
         imported, mentioned = set(_imported(nodes, package)), set(_mentioned(nodes, package))
         return _Source(
             syntax=_hash(ast.dump(tree).encode()),
-            modules=frozenset(each for known in imported | mentioned for each in self._meant(known)),
-            libraries=frozenset(known.partition(".")[0] for known in imported) - self._packages.keys() - _STANDARD,
+            modules=frozenset(each for text in imported | mentioned for each in self._resolve(text)),
+            libraries=frozenset(name.partition(".")[0] for name in imported) - self._packages.keys() - _STANDARD,
             data=frozenset(_data(nodes, package)),
         )
 
-    def _meant(self, name: str) -> Iterator[str]:
-        """The module of a full name that may end with attributes; all of a package for one that ends with a dot."""
+    def _resolve(self, name: str) -> Iterator[str]:
+        """The module of a full name that may end with attributes; all modules of a package if it ends with a dot."""
         if name.endswith("."):
             file = self._file(name[:-1])
             if file is not None and file.name == "__init__.py":
@@ -145,13 +155,13 @@ class SourceTree:
             yield name
 
     def _data_files(self, sources: Iterable[_Source]) -> Iterator[tuple[str, Path]]:
-        """Name and path of every file that is no source, in what `sources` name beside the modules of a package."""
+        """Name and path of every data file that `sources` name with `files(PACKAGE)`; Python files are not data."""
         for package, entry in sorted({each for source in sources for each in source.data}):
             file = self._file(package)
             if file is None:
                 continue
-            place = file.parent / entry
-            within = [place] if place.is_file() else place.rglob("*") if entry else place.iterdir()
+            path = file.parent / entry
+            within = [path] if path.is_file() else path.rglob("*") if entry else path.iterdir()
             for each in within:
                 if each.is_file() and each.suffix not in (".py", ".pyc"):
                     yield f"{package}/{each.relative_to(file.parent).as_posix()}", each
@@ -159,7 +169,7 @@ class SourceTree:
 
 @dataclass(frozen=True)
 class _Source:
-    """A parsed module. syntax: digest of its tree. modules: of the packages. data: package and what is named in it."""
+    """A parsed module. syntax: digest of its tree. modules, libraries: imported names. data: (package, entry in it)."""
 
     syntax: str
     modules: frozenset[str]
@@ -191,7 +201,7 @@ def _hash(data: bytes) -> str:
 
 
 def _drop_docstrings(tree: ast.AST) -> None:
-    """Every statement that is a string alone goes: it does nothing."""
+    """Remove every statement that is only a string, in place."""
     for node in ast.walk(tree):
         for block in (getattr(node, name, None) for name in ("body", "orelse", "finalbody")):
             if isinstance(block, list):
@@ -203,7 +213,7 @@ def _text(node: ast.AST) -> str | None:
 
 
 def _imported(nodes: Sequence[ast.AST], package: str) -> Iterator[str]:
-    """Full names that are imported by statements, or by `import_module` of a constant; of `from a import b`, a.b."""
+    """Full names imported by statements or by `import_module` of a constant; `from a import b` gives a.b."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -215,7 +225,7 @@ def _imported(nodes: Sequence[ast.AST], package: str) -> Iterator[str]:
 
 
 def _mentioned(nodes: Sequence[ast.AST], package: str) -> Iterator[str]:
-    """Full names that strings may be, of modules or of what is in them; see `SourceTree.imported_by`."""
+    """Strings that may be full names of modules or of their attributes; see `SourceTree.imported_by`."""
     calls = [name for node in nodes if (name := _import_call(node)) is not None]
     computed = any(_text(name) is None for name in calls)
     for node in nodes:
@@ -227,18 +237,18 @@ def _mentioned(nodes: Sequence[ast.AST], package: str) -> Iterator[str]:
 
 
 def _import_call(node: ast.AST) -> ast.expr | None:
-    """What a call of `import_module` imports; None for anything else."""
+    """The first argument of a call of `import_module`; None for any other node."""
     return node.args[0] if isinstance(node, ast.Call) and node.args and _called(node) in _IMPORTERS else None
 
 
 def _called(node: ast.AST) -> str:
-    """The name of the function or method that is called; "" for anything else."""
+    """The name of the function or method that a node calls; "" if it is no call."""
     function = node.func if isinstance(node, ast.Call) else None
     return getattr(function, "attr", getattr(function, "id", ""))
 
 
 def _absolute(name: str, package: str) -> str:
-    """A name that may begin with dots, as seen from a package."""
+    """Resolve a name that may begin with dots, relative to a package."""
     rest = name.lstrip(".")
     for _ in range(len(name) - len(rest) - 1):
         package = package.rpartition(".")[0]
@@ -246,7 +256,7 @@ def _absolute(name: str, package: str) -> str:
 
 
 def _data(nodes: Sequence[ast.AST], package: str) -> Iterator[tuple[str, str]]:
-    """The package of every call `files(PACKAGE)`, and X where the call stands in `files(PACKAGE) / "X"`, else ""."""
+    """PACKAGE of every call `files(PACKAGE)`, and X if it is followed by `/ "X"`, else ""."""
     below = {node.left: _text(node.right) or "" for node in nodes if isinstance(node, ast.BinOp)}
     for node in nodes:
         if isinstance(node, ast.Call) and _called(node) == "files":

@@ -1,4 +1,4 @@
-"""Charts of what an evaluation found, drawn from its JSON."""
+"""Charts of an evaluation, drawn from its JSON."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _KIND_STYLES: Final = {
     "front_back": ("front for back", "#e0a13c", "////"),
     "both": ("both at once", "#222222", ""),
 }
-"""Kind -> name, colour, hatching: told apart in grey, too."""
+"""Kind -> name, colour, hatching; distinct in grey as well."""
 
 
 def draw_figures(figures: Tree, folder: Path) -> list[Path]:
-    """Write the charts that `figures`, as of `report`, has numbers for, into `folder`; returns the files.
+    """Write the charts that `figures`, the result of `report`, has numbers for, into `folder`; returns the files.
 
     Raises MissingLibrary without matplotlib, BadConfig if a file cannot be written.
     """
@@ -47,7 +47,7 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
 
 
 def draw_parts(figures: Tree) -> Any:
-    """Average per-class accuracy of the set and its subsets, and accuracy part by part: the paper's Fig. 6."""
+    """Average per-class accuracy of the set and its subsets, and accuracy of each part: the paper's Fig. 6."""
     groups = {"all": figures, **figures["subsets"]}
     figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + PART_COUNT))
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, PART_COUNT + 0.6), sharex=True)
@@ -76,15 +76,15 @@ def draw_parts(figures: Tree) -> Any:
 
 
 def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list[tuple[Any, Any]]) -> None:
-    places = np.arange(len(names))
-    axis.barh(places, [value or 0 for value in values], color=_PALE, edgecolor=_DARK, linewidth=0.6, height=0.74)
-    for place, value, (mean, deviation) in zip(places, values, spreads, strict=True):
-        axis.text(1.015, place, "not shown" if value is None else f"{100 * value:.1f} %", va="center", fontsize=9)
+    positions = np.arange(len(names))
+    axis.barh(positions, [value or 0 for value in values], color=_PALE, edgecolor=_DARK, linewidth=0.6, height=0.74)
+    for y, value, (mean, deviation) in zip(positions, values, spreads, strict=True):
+        axis.text(1.015, y, "not shown" if value is None else f"{100 * value:.1f} %", va="center", fontsize=9)
         if mean is not None:
             spread = deviation or 0
-            axis.plot([max(mean - spread, 0), min(mean + spread, 1)], [place, place], color="black", linewidth=1.1)
-            axis.plot(mean, place, "o", color="black", markersize=3.6)
-    axis.set_yticks(places, names, fontsize=9)
+            axis.plot([max(mean - spread, 0), min(mean + spread, 1)], [y, y], color="black", linewidth=1.1)
+            axis.plot(mean, y, "o", color="black", markersize=3.6)
+    axis.set_yticks(positions, names, fontsize=9)
     axis.set_ylim(len(names) - 0.4, -0.6)
     axis.set_xlim(0, 1)
     axis.set_xticks(np.arange(0, 1.01, 0.1), [f"{tick} %" for tick in range(0, 101, 10)], fontsize=9)
@@ -94,7 +94,7 @@ def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list
 
 
 def draw_confusion(figures: Tree) -> Any:
-    """Which part is taken for which: each row is what became of one true part's pixels."""
+    """Confusion matrix: each row shows the predicted parts of one true part's pixels."""
     from matplotlib.colors import PowerNorm
     from matplotlib.lines import Line2D
 
@@ -114,7 +114,7 @@ def draw_confusion(figures: Tree) -> Any:
     axis.set_yticks(range(PART_COUNT), [f"{part.landmark}  {part.label}" for part in PARTS], fontsize=8)
     axis.set_xlabel("predicted part", fontsize=10)
     axis.set_ylabel("true part", fontsize=10)
-    axis.set_title("Of a true part's pixels, how many per cent are given to which part (1 and more)", fontsize=12)
+    axis.set_title("Predicted parts of each true part's pixels, per cent (1 and more)", fontsize=12)
     bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
@@ -128,7 +128,7 @@ def draw_confusion(figures: Tree) -> Any:
 
 
 def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:
-    """Draw a line around each area of cells."""
+    """Draw a line around each region of cells in `mask`."""
     padded = np.pad(mask, 1)
     for row, column in np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1]):
         axis.plot([column - 0.5, column + 0.5], [row - 0.5, row - 0.5], zorder=4, **style)
@@ -137,7 +137,7 @@ def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:
 
 
 def draw_confidence(figures: Tree) -> Any:
-    """What dropping unsure pixels buys, and whether confidences mean what they say."""
+    """Risk against coverage, and the reliability diagram of confidences."""
     figure = new_chart(12, 5.6)
     left, right = figure.subplots(1, 2)
     _risk_coverage(left, figures)
@@ -153,14 +153,14 @@ def _risk_coverage(axis: Any, figures: Tree) -> None:
     wrong = 1 - (figures["pixel_accuracy"] or 0)
     top = max(1.35 * wrong, 0.01)
     if kept["pixel_accuracy"] is not None:
-        place = kept["share_of_pixels"], 1 - kept["pixel_accuracy"]
-        axis.plot(*place, "o", color="black", markersize=8)
+        point = kept["share_of_pixels"], 1 - kept["pixel_accuracy"]
+        axis.plot(*point, "o", color="black", markersize=8)
         axis.annotate(
             f"confidence above {100 * PAPERS_THRESHOLD:.0f} %:\n"
-            f"{_percent(1 - place[0])} of pixels dropped,\n{_percent(place[1])} of the rest wrong\n"
+            f"{_percent(1 - point[0])} of pixels dropped,\n{_percent(point[1])} of the rest wrong\n"
             f"average per-class accuracy\n{_percent(figures['average_per_class_accuracy'])} → "
             f"{_percent(kept['average_per_class_accuracy'])}",
-            place,
+            point,
             (0.05, 0.62),
             textcoords="axes fraction",
             fontsize=10,
@@ -170,7 +170,7 @@ def _risk_coverage(axis: Any, figures: Tree) -> None:
     axis.set_ylim(0, top)
     axis.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
-    axis.set_xlabel("coverage: pixels kept, the surest first", fontsize=10)
+    axis.set_xlabel("coverage: pixels kept, most confident first", fontsize=10)
     axis.set_ylabel("risk: kept pixels that are wrong", fontsize=10)
     axis.set_title(f"Risk and coverage: area {figures['confidence']['aurc']}", loc="left", fontsize=11)
     _plain(axis, "both")
@@ -192,10 +192,10 @@ def _reliability(axis: Any, figures: Tree) -> None:
         linewidth=1.6,
         markersize=6,
         zorder=4,
-        label="accuracy where the network is so sure",
+        label="accuracy of the pixels in the bin",
     )
     axis.bar(0, 0, color="#dcdcdc", label="share of all pixels")
-    axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="as sure as right")
+    axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="perfect calibration")
     axis.set_xlim(0, 1)
     axis.set_ylim(0, 1)
     for which in (axis.xaxis, axis.yaxis):
@@ -209,30 +209,30 @@ def _reliability(axis: Any, figures: Tree) -> None:
 
 
 def draw_border_distance(figures: Tree) -> Any:
-    """How many pixels are wrong at each distance from the border of their part, and in which way."""
+    """Share of wrong pixels by distance to the border of their part, and by kind of mistake."""
     rows = figures["border_distance_px"]
     pixels = max(sum(row["pixels"] for row in rows), 1)
     figure = new_chart(8.6, 5.4)
     axis = figure.subplots()
-    places = np.arange(len(rows))
+    positions = np.arange(len(rows))
     bottom = np.zeros(len(rows))
     for kind, (name, colour, hatch) in _KIND_STYLES.items():
         heights = np.array([row[kind] or 0 for row in rows])
         axis.bar(
-            places, heights, 0.74, bottom, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=name
+            positions, heights, 0.74, bottom, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=name
         )
         bottom += heights
-    for place, row in zip(places, rows, strict=True):
+    for x, row in zip(positions, rows, strict=True):
         text = "no pixel" if row["wrong"] is None else _percent(row["wrong"])
-        axis.annotate(text, (place, bottom[place]), (0, 4), textcoords="offset points", ha="center", fontsize=10)
+        axis.annotate(text, (x, bottom[x]), (0, 4), textcoords="offset points", ha="center", fontsize=10)
     axis.set_xticks(
-        places, [f"{row['distance']} px\n{_percent(row['pixels'] / pixels)} of pixels" for row in rows], fontsize=9.5
+        positions, [f"{row['distance']} px\n{_percent(row['pixels'] / pixels)} of pixels" for row in rows], fontsize=9.5
     )
     axis.set_ylim(0, max(1.16 * float(bottom.max(initial=0)), 0.01))
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
     axis.set_xlabel("distance to the nearest pixel of another part", fontsize=10)
     axis.set_ylabel("wrong pixels among those at this distance", fontsize=10)
-    axis.set_title("Where mistakes lie", loc="left", fontsize=11)
+    axis.set_title("Wrong pixels by distance to a border", loc="left", fontsize=11)
     axis.legend(fontsize=9.5, framealpha=1, edgecolor="none", reverse=True)
     _plain(axis, "y")
     return figure

@@ -1,9 +1,10 @@
-"""How long a network takes for one frame: the paper's "processing time" (section 4.5)."""
+"""Timing: of stages of a computation, and of a network for one frame, the paper's "processing time" (section 4.5)."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,9 +18,22 @@ from bodyseg_model.networks.registry import device_of, predict
 _WARM_UP: Final = 3
 
 
+class Stopwatch:
+    """Sums the time of each stage: `with watch("network"): ...`. milliseconds: stage -> sum."""
+
+    def __init__(self, stages: Sequence[str]) -> None:
+        self.milliseconds = dict.fromkeys(stages, 0.0)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.milliseconds[stage] += 1000 * (time.perf_counter() - start)
+
+
 @dataclass(frozen=True)
 class FrameTimes:
-    """Milliseconds a frame. threads: that torch may use; device: where the network is; frames: how many were timed."""
+    """Milliseconds for one frame. frames: number timed; threads: number torch may use; device: its name."""
 
     mean: float
     deviation: float
@@ -30,9 +44,9 @@ class FrameTimes:
 
 
 def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
-    """Time `predict` on one frame after the other, float32 [1, 1, H, W] each, from memory to labels in memory.
+    """Time `predict` on single frames, float32 [1, 1, H, W] each, from a frame in memory to labels in memory.
 
-    Loading, scores and drawing are not in it; a few frames are predicted before, untimed. deviation: over frames,
+    Loading, scoring and drawing are excluded; a few frames are predicted first, untimed. deviation: over frames,
     divisor n - 1, 0 for a single one. Raises BadConfig if there is no frame.
     """
     if not frames:
@@ -41,7 +55,7 @@ def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
 
     def seconds(frame: torch.Tensor) -> float:
         start = time.perf_counter()
-        predict(network, frame.to(device)).labels.cpu()  # on another device, this also waits for the answer
+        predict(network, frame.to(device)).labels.cpu()  # on another device, this also waits for the labels
         return time.perf_counter() - start
 
     for number in range(_WARM_UP):

@@ -1,14 +1,14 @@
-"""What kind of mistake a prediction is: the only place that knows which parts face each other, front to back.
+"""Kinds of mistakes: left for right, front for back, both, and any other.
 
-Left/right: the part that mirrors the true one, so Rt. for Lt. and the other way round.
+Left/right: the mirror part of the true one, Rt. for Lt. or the reverse.
 
 Front/back: head, trunk and knees have parts on their front and parts on their back (`Part.face`). Within one of these
-regions any front part faces any back part: a network that takes a back for a front names whatever lies there. On the
-head that is the face (Sellion, Supramenton) against Nuchale; on the trunk breastbone, breasts and ASIS against
-Cervicale, spine, PSIS and armpits; the front of either knee against the back of either.
+regions any front part counts as opposite to any back part. On the head that is the face (Sellion, Supramenton) against
+Nuchale; on the trunk breastbone, breasts and ASIS against Cervicale, spine, PSIS and armpits; at the knees the front of
+either knee against the back of either.
 
-Both at once: the part lies on the other face and on the other side. A body turned round by half a turn in the mind of a
-network gives these on trunk and knees, and plain left/right swaps on arms and feet.
+Both: the predicted part is on the opposite face and the opposite side. A network that mistakes a body's back for its
+front makes these mistakes on trunk and knees, and plain left/right swaps on arms and feet.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ REGIONS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "knees": ("Femoral Lateral Epicn", "Knee Crease"),
 }
-"""Region -> landmarks of the parts that have a front or a back there, without their sides."""
+"""Region -> landmarks of its front and back parts, without "Lt." and "Rt."."""
 
 KINDS: Final = ("right", "left/right", "front/back", "both", "other")
-"""What a prediction can be; a kind's number is its place here. "other" is wrong in any other way."""
+"""Kinds of predictions; a kind's number is its index here. "other" is any other mistake."""
 
 SWAPS: Final = KINDS[1:4]
 
 
-def _plain(part: Part) -> str:
+def _without_side(part: Part) -> str:
     return part.landmark.removeprefix("Rt. ").removeprefix("Lt. ")
 
 
@@ -52,7 +52,7 @@ def _kind(truth: Part, predicted: Part) -> str:
     if truth.mirror == predicted.label:
         return "left/right"
     sides_differ = {truth.side, predicted.side} == {"left", "right"}
-    together = any(_plain(truth) in names and _plain(predicted) in names for names in REGIONS.values())
+    together = any({_without_side(truth), _without_side(predicted)} <= {*names} for names in REGIONS.values())
     if together and truth.face != predicted.face:
         return "both" if sides_differ else "front/back"
     return "other"

@@ -1,17 +1,18 @@
-"""Scores as plain JSON. Shares are fractions of 1 rounded to five places; what cannot be told is null."""
+"""Scores as plain JSON. Shares are fractions of 1 rounded to five decimals; undefined scores are null."""
 
 from __future__ import annotations
 
 import math
 import statistics
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
 
 from bodyseg_data.core.parts import PARTS
 from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
-from bodyseg_model.evaluation.calibration import Confidences, Kept
+from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels, Reliability
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
 from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds
 
@@ -24,11 +25,11 @@ PAPERS_SUBSETS: Final = ("A", "B", "C", "people")
 
 _THRESHOLDS: Final = (0.0, 0.5, 0.6, PAPERS_THRESHOLD, 0.8, 0.9)
 _CURVE_POINTS: Final = 100
-_PLACES: Final = 5
+_DECIMALS: Final = 5
 
 
 def report(evaluation: Evaluation) -> Tree:
-    """Everything about all images together, what matters of every subset, and the images that went worst."""
+    """All scores of all images together, the summary of every subset, and the images of lowest accuracy."""
     total = evaluation.total()
     details: Tree = {"parts": _parts(total), "confusion": total.confusion.counts.tolist()}
     if total.confidences is not None:
@@ -46,7 +47,7 @@ def report(evaluation: Evaluation) -> Tree:
 
 
 def summary(scores: Scores) -> Tree:
-    """The scores of a group of images in a few numbers."""
+    """Short scores of a group of images."""
     matrix, pixels = scores.confusion, scores.confusion.pixels
     kinds = count_kinds(matrix.counts)
     found: Tree = {
@@ -54,8 +55,8 @@ def summary(scores: Scores) -> Tree:
         "pixels": pixels,
         "average_per_class_accuracy": _share(matrix.average_per_class_accuracy()),
         "over_images": {
-            "mean": _share(float(scores.spread.mean()[-1])),
-            "sd": _share(float(scores.spread.deviation()[-1])),
+            "mean": _share(float(scores.per_image.mean()[-1])),
+            "sd": _share(float(scores.per_image.deviation()[-1])),
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
@@ -66,15 +67,15 @@ def summary(scores: Scores) -> Tree:
             "mean": _share(scores.confidences.mean()),
             "ece": _share(scores.confidences.ece()),
             "aurc": _share(scores.confidences.aurc()),
-            "above_70_percent": _kept(scores.confidences.above(PAPERS_THRESHOLD)),
+            "above_70_percent": _shares(scores.confidences.above(PAPERS_THRESHOLD)),
         }
     return found
 
 
 def _parts(scores: Scores) -> list[Tree]:
-    """Part by part: accuracy over all pixels, and mean and standard deviation over the images that show the part."""
+    """Scores of each part: accuracy over all pixels, mean and standard deviation over the images that show it."""
     accuracy, iou = scores.confusion.per_class_accuracy(), scores.confusion.intersection_over_union()
-    mean, deviation = scores.spread.mean(), scores.spread.deviation()
+    mean, deviation = scores.per_image.mean(), scores.per_image.deviation()
     return [
         {
             "label": part.label,
@@ -82,7 +83,7 @@ def _parts(scores: Scores) -> list[Tree]:
             "pixels": int(scores.confusion.counts[part.label].sum()),
             "accuracy": _share(float(accuracy[part.label])),
             "iou": _share(float(iou[part.label])),
-            "images": int(scores.spread.images[part.label]),
+            "images": int(scores.per_image.images[part.label]),
             "mean_over_images": _share(float(mean[part.label])),
             "sd_over_images": _share(float(deviation[part.label])),
         }
@@ -92,31 +93,22 @@ def _parts(scores: Scores) -> list[Tree]:
 
 def _confidences(confidences: Confidences) -> Tree:
     coverage, risk = confidences.curve()
-    places = np.linspace(1 / _CURVE_POINTS, 1, _CURVE_POINTS)
-    risks = np.interp(places, coverage, risk) if coverage.size else np.full(_CURVE_POINTS, np.nan)
+    coverages = np.linspace(1 / _CURVE_POINTS, 1, _CURVE_POINTS)
+    risks = np.interp(coverages, coverage, risk) if coverage.size else np.full(_CURVE_POINTS, np.nan)
     return {
         "thresholds": [
-            {"confidence_above": threshold, **_kept(confidences.above(threshold))} for threshold in _THRESHOLDS
+            {"confidence_above": threshold, **_shares(confidences.above(threshold))} for threshold in _THRESHOLDS
         ],
         "risk_coverage": {
-            "coverage": [round(float(place), _PLACES) for place in places],
+            "coverage": [round(float(value), _DECIMALS) for value in coverages],
             "risk": [_share(float(value)) for value in risks],
         },
-        "reliability": [
-            {
-                "confidence_above": round(row.above, _PLACES),
-                "up_to": round(row.up_to, _PLACES),
-                "pixels": row.pixels,
-                "confidence": _share(row.confidence),
-                "accuracy": _share(row.accuracy),
-            }
-            for row in confidences.reliability()
-        ],
+        "reliability": [_shares(row) for row in confidences.reliability()],
     }
 
 
 def _borders(borders: BorderErrors) -> list[Tree]:
-    """Bin by bin: pixels, and which share of them is wrong, in all and by kind."""
+    """Rows of the bins: pixels, and the share of them that is wrong, in all and by kind of mistake."""
     rows = []
     for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
         pixels = sum(counts)
@@ -126,16 +118,12 @@ def _borders(borders: BorderErrors) -> list[Tree]:
     return rows
 
 
-def _kept(kept: Kept) -> Tree:
-    return {
-        "share_of_pixels": _share(kept.share),
-        "pixel_accuracy": _share(kept.pixel_accuracy),
-        "average_per_class_accuracy": _share(kept.average_per_class_accuracy),
-    }
+def _shares(record: ConfidentPixels | Reliability) -> Tree:
+    return {name: _share(value) for name, value in asdict(record).items()}
 
 
 def subset_order(subset: str) -> tuple[bool, str]:
-    """The paper's subsets first, in its order, which is also that of the alphabet."""
+    """Sort key: the paper's subsets first, in its order, which is alphabetical; then others."""
     return subset not in PAPERS_SUBSETS, subset
 
 
@@ -144,10 +132,13 @@ def _key(kind: str) -> str:
 
 
 def _share(value: float) -> float | None:
-    return None if math.isnan(value) else round(value, _PLACES)
+    return None if math.isnan(value) else round(value, _DECIMALS)
 
 
-def over_seeds(values: Sequence[float], places: int = 5) -> Tree:
+def over_seeds(values: Sequence[float], decimals: int = 5) -> Tree:
     """Mean, standard deviation (divisor n - 1; None for one seed) and every seed's value."""
-    spread = round(statistics.stdev(values), places) if len(values) > 1 else None
-    return {"mean": round(statistics.mean(values), places), "sd": spread, "seeds": [round(v, places) for v in values]}
+    return {
+        "mean": round(statistics.mean(values), decimals),
+        "sd": round(statistics.stdev(values), decimals) if len(values) > 1 else None,
+        "seeds": [round(value, decimals) for value in values],
+    }

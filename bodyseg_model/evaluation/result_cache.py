@@ -1,6 +1,6 @@
-"""Measured results that are kept in a file, so that what was cut short carries on and nothing is measured twice.
+"""Cache of measured results in a file, so that an interrupted run carries on and nothing is measured twice.
 
-A result is used again for the same subject, question and code: see `ResultCache`.
+A result is used again for the same subject, query and code: see `ResultCache`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FORMAT: Final = "bodyseg cached results 1"
 
 
 def network_identity(path: Path) -> dict[str, Any]:
-    """The kind and settings of a network and the SHA-256 of its weights, in a run's folder or a .safetensors file.
+    """Identify a network in a run's folder or a .safetensors file: its kind, its settings, the SHA-256 of its weights.
 
     Raises BadConfig for a file that is missing or damaged.
     """
@@ -32,11 +32,11 @@ def network_identity(path: Path) -> dict[str, Any]:
 
 
 class ResultCache:
-    """The results about one subject, in one JSON file that several processes may share.
+    """Results about one subject, in one JSON file that several processes may share.
 
-    subject: what is measured, as JSON, such as `network_identity`; when it changes, the file begins anew. modules: full
-    names of those whose code measures; a result is of no use any more when it, or any code that it imports, changes
-    (`code_digest`). The file keeps one result a question, so it does not grow as code changes.
+    subject: measured object, as JSON, such as `network_identity`; when it changes, the file starts empty. modules: full
+    names of the modules that measure; results become invalid when a module, or any that it imports, changes
+    (`code_digest`). The file has one result for each query, so it does not grow as code changes.
     """
 
     def __init__(self, file: Path, subject: Mapping[str, Any], *modules: str) -> None:
@@ -45,37 +45,40 @@ class ResultCache:
         self._modules = sorted(set(modules))
         self._code = code_digest(*self._modules)
 
-    def get(self, question: Mapping[str, Any]) -> dict[str, Any] | None:
-        """The result of a question; None if it is not there, altered, or of other code.
+    def __repr__(self) -> str:
+        return f"ResultCache({str(self._file)!r}, code {self._code})"
 
-        question: all that shapes the result beside subject and code, as JSON. Raises BadConfig for a file that holds
-        something else.
+    def get(self, query: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Get the result of a query; None if it is missing, altered, or of other code.
+
+        query: everything that the result depends on besides subject and code, as JSON. Raises BadConfig for a file of
+        another format.
         """
-        key, asked = self._key(question)
+        key, query = self._key(query)
         entry = self._read().get(key)
-        if not isinstance(entry, dict) or entry != self._entry(asked, entry.get("result")):
+        if not isinstance(entry, dict) or entry != self._entry(query, entry.get("result")):
             return None
         result: dict[str, Any] = entry["result"]
         return result
 
-    def put(self, question: Mapping[str, Any], result: Mapping[str, Any]) -> None:
-        """Keep a result, JSON without NaN, together with what other processes have kept meanwhile.
+    def put(self, query: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+        """Store a result, JSON without NaN, and keep results that other processes have stored meanwhile.
 
-        Raises BadConfig if the file cannot be written or holds something else.
+        Raises BadConfig if the file cannot be written or has another format.
         """
-        key, asked = self._key(question)
-        entry = self._entry(asked, _as_json(result))
+        key, query = self._key(query)
+        entry = self._entry(query, _as_json(result))
         with self._locked():
             results = self._read() | {key: entry}
             write_json(self._file, {"format": FORMAT, "subject": self._subject, "results": results})
 
-    def _key(self, question: Mapping[str, Any]) -> tuple[str, Any]:
-        """The key of a question, and the question as it comes back from a file."""
-        asked = _as_json(question)
-        return _digest([self._modules, asked]), asked
+    def _key(self, query: Mapping[str, Any]) -> tuple[str, Any]:
+        """The key of a query, and the query as JSON would return it."""
+        query = _as_json(query)
+        return _digest([self._modules, query]), query
 
-    def _entry(self, question: Any, result: Any) -> dict[str, Any]:
-        facts = {"question": question, "modules": self._modules, "code": self._code, "result": result}
+    def _entry(self, query: Any, result: Any) -> dict[str, Any]:
+        facts = {"query": query, "modules": self._modules, "code": self._code, "result": result}
         return {**facts, "digest": _digest(facts)}
 
     def _read(self) -> dict[str, Any]:
@@ -89,7 +92,7 @@ class ResultCache:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Hold the lock beside the file, which the system releases if this process is killed."""
+        """Hold a lock file beside the cache; the system releases it if this process is killed."""
         path = self._file.with_name(f".{self._file.name}.lock")
         with contextlib.ExitStack() as stack:
             try:
@@ -104,7 +107,7 @@ class ResultCache:
 
 
 def _as_json(value: Any) -> Any:
-    """As it comes back from a file. Raises ValueError for NaN, which would equal nothing, not even itself."""
+    """Round trip through JSON. Raises ValueError for NaN, which does not equal itself."""
     return json.loads(json.dumps(value, allow_nan=False))
 
 

@@ -1,4 +1,4 @@
-"""A picture of single images: range, truth, prediction, mistakes, confidence: in the manner of the paper's Fig. 5."""
+"""Figure of single test images, as in the paper's Fig. 5: range, truth, prediction, mistakes, confidence."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.drawing.contact_sheet import colour_range
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
-from bodyseg_model.evaluation.evaluation import Seen
+from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
 from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -24,9 +24,9 @@ _EMPTY: Final = (24, 26, 32)
 _DROPPED: Final = (120, 122, 128)
 _RIGHT, _WRONG, _SWAPPED = (220, 226, 236), (232, 134, 46), (148, 62, 190)
 _KIND_COLOURS: Final = {"right": _RIGHT, "other": _WRONG}
-"""Any other kind is a swap. Light, middle and darker, so that they are told apart in grey, too."""
+"""Any other kind is a swap. Light, medium and darker, so that they are distinct in grey as well."""
 
-# Unsure to sure: dark to light as well as blue to yellow.
+# Low to high confidence: dark to light as well as blue to yellow.
 _RAMP: Final = np.array([[0, 34, 78], [66, 78, 108], [124, 123, 120], [189, 175, 110], [254, 232, 56]])
 
 _HEIGHT: Final = 340
@@ -39,29 +39,29 @@ _BODY_MARGIN: Final = 6
 
 
 class SamplePicture:
-    """Watches an evaluation and keeps the first image of every subset, and the one that went worst of all."""
+    """Collects the first image of every subset and the image of lowest accuracy during an evaluation."""
 
     def __init__(self) -> None:
-        self._first: dict[str, tuple[float, Seen]] = {}
-        self._worst: tuple[float, Seen] | None = None
+        self._first: dict[str, tuple[float, PredictedImage]] = {}
+        self._worst: tuple[float, PredictedImage] | None = None
 
-    def watch(self, seen: Seen, accuracy: float) -> None:
-        """Look at one image; empty ones are passed over."""
+    def watch(self, image: PredictedImage, accuracy: float) -> None:
+        """Consider one image for the figure; empty ones are ignored."""
         if np.isnan(accuracy):
             return
-        if seen.subset not in self._first:
-            self._first[seen.subset] = accuracy, _kept(seen)
+        if image.subset not in self._first:
+            self._first[image.subset] = accuracy, _cropped(image)
         if self._worst is None or accuracy < self._worst[0]:
-            self._worst = accuracy, _kept(seen)
+            self._worst = accuracy, _cropped(image)
 
     def draw(self) -> Image.Image | None:
-        """The picture; None if every image was empty."""
+        """Draw the figure; None if every image was empty."""
         if self._worst is None:
             return None
         groups = sorted(self._first, key=subset_order)
         shown = [(f"first of {name}", *self._first[name]) for name in groups]
         shown.append(("worst of all", *self._worst))
-        lines = [[_fit(panel) for panel in _panels(seen)] for _, _, seen in shown]
+        lines = [[_fit(panel) for panel in _panels(image)] for _, _, image in shown]
         widths = [max(_LEAST_WIDTH, *(line[column].width for line in lines)) for column in range(len(_HEADS))]
         width = sum(widths) + _GAP * (len(_HEADS) + 1)
         legend = _legend(width - 2 * _GAP)
@@ -72,8 +72,8 @@ class SamplePicture:
         for left, head in zip(lefts, _HEADS, strict=True):
             pen.text((left, 7), head, INK, font=font(15))
         top = _TOP
-        for (which, accuracy, seen), line, height in zip(shown, lines, heights, strict=True):
-            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, seen)}", FAINT, font=font(13))
+        for (which, accuracy, image), line, height in zip(shown, lines, heights, strict=True):
+            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, image)}", FAINT, font=font(13))
             for left, panel in zip(lefts, line, strict=True):
                 picture.paste(panel, (left, top + _CAPTION))
             top += height
@@ -81,65 +81,59 @@ class SamplePicture:
         return picture
 
 
-def _kept(seen: Seen) -> Seen:
-    """A copy of what the body takes of an image."""
-    body = seen.labels != BACKGROUND
+def _cropped(image: PredictedImage) -> PredictedImage:
+    """A copy of an image, cropped to the body."""
+    body = image.labels != BACKGROUND
     rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
-    top, left = (max(int(places[0]) - _BODY_MARGIN, 0) for places in (rows, columns))
+    top, left = (max(int(filled[0]) - _BODY_MARGIN, 0) for filled in (rows, columns))
     box = slice(top, int(rows[-1]) + 1 + _BODY_MARGIN), slice(left, int(columns[-1]) + 1 + _BODY_MARGIN)
-    return Seen(
-        seen.key,
-        seen.subset,
-        seen.range_m[box].copy(),
-        seen.labels[box].copy(),
-        seen.predicted[box].copy(),
-        seen.confidence[box].copy(),
-    )
+    arrays = ("range_m", "labels", "predicted", "confidence")
+    return image._replace(**{name: getattr(image, name)[box].copy() for name in arrays})
 
 
-def _caption(accuracy: float, seen: Seen) -> str:
-    sure = ConfusionMatrix()
-    sure.add(np.where(seen.confidence > PAPERS_THRESHOLD, seen.labels, np.uint8(BACKGROUND)), seen.predicted)
-    share = sure.pixels / np.count_nonzero(seen.labels != BACKGROUND)
-    caption = f"{seen.key}. Average per-class accuracy {100 * accuracy:.1f} %"
-    if not sure.pixels:
+def _caption(accuracy: float, image: PredictedImage) -> str:
+    confident = ConfusionMatrix()
+    confident.add(np.where(image.confidence > PAPERS_THRESHOLD, image.labels, np.uint8(BACKGROUND)), image.predicted)
+    share = confident.pixels / np.count_nonzero(image.labels != BACKGROUND)
+    caption = f"{image.key}. Average per-class accuracy {100 * accuracy:.1f} %"
+    if not confident.pixels:
         return f"{caption}; no pixel is above {_THRESHOLD}"
-    better = 100 * sure.average_per_class_accuracy()
+    better = 100 * confident.average_per_class_accuracy()
     return f"{caption}; {better:.1f} % among the {100 * share:.0f} % of pixels above {_THRESHOLD}"
 
 
-def _panels(seen: Seen) -> list[NDArray[np.uint8]]:
-    body = seen.labels != BACKGROUND
-    steps = np.rint(seen.range_m / RANGE_STEP_M).astype(np.uint16)
-    # Noise has tails: the ramp covers what most pixels have.
+def _panels(image: PredictedImage) -> list[NDArray[np.uint8]]:
+    body = image.labels != BACKGROUND
+    steps = np.rint(image.range_m / RANGE_STEP_M).astype(np.uint16)
+    # Noise has long tails: the ramp covers 98 % of the pixels.
     near, far = (int(edge) for edge in np.percentile(steps[body], (1, 99)))
     kinds = np.zeros(body.shape, np.uint8)
-    kinds[body] = KIND_OF[seen.labels[body], seen.predicted[body]]
+    kinds[body] = KIND_OF[image.labels[body], image.predicted[body]]
     mistakes = np.array([_KIND_COLOURS.get(kind, _SWAPPED) for kind in KINDS], np.uint8)[kinds]
     mistakes[~body] = _EMPTY
-    confidence = _colour_confidence(seen.confidence)
+    confidence = _colour_confidence(image.confidence)
     confidence[~body] = _EMPTY
-    sure = colour_labels(seen.predicted, _EMPTY)
-    sure[body & (seen.confidence <= PAPERS_THRESHOLD)] = _DROPPED
+    confident = colour_labels(image.predicted, _EMPTY)
+    confident[body & (image.confidence <= PAPERS_THRESHOLD)] = _DROPPED
     return [
         colour_range(steps, near, far),
-        colour_labels(seen.labels, _EMPTY),
-        colour_labels(seen.predicted, _EMPTY),
+        colour_labels(image.labels, _EMPTY),
+        colour_labels(image.predicted, _EMPTY),
         mistakes,
         confidence,
-        sure,
+        confident,
     ]
 
 
 def _colour_confidence(confidence: NDArray[np.float32]) -> NDArray[np.uint8]:
-    place = np.clip(confidence, 0, 1) * (len(_RAMP) - 1)
-    colours = np.stack([np.interp(place, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
+    position = np.clip(confidence, 0, 1) * (len(_RAMP) - 1)
+    colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
     return drawn
 
 
 def _fit(panel: NDArray[np.uint8]) -> Image.Image:
-    """Scale to the rows' height, or width where a body lies, by picking pixels: averaging would hide missing ones."""
+    """Scale to the panel's height or width by picking the nearest pixels: averaging would hide missing ones."""
     height, width = panel.shape[:2]
     scale = min(_HEIGHT / height, _WIDTH / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))

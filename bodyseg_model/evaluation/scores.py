@@ -1,4 +1,4 @@
-"""Scores of a segmentation, from one integer confusion matrix; background is ignored everywhere."""
+"""Accuracy and IoU of a segmentation, from one integer confusion matrix; background is ignored everywhere."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 
 PAIRS: Final = PART_COUNT**2
-"""How many pairs (true part, predicted part) there are; pair number = 33 truth + prediction."""
+"""Number of pairs (true part, predicted part); the pair number is 33 truth + prediction."""
 
 
 def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The pair number of every pixel whose truth is a part, int64 [N], in reading order; label images of one shape.
+    """Pair number of every pixel whose true label is a part, int64 [N], in reading order.
 
-    A prediction must name a part at every pixel of the body: raises BadConfig for shapes that differ or labels that
-    are neither 0..32 nor, for the truth, background.
+    truth, predicted: label images of one shape, uint8. Raises BadConfig for different shapes, a label above 32 in the
+    prediction on the body, or one in the truth that is neither 0..32 nor background.
     """
     if truth.shape != predicted.shape:
         raise BadConfig(f"truth and prediction must have one shape, found {truth.shape} and {predicted.shape}")
@@ -31,15 +31,19 @@ def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> NDArray[
 
 
 def count_pairs(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How often each pair occurs, int64 [33, 33], row truth, column prediction."""
+    """Count each pair number, int64 [33, 33], row truth, column prediction."""
     return np.bincount(pairs, minlength=PAIRS).reshape(PART_COUNT, PART_COUNT)
 
 
 class ConfusionMatrix:
-    """Counts pixels by true and predicted part. `counts`: int64 [33, 33], row truth, column prediction."""
+    """Counts of pixels by true and predicted part. counts: int64 [33, 33], row truth, column prediction."""
 
     def __init__(self) -> None:
         self.counts: NDArray[np.int64] = np.zeros((PART_COUNT, PART_COUNT), np.int64)
+
+    def __repr__(self) -> str:
+        accuracy = self.average_per_class_accuracy()
+        return f"ConfusionMatrix({self.pixels} pixels, average per-class accuracy {accuracy:.3f})"
 
     def add(self, truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> None:
         """Count the pixels of label images of one shape, uint8; pixels whose truth is background do not count.
@@ -50,7 +54,7 @@ class ConfusionMatrix:
 
     @property
     def pixels(self) -> int:
-        """How many pixels were counted."""
+        """Number of pixels counted."""
         return int(self.counts.sum())
 
     def per_class_accuracy(self) -> NDArray[np.float64]:
@@ -58,14 +62,14 @@ class ConfusionMatrix:
         return _ratios(self.counts.diagonal(), self.counts.sum(axis=1))
 
     def average_per_class_accuracy(self) -> float:
-        """Mean of `per_class_accuracy` over the parts that the truth shows, so that small parts weigh as much as large.
+        """Mean of `per_class_accuracy` over the parts that the truth shows, so that all parts count equally.
 
         The paper's headline score (section 3.6, after Shotton et al. 2011). NaN if nothing was counted.
         """
         return _mean(self.per_class_accuracy())
 
     def pixel_accuracy(self) -> float:
-        """The share of pixels whose part is right. NaN if nothing was counted."""
+        """Share of pixels whose predicted part is right. NaN if nothing was counted."""
         return float(self.counts.trace()) / self.pixels if self.pixels else float("nan")
 
     def intersection_over_union(self) -> NDArray[np.float64]:
@@ -78,11 +82,11 @@ class ConfusionMatrix:
         return _mean(self.intersection_over_union())
 
 
-class Spread:
-    """How accuracy differs from image to image: every image counts once, however many pixels it has.
+class PerImageAccuracy:
+    """Mean and standard deviation of accuracy over images; every image counts once, however many pixels it has.
 
-    The first 33 entries are the parts, over the images that show them; the last is the image's average per-class
-    accuracy, over images that show any. images: int64 [34]; sums, squares: float64 [34].
+    Entries 0..32 are of the parts, over the images that show them; entry 33 is of the average per-class accuracy, over
+    images that show any part. images: int64 [34], number; sums, squares: float64 [34], of accuracies.
     """
 
     def __init__(self) -> None:
@@ -90,8 +94,11 @@ class Spread:
         self.sums: NDArray[np.float64] = np.zeros(PART_COUNT + 1)
         self.squares: NDArray[np.float64] = np.zeros(PART_COUNT + 1)
 
+    def __repr__(self) -> str:
+        return f"PerImageAccuracy({self.images[-1]} images, mean {self.mean()[-1]:.3f})"
+
     def add(self, counts: NDArray[np.int64]) -> float:
-        """Note one image by its confusion matrix; returns its average per-class accuracy, NaN if it shows nothing."""
+        """Add one image by its confusion matrix; returns its average per-class accuracy, NaN if it shows nothing."""
         accuracy = _ratios(counts.diagonal(), counts.sum(axis=1))
         average = _mean(accuracy)
         values = np.append(accuracy, average)
@@ -102,8 +109,8 @@ class Spread:
         self.squares += values**2
         return average
 
-    def merge(self, other: Spread) -> None:
-        """Note all of another one's images."""
+    def merge(self, other: PerImageAccuracy) -> None:
+        """Add other images."""
         self.images += other.images
         self.sums += other.sums
         self.squares += other.squares
@@ -114,19 +121,19 @@ class Spread:
 
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation over images, divisor n - 1, float64 [34]; NaN for fewer than two."""
-        above = np.maximum(self.squares - self.images * np.nan_to_num(self.mean()) ** 2, 0.0)
-        found: NDArray[np.float64] = np.sqrt(_ratios(above, np.maximum(self.images - 1, 0)))
+        squares = np.maximum(self.squares - self.images * np.nan_to_num(self.mean()) ** 2, 0.0)
+        found: NDArray[np.float64] = np.sqrt(_ratios(squares, np.maximum(self.images - 1, 0)))
         return found
 
 
 def _ratios(part: NDArray[Any], whole: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Shares of a whole, NaN where it is 0."""
+    """Quotients, float64, NaN where `whole` is 0."""
     shares = np.full(whole.shape, np.nan)
     np.divide(part, whole, out=shares, where=whole > 0)
     return shares
 
 
 def _mean(values: NDArray[np.float64]) -> float:
-    """Of those that are not NaN."""
+    """Mean of the values that are not NaN; NaN if there are none."""
     shown = values[~np.isnan(values)]
     return float(shown.mean()) if shown.size else float("nan")

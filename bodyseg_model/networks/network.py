@@ -1,4 +1,4 @@
-"""Base class of every network: the scores it computes, and all that the rest of the product must be told about it.
+"""Base class of every network: its scores, and the properties on which training, prediction and files depend.
 
 A new network is one file in this folder with a subclass of `Network`, and one entry of `registry.NETWORKS`. The
 subclass defines `scores`, and overrides the attributes and methods in which it differs from the defaults here.
@@ -55,7 +55,7 @@ class Network(nn.Module, ABC):
         """
 
     def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """Compute scores at some pixels only, float [B, 33, h, w]; asked of networks whose output stride is 1.
+        """Compute scores at some pixels only, float [B, 33, h, w]; for networks whose output stride is 1.
 
         rows, columns: int64 [h] and [w]. A network overrides this where that is cheaper than all of `scores`.
         """

@@ -1,1 +1,1 @@
-"""Labels for the frames of a real sensor."""
+"""Segmentation of the frames of a real sensor: background removal, resampling, labels, overlays."""

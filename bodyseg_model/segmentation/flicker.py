@@ -1,12 +1,12 @@
-"""Label flicker: how many pixels change their label from one frame to the next, as the frames are.
+"""Label flicker: pixels whose label changes from one frame to the next, without compensation for motion.
 
-Nothing follows the body: a pixel is compared with the same pixel of the next frame. So labels also change where the
-body moves; among pixels whose range hardly changed, few do for that reason.
+A pixel is compared with the same pixel of the next frame, so labels also change where the body moves. Pixels whose
+range hardly changed are counted separately: few of them change for that reason.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from bodyseg_data.core.parts import BACKGROUND
 
 STILL_M: Final = 0.02
-"""A pixel whose range changed by less is taken to see the same place of the body."""
+"""A pixel whose range changed by less, metres, is taken to see the same point of the body."""
 
 
 @dataclass(frozen=True)
 class Flicker:
-    """Counts of pixels that have a label in both frames: all of them and those that are still, and of both those whose
-    label changed.
+    """Counts of pixels that have a label in both frames.
+
+    shared: all of them; changed: those whose label changed. still, still_changed: the same of pixels whose range
+    changed by less than `STILL_M`.
     """
 
     shared: int = 0
@@ -30,12 +32,7 @@ class Flicker:
     still_changed: int = 0
 
     def __add__(self, other: Flicker) -> Flicker:
-        return Flicker(
-            self.shared + other.shared,
-            self.changed + other.changed,
-            self.still + other.still,
-            self.still_changed + other.still_changed,
-        )
+        return Flicker(*(one + another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
     def to_json(self) -> dict[str, Any]:
         """Counts and shares; a share of nothing is null."""

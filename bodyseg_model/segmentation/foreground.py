@@ -1,4 +1,4 @@
-"""Background removal by range: which pixels of a frame are bodies, and which belong to one body."""
+"""Background removal by range: the pixels of a frame that show bodies, divided into bodies."""
 
 from __future__ import annotations
 
@@ -16,35 +16,36 @@ from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, 
 BackgroundMode = Literal["people", "limits", "keep"]
 
 BODY_AREA_M2: Final = (0.05, 2.0)
-"""Surface of a body that a camera may see, as it would face the camera."""
+"""Least and greatest visible surface of a body, square metres, as if it faced the camera."""
 
 BODY_EXTENT_M: Final = 2.5
-"""No body is larger than this in width, height or depth."""
+"""Greatest width, height or depth of a body, metres."""
 
 BODY_HEIGHT_M: Final = 0.3
-"""What is less high is no body, nor the part of one that can be recognised."""
+"""Least height of a body, metres; less of one cannot be recognised."""
 
 LOOSE_AREA_M2: Final = 0.1
-"""A piece smaller than this, a forearm with its hand, belongs to a body that it overlaps in the image, if in reach."""
+"""Surfaces smaller than this, such as a forearm with its hand, join a body that they overlap in the image, if within
+its reach; square metres."""
 
 REACH_M: Final = (0.6, 0.3)
-"""How far before and behind a body such a piece may be: of an arm held towards the camera, or beyond the trunk, only
-the hand may be seen.
-"""
+"""Greatest distance of such a surface in front of a body and behind it, metres: of an arm stretched towards the camera
+or behind the trunk, only the hand may be seen."""
 
 _MOST_PLANES: Final = 6
 
 Bodies = tuple[NDArray[np.intp], ...]
-"""One array a body: its pixels [N] as row * columns + column, ascending."""
+"""One array for each body: its pixels [N] as row * columns + column, ascending."""
 
 
 @dataclass(frozen=True)
 class Background:
-    """What is taken away before the network looks.
+    """Rule for removing the background before a network labels the rest.
 
-    mode: "people" keeps what lies within the limits, on no large plane, and has the size of a body; "limits" keeps all
-    that lies within the limits, as one body; "keep" keeps all that was measured, as one body, for frames whose
-    background is gone already. near_m, far_m: the limits, metres.
+    mode: "people" keeps surfaces within the limits that are on no large plane and have the size of a body; "limits"
+    keeps every pixel within the limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose
+    background was removed before. near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong
+    order.
     """
 
     mode: BackgroundMode = "people"
@@ -59,7 +60,7 @@ class Background:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """All that the removal depends on."""
+        """Everything that the removal depends on, for summary.json."""
         if self.mode == "keep":
             return {"mode": self.mode}
         if self.mode == "limits":
@@ -74,7 +75,7 @@ class Background:
 
 
 def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background) -> Bodies:
-    """The bodies in a frame, the largest first; a pixel belongs to one at most.
+    """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
 
     range_m: [H, W], metres along the optical axis, 0 = nothing measured. camera: the one that took it.
     """
@@ -90,7 +91,7 @@ def _all_of(mask: NDArray[np.bool_]) -> Bodies:
 
 
 def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
-    """Surfaces of a body's size, once large planes are gone from `range_m`, which is changed."""
+    """Surfaces of a body's size, after large planes are removed from `range_m`, in place."""
     surfaces = _Surfaces(range_m, camera)
     for _ in range(_MOST_PLANES):
         large = [surfaces.pixels_of(number) for number in surfaces.by_size(LEAST_AREA_M2 / 2)]
@@ -99,21 +100,20 @@ def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
             break
         range_m.ravel()[np.concatenate(flat)] = 0
         surfaces = _Surfaces(range_m, camera)
-    places = surfaces.places()
+    boxes = surfaces.bounding_boxes()
     taken = np.zeros(len(surfaces.area_m2), np.bool_)
     bodies = []
     for number in surfaces.by_size(BODY_AREA_M2[0]):
-        if taken[number] or not _is_of_a_body(surfaces.pixels_of(number), range_m, camera):
+        if taken[number] or not _has_body_size(surfaces.pixels_of(number), range_m, camera):
             continue
         taken[number] = True
-        parts = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & places.near(number))
-        taken[parts] = True
-        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(part) for part in (number, *parts)])))
+        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
+        taken[pieces] = True
+        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)])))
     return tuple(bodies)
 
 
-def _is_of_a_body(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> bool:
-    """Whether a surface has a body's size."""
+def _has_body_size(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> bool:
     rows, columns = np.divmod(pixels, range_m.shape[1])
     depths = range_m.ravel()[pixels].astype(np.float64)
     width = np.ptp((columns + 0.5 - camera.centre_px[0]) * depths) / camera.focal_px
@@ -137,32 +137,31 @@ class _Surfaces:
         self._range_m = range_m
 
     def by_size(self, least_m2: float) -> list[int]:
-        """The numbers of those of at least this area, the largest first."""
+        """The numbers of surfaces of at least this area, the largest first."""
         order = np.argsort(-self.area_m2, kind="stable")
         return [int(number) for number in order if self.area_m2[number] >= least_m2]
 
     def pixels_of(self, number: int) -> NDArray[np.intp]:
-        """Flat indices, ascending."""
+        """The pixels of a surface, flat indices, ascending."""
         return self._pixels[self._ends[number - 1] if number else 0 : self._ends[number]]
 
-    def places(self) -> _Places:
-        """Where they all are."""
+    def bounding_boxes(self) -> _Boxes:
         starts = np.concatenate([[0], self._ends[:-1]]) if len(self._ends) else np.empty(0, np.intp)
-        seen = (*np.divmod(self._pixels, self._range_m.shape[1]), self._range_m.ravel()[self._pixels])
-        lowest = np.array([np.minimum.reduceat(place, starts) if len(starts) else [] for place in seen])
-        highest = np.array([np.maximum.reduceat(place, starts) if len(starts) else [] for place in seen])
-        return _Places(lowest, highest)
+        axes = (*np.divmod(self._pixels, self._range_m.shape[1]), self._range_m.ravel()[self._pixels])
+        lowest = np.array([np.minimum.reduceat(axis, starts) if len(starts) else [] for axis in axes])
+        highest = np.array([np.maximum.reduceat(axis, starts) if len(starts) else [] for axis in axes])
+        return _Boxes(lowest, highest)
 
 
 @dataclass(frozen=True)
-class _Places:
-    """The blocks of space around some surfaces: lowest and highest rows, columns and ranges (metres), each [3, N]."""
+class _Boxes:
+    """Bounding boxes of surfaces: lowest and highest row, column and range (metres), each [3, N]."""
 
     lowest: NDArray[np.float64]
     highest: NDArray[np.float64]
 
     def near(self, number: int) -> NDArray[np.bool_]:
-        """Which surfaces overlap the outline of one of them and are as far away as it is, within reach, bool [N]."""
+        """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
         low, high = self.lowest[:, number].copy(), self.highest[:, number].copy()
         low[2] -= REACH_M[0]
         high[2] += REACH_M[1]

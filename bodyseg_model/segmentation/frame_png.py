@@ -1,4 +1,4 @@
-"""A frame's bytes -> its pixels: 16-bit grey PNG, and one clear line for anything else."""
+"""Decoding of a frame: a 16-bit grey PNG, and one clear line for anything else."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
 
 
 def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
-    """The pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig; `where` names the frame in its message.
+    """Decode the pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig; `where` names the frame in its message.
 
-    Chunks that hold no pixels are not looked at: what they claim could cost memory, and ranges need none of it.
+    Chunks without pixels are checked but not decoded: ranges need none of them, and the sizes they claim could exhaust
+    memory.
     """
     if not data.startswith(SIGNATURE):
         raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}: {where}")

@@ -1,4 +1,4 @@
-"""What a tar holds and where, from its headers alone; nothing is extracted."""
+"""Listing of a tar's entries and their offsets, from its headers alone; nothing is extracted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LARGEST_HEADER: Final = 1 << 14
 
 @dataclass(frozen=True)
 class Member:
-    """One entry. offset, size: its bytes' place in the tar. plain: whether these are a file's bytes as they are."""
+    """One entry: its data are `size` bytes from `offset` of the tar. plain: True for a regular file."""
 
     name: str
     offset: int
@@ -24,10 +24,10 @@ class Member:
 
 
 def list_tar(path: Path) -> list[Member]:
-    """The entries of an uncompressed tar but its folders, in its order.
+    """List the entries of an uncompressed tar, folders aside, in its order.
 
-    Raises BadConfig, naming the tar, if it is not one, is damaged, or ends without the mark of its end: `tarfile` takes
-    a header that is cut off or altered for the end.
+    Raises BadConfig, naming the tar, if it is not one, is damaged, or has no end-of-archive block: `tarfile` treats a
+    header that is cut off or altered as the end.
     """
     members: list[Member] = []
     try:
@@ -55,7 +55,7 @@ def list_tar(path: Path) -> list[Member]:
 
 
 class _Headers:
-    """A tar's file as far as headers go: `tarfile` reads long names into memory by the size that they claim."""
+    """A tar's file with limited reads, because `tarfile` reads long names into memory by the size that they claim."""
 
     def __init__(self, file: BinaryIO, path: Path) -> None:
         self._file, self._path = file, path

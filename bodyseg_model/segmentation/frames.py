@@ -1,4 +1,4 @@
-"""Frames of a range sensor: 16-bit grey PNGs in files, in folders or in tars, where they are read in place."""
+"""Frames of a range sensor: 16-bit grey PNGs in files, folders or tars; tars are read in place."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _SATURATED: Final = 65535
 
 @dataclass(frozen=True)
 class FrameFile:
-    """Where one frame is: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
+    """Location of one frame: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
 
-    name: what its results are called. where: what messages call it.
+    name: of its result files. where: its name in messages.
     """
 
     name: str
@@ -38,7 +38,7 @@ class FrameFile:
     size: int
 
     def read(self) -> NDArray[np.uint16]:
-        """The frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
+        """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
         try:
             with self.path.open("rb") as file:
                 file.seek(self.offset)
@@ -51,30 +51,30 @@ class FrameFile:
 
 
 def find_frames(paths: Sequence[Path]) -> list[FrameFile]:
-    """The frames that `paths` name: PNG files, folders of them and tars (.tar) of them.
+    """List the frames at `paths`: PNG files, folders of PNGs and tars (.tar) of PNGs.
 
-    First the files that are named themselves, then folders and tars one after another; within each, in natural order
-    (2 before 10). What does not end in .png in a folder or tar is left alone, and so are hidden files. Raises BadConfig
-    for what cannot be read, holds no frame, or would give two results one name.
+    Single files come first, then folders and tars one after another; each is in natural order (2 before 10). In folders
+    and tars, hidden files and names that do not end in .png are skipped. Raises BadConfig for a path that cannot be
+    read or contains no frame, a name unfit for a result file, or two frames of one name.
     """
     files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar"]
     groups = [[_file(path) for path in files]]
     groups += [_folder(path) if path.is_dir() else _tar(path) for path in paths if path not in files]
     frames = [frame for group in groups for frame in sorted(group, key=lambda frame: _natural(frame.name))]
-    known: dict[str, FrameFile] = {}
+    by_name: dict[str, FrameFile] = {}
     for frame in frames:
         if not _NAME.fullmatch(frame.name):
             raise BadConfig(
                 "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
                 f"begin with a dot or space, found {frame.where}"
             )
-        if (other := known.setdefault(frame.name, frame)) is not frame:
+        if (other := by_name.setdefault(frame.name, frame)) is not frame:
             raise BadConfig(f"two frames must not have one name, as their results would: {other.where}, {frame.where}")
     return frames
 
 
 def metres_a_step(unit: str) -> float:
-    """Metres of one step of a frame, from text like "mm", "0.1mm" or "1 cm". Raises BadConfig."""
+    """Parse the size of one step of a frame, metres, from text like "mm", "0.1mm" or "1 cm". Raises BadConfig."""
     match = _UNIT.fullmatch(unit)
     step = float(match[1] or 1) * _METRES[match[2]] if match else 0.0
     if not _STEPS_M[0] <= step <= _STEPS_M[1]:
@@ -83,7 +83,7 @@ def metres_a_step(unit: str) -> float:
 
 
 def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
-    """Ranges in metres, float32 [H, W]; 0, nothing measured, where a frame has 0 or 65535, which is saturation."""
+    """Convert to metres, float32 [H, W]; 0 (nothing measured) where the frame is 0 or 65535 (saturated)."""
     ranges = frame.astype(np.float32) * np.float32(step_m)
     ranges[frame == _SATURATED] = 0
     return ranges
@@ -119,7 +119,7 @@ def _member(path: Path, member: Member) -> FrameFile:
     where = f"{path}: {member.name}"
     if not member.plain:
         raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
-    # Only the last part of the name is used, and no file is made of it, so what stands before it does not matter.
+    # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
     return _checked(FrameFile(PurePosixPath(member.name).stem, where, path, member.offset, member.size))
 
 
@@ -134,7 +134,7 @@ def _is_frame(name: str) -> bool:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts numbers in names by value: digits become their count without leading zeros, then themselves."""
+    """Sort key that orders numbers in names by value: digits without leading zeros sort by count, then themselves."""
     parts = re.split(r"([0-9]+)", name)
     key = []
     for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True):

@@ -1,4 +1,4 @@
-"""Pictures of labelled frames: parts in their colours over the shaded range, one by one and as an animation."""
+"""Overlays of labelled frames: parts in their colours, shaded by range; and an animation of them."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _LEVELS: Final = 6
 _LEGEND_WIDTH: Final = 900
 _PREVIEW_SIDE: Final = 320
 MOST_FRAMES: Final = 900
-"""Of a preview; its memory is theirs."""
+"""Greatest number of frames in a preview, all of which are held in memory."""
 
 FRAMES_PER_SECOND: Final = (0.1, 50.0)
-"""What a GIF can be played at: its delays are hundredths of a second, and players take shorter ones for long ones."""
+"""Limits of a GIF: delays are hundredths of a second, and players replace very short ones by long ones."""
 
 
 def draw_overlay(
@@ -33,9 +33,9 @@ def draw_overlay(
 ) -> NDArray[np.uint8]:
     """Draw one frame, sRGB uint8 [H, W, 3].
 
-    range_m: [H, W], metres. labels: uint8 [H, W], 0..32; any other on a body is drawn grey, as unknown. bodies: flat
-    indices of each body's pixels. Every body is light where it is near and dark where it is far, and so is the room,
-    which is darker than any body; where nothing was measured it is nearly black.
+    range_m: [H, W], metres. labels: uint8 [H, W], 0..32; any other value on a body is drawn grey. bodies: flat indices
+    of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and for the room, which
+    is darker than any body; pixels that were not measured are nearly black.
     """
     picture = np.empty((range_m.size, 3), np.uint8)
     picture[:] = _EMPTY
@@ -43,14 +43,17 @@ def draw_overlay(
     picture[room] = _between(_ROOM_GREYS, _depth(range_m.ravel()[room]))[:, None]
     for pixels in bodies:
         depth, label = _depth(range_m.ravel()[pixels]), labels.ravel()[pixels]
-        known = label < PART_COUNT
-        colours = COLOURS[np.where(known, label, 0)] * _between((1, _DARKEST), depth)[:, None]
-        picture[pixels] = np.where(known[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
+        is_part = label < PART_COUNT
+        colours = COLOURS[np.where(is_part, label, 0)] * _between((1, _DARKEST), depth)[:, None]
+        picture[pixels] = np.where(is_part[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
     return picture.reshape(*range_m.shape, 3)
 
 
 class Preview:
-    """An animation of overlays, made small by picking pixels, so that hundreds of frames fit into memory."""
+    """An animation of overlays, subsampled so that hundreds of frames fit into memory.
+
+    Raises BadConfig for a rate outside `FRAMES_PER_SECOND`.
+    """
 
     def __init__(self, frames_per_second: float) -> None:
         if not FRAMES_PER_SECOND[0] <= frames_per_second <= FRAMES_PER_SECOND[1]:
@@ -65,21 +68,24 @@ class Preview:
 
     @property
     def frames_per_second(self) -> float:
-        """What it is played at: a GIF counts in hundredths of a second."""
+        """Frame rate of the file: delays of a GIF are whole hundredths of a second."""
         return 100 / self._hundredths
 
     def __len__(self) -> int:
         return len(self._frames)
 
+    def __repr__(self) -> str:
+        return f"Preview({len(self)} frames, {self.frames_per_second:g} per second)"
+
     def add(self, picture: NDArray[np.uint8]) -> None:
-        """Append an overlay, sRGB uint8 [H, W, 3]; all have one size. Beyond `MOST_FRAMES` they are left out."""
+        """Append an overlay, sRGB uint8 [H, W, 3], all of one size; it is ignored once there are `MOST_FRAMES`."""
         if len(self._frames) < MOST_FRAMES:
             step = -(-max(picture.shape[:2]) // _PREVIEW_SIDE)
             small = Image.fromarray(np.ascontiguousarray(picture[::step, ::step]))
             self._frames.append(small.quantize(palette=self._palette, dither=Image.Dither.NONE))
 
     def to_gif(self) -> bytes:
-        """The animation, played for ever. There must be a frame."""
+        """Encode the animation as a GIF that repeats; there must be at least one frame."""
         buffer = io.BytesIO()
         first, *others = self._frames
         first.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * self._hundredths, loop=0)
@@ -87,12 +93,12 @@ class Preview:
 
 
 def draw_parts_legend() -> Image.Image:
-    """Which colour is which part."""
+    """Draw the colours of the 33 parts with their names."""
     return draw_legend(_LEGEND_WIDTH)
 
 
 def _depth(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """0 at the near end of ranges [N] to 1 at the far end; single pixels far off do not count."""
+    """Depth from 0 at the 2 % quantile of ranges [N] to 1 at the 98 % quantile, so that outliers do not matter."""
     if not len(range_m):
         return range_m
     near, far = np.quantile(range_m, (0.02, 0.98))
@@ -104,7 +110,7 @@ def _between(ends: tuple[float, float], depth: NDArray[np.float32]) -> NDArray[n
 
 
 def _palette() -> NDArray[np.uint8]:
-    """256 colours that overlays are made of: every part in some brightnesses, and greys."""
+    """The 256 colours of a preview: every part in `_LEVELS` brightnesses, and greys; uint8 [256, 3]."""
     brightness = np.linspace(1, _DARKEST, _LEVELS)
     parts = (COLOURS[:, None] * brightness[:, None]).reshape(-1, 3)
     greys = np.linspace(_ROOM_GREYS[1], _UNKNOWN_GREYS[0], 256 - len(parts) - 1)[:, None].repeat(3, axis=1)

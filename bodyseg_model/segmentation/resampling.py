@@ -1,17 +1,17 @@
-"""A body in one camera's frame -> the same body as the camera that the network knows would see it, and labels back.
+"""Resampling of a body from any camera's frame to the camera that a network was trained for, and of labels back.
 
-That camera aims at the body from a fixed distance. So, first, the view is turned about the vertical axis towards the
-body, as if the frame's camera had been turned where it stands: what it sees stays the same. Then the view is scaled: to
-a camera of focal length f, what stands at range Z has f / Z pixels a metre, and the body's middle gets as many as it
-has for the known camera at the known distance. Both are exact where only focal length and direction differ; where
-distances differ, a body keeps the perspective that it was seen in. Ranges are picked, never blended: between a body and
-what is behind it there is nothing.
+The trained camera aims at the body from a fixed distance, the stand-off. So the view is first rotated about the
+vertical axis towards the body, as if the frame's camera had turned on the spot. Then it is scaled: a camera of focal
+length f shows a surface at range Z with f / Z pixels a metre, and the body's median range gets as many as the trained
+camera has at its stand-off. Both steps are exact where only focal length and direction differ; where distances differ,
+a body keeps its original perspective. Ranges are picked from the nearest pixel, never interpolated: between a body and
+the wall behind it there is no surface.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -22,10 +22,10 @@ from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import RANGE_STEP_M
 
 LARGEST_SIDE: Final = 2048
-"""Pixels of a view along one side: 6.7 m to the paper's rig."""
+"""Greatest side of a view, pixels: 6.7 m at the stand-off of the paper's rig."""
 
 MARGIN: Final = 64
-"""Empty pixels at least that a view has around its body, so that a network sees where the body ends."""
+"""Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
 
 Floats = NDArray[np.float64]
 
@@ -34,26 +34,26 @@ _RANGES_M: Final = (RANGE_STEP_M, 65535 * RANGE_STEP_M)
 
 @dataclass(frozen=True)
 class BodyView:
-    """One body as the known camera would see it from its stand-off.
+    """One body as the trained camera would see it from its stand-off.
 
-    range_m: float32 [h, w], metres, 0 where nothing was measured: as large as that camera's image, or larger where the
-    body needs it, and with the body in the middle. corner: its first row and column in that image, which may be
-    negative. places: int64 [N], for every pixel of the body in the frame the pixel of the view that holds its centre,
-    row * w + column; nothing is missing there. turn_rad: how far the view is turned to the frame's right. middle_m: the
-    median range after the turn, which becomes the stand-off. scale: view pixels a frame pixel, where the frame's axis
-    was.
+    range_m: float32 [h, w], metres, 0 where nothing was measured; as large as the trained camera's image, or larger if
+    the body needs it, with the body in the middle. corner: first row and column of the view in that image, which may be
+    negative. view_pixels: int64 [N], for every pixel of the body in the frame the pixel of the view that contains its
+    centre, row * w + column; all of these are measured. turn_rad: rotation of the view to the frame's right.
+    median_range_m: the median range after the rotation, which becomes the stand-off. scale: view pixels for each frame
+    pixel, on the frame's optical axis.
     """
 
-    range_m: NDArray[np.float32]
+    range_m: NDArray[np.float32] = field(repr=False)
     corner: tuple[int, int]
-    places: NDArray[np.intp]
+    view_pixels: NDArray[np.intp] = field(repr=False)
     turn_rad: float
-    middle_m: float
+    median_range_m: float
     scale: float
 
     def back(self, image: NDArray[Any]) -> NDArray[Any]:
-        """What an image [h, w] of this view has at every pixel of the body in the frame, [N]."""
-        return image.ravel()[self.places]
+        """Values of an image [h, w] of this view at every pixel of the body in the frame, [N]."""
+        return image.ravel()[self.view_pixels]
 
 
 def view_body(
@@ -64,15 +64,15 @@ def view_body(
     mirrored: bool = False,
     turn_rad: float | None = None,
 ) -> BodyView:
-    """One body of a frame as `rig.camera` would see it at `rig.stand_off_m`.
+    """Resample one body of a frame to `rig.camera` at `rig.stand_off_m`.
 
-    range_m: [H, W], metres, taken by `camera`, whose poses do not matter. pixels: the body's, int64 [N], at least one,
-    row * W + column, ascending; ranges there are not 0. mirrored: whether the frame shows left for right.
-    turn_rad: how far to turn, at most 1.5 either way; None turns to the middle of the body's outline.
+    range_m: [H, W], metres, taken by `camera`, whose pose is not used. pixels: the body's, int64 [N], at least one,
+    row * W + column, ascending; ranges there must not be 0. mirrored: True if the frame shows left for right.
+    turn_rad: rotation of the view, -1.5 to 1.5; None turns it to the middle of the body's outline.
 
-    A pixel of the view has the range of the frame's pixel in which its centre falls. If that is not the body's but
-    centres of the body's pixels fall in the view's, it has the range of the nearest of those: where the view is
-    coarser, nothing thin is lost. Raises BadConfig if the view would be larger than `LARGEST_SIDE`.
+    A pixel of the view gets the range of the frame pixel that contains its centre. If that pixel is not the body's but
+    the view pixel contains centres of the body's pixels, it gets the range of the nearest of these, so that thin parts
+    are not lost where the view is coarser. Raises BadConfig if the view would be larger than `LARGEST_SIDE`.
     """
     rows, columns = np.divmod(pixels, range_m.shape[1])
     depths = range_m.ravel()[pixels].astype(np.float64)
@@ -80,9 +80,9 @@ def view_body(
     turn = turn_rad
     if turn is None:
         turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
-    ranges = depths * _Turn(camera, rig.camera, 1.0, turn, False).ahead(columns + 0.5)
-    middle = float(np.median(ranges))
-    turned = _Turn(camera, rig.camera, rig.camera.focal_px / rig.stand_off_m * middle, turn, mirrored)
+    ranges = depths * _Rotation(camera, rig.camera, 1.0, turn, False).ahead(columns + 0.5)
+    median = float(np.median(ranges))
+    turned = _Rotation(camera, rig.camera, rig.camera.focal_px / rig.stand_off_m * median, turn, mirrored)
 
     down, across = turned.to_view(rows + 0.5, columns + 0.5)
     scale = turned.focal_px / camera.focal_px
@@ -93,7 +93,7 @@ def view_body(
     if max(height, width) > LARGEST_SIDE:
         raise BadConfig(
             f"a body's view must be at most {LARGEST_SIDE} pixels wide and high, found {width} x {height} "
-            f"for {len(pixels)} pixels at {middle:.3g} m"
+            f"for {len(pixels)} pixels at {median:.3g} m"
         )
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
@@ -104,49 +104,50 @@ def view_body(
     view[box] = _pick(own, *turned.to_frame(np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right) + 0.5))
 
     flat = view.ravel()
-    places = (np.floor(down).astype(np.intp) - corner[0]) * width + np.floor(across).astype(np.intp) - corner[1]
-    lost = np.flatnonzero(flat[places] == 0)
+    view_pixels = (np.floor(down).astype(np.intp) - corner[0]) * width + np.floor(across).astype(np.intp) - corner[1]
+    lost = np.flatnonzero(flat[view_pixels] == 0)
     off_centre = np.hypot(across[lost] % 1 - 0.5, down[lost] % 1 - 0.5)
     nearest_last = lost[np.argsort(-off_centre, kind="stable")]
-    flat[places[nearest_last]] = ranges[nearest_last]
-    moved = np.where(view > 0, np.clip(view + (rig.stand_off_m - middle), *_RANGES_M), 0)
-    return BodyView(moved.astype(np.float32), corner, places, turn, middle, scale)
+    flat[view_pixels[nearest_last]] = ranges[nearest_last]
+    moved = np.where(view > 0, np.clip(view + (rig.stand_off_m - median), *_RANGES_M), 0)
+    return BodyView(moved.astype(np.float32), corner, view_pixels, turn, median, scale)
 
 
 @dataclass(frozen=True)
-class _Turn:
-    """The image planes of a frame's camera and of one that stands there too, turned to the frame's right by `angle`, of
-    another focal length and with the principal point of `known`.
+class _Rotation:
+    """Mapping between the image planes of a frame's camera and of a view from the same point.
 
-    A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the turn.
+    The view is rotated to the frame's right by `angle` and has focal length `focal_px` and the principal point of
+    `trained`. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the rotation.
     """
 
     camera: Camera
-    known: Camera
+    trained: Camera
     focal_px: float
     angle: float
     mirrored: bool
 
     def ahead(self, across: Floats) -> Floats:
-        """Range after the turn, for a range of 1 before it, at places of the frame."""
+        """Range after the rotation, for a range of 1 before it, at columns of the frame."""
         x = (across - self.camera.centre_px[0]) / self.camera.focal_px
         return x * math.sin(self.angle) + math.cos(self.angle)
 
     def to_view(self, down: Floats, across: Floats) -> tuple[Floats, Floats]:
-        """From the frame's image plane to the view's, pixels."""
+        """Map points (down, across) of the frame's image plane to the view's, pixels."""
         x = (across - self.camera.centre_px[0]) / self.camera.focal_px
         y = (down - self.camera.centre_px[1]) / self.camera.focal_px
         ahead = self.ahead(across)
-        way = -1 if self.mirrored else 1
+        sign = -1 if self.mirrored else 1
         return (
-            self.known.centre_px[1] + self.focal_px * y / ahead,
-            self.known.centre_px[0] + way * self.focal_px * (x * math.cos(self.angle) - math.sin(self.angle)) / ahead,
+            self.trained.centre_px[1] + self.focal_px * y / ahead,
+            self.trained.centre_px[0]
+            + sign * self.focal_px * (x * math.cos(self.angle) - math.sin(self.angle)) / ahead,
         )
 
     def to_frame(self, down: Floats, across: Floats) -> tuple[Floats, Floats]:
-        """The inverse; what the frame's camera has beside or behind it falls far out of the frame."""
-        x = (across - self.known.centre_px[0]) / self.focal_px * (-1 if self.mirrored else 1)
-        y = (down - self.known.centre_px[1]) / self.focal_px
+        """Inverse of `to_view`; directions beside or behind the frame's camera are mapped far outside the frame."""
+        x = (across - self.trained.centre_px[0]) / self.focal_px * (-1 if self.mirrored else 1)
+        y = (down - self.trained.centre_px[1]) / self.focal_px
         ahead = np.maximum(math.cos(self.angle) - x * math.sin(self.angle), 1e-9)
         return (
             self.camera.centre_px[1] + self.camera.focal_px * y / ahead,
@@ -155,8 +156,8 @@ class _Turn:
 
 
 def _pick(image: Floats, down: Floats, across: Floats) -> Floats:
-    """The pixels in which points (down, across) of the image plane lie, 0 outside the image."""
+    """Values of the pixels that contain points (down, across) of the image plane, 0 outside the image."""
     rows, columns = image.shape
     inside = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
-    row, column = (np.clip(place, 0, side - 1).astype(np.intp) for place, side in ((down, rows), (across, columns)))
+    row, column = (np.clip(points, 0, side - 1).astype(np.intp) for points, side in ((down, rows), (across, columns)))
     return np.where(inside, image[row, column], 0)

@@ -1,7 +1,8 @@
 """Floors and walls: the large planes of a range image.
 
-A plane a X + b Y + c Z = 1 is a x + b y + c = 1 / Z in the image, where x = X / Z and y = Y / Z. So planes are straight
-in inverse range, and are fitted there: it is what structured light and stereo measure, equally well near and far.
+A plane a X + b Y + c Z = 1 is a x + b y + c = 1 / Z in the image, where x = X / Z and y = Y / Z. So a plane is linear
+in inverse range, and is fitted there: structured light and stereo measure inverse range with equal accuracy near and
+far.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from bodyseg_data.core.randomness import pixel_draws, stream
 from bodyseg_data.core.rig import Camera
 
 LEAST_AREA_M2: Final = 1.0
-"""A plane of which so much is seen is a floor or a wall: no body is that flat."""
+"""Least visible area of a floor or wall, square metres: no body has so large a flat surface."""
 
 TOLERANCE_PER_M: Final = 0.008
-"""How far a pixel may lie from a plane, in inverse range: 5 cm at 2.5 m, along the optical axis. To a Kinect a flat
-wall at 2.6 m bends by that much."""
+"""Greatest distance of a pixel from its plane, in inverse range: 5 cm at 2.5 m, along the optical axis. A Kinect
+measures a flat wall at 2.6 m as bent by that much."""
 
-_CANDIDATES: Final = 1024  # of a plane that holds a fifth of the pixels, none hits in one frame of 4 000
+_CANDIDATES: Final = 1024  # a plane with a fifth of the pixels is missed in one frame of 4 000
 _JUDGES: Final = 512  # pixels that vote on every candidate
 _FITTED: Final = 4096  # pixels that the best one is fitted to
 _FITS: Final = 3
@@ -30,11 +31,11 @@ Points = NDArray[np.float64]
 
 
 def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
-    """Which of `pixels`, flat indices [N] of a range image [H, W], metres, lie on the largest plane, bool [N].
+    """Find the largest plane; True for those of `pixels` on it, bool [N].
 
-    None of them if less than `LEAST_AREA_M2` of it is seen. Ranges at `pixels` must not be 0. Candidates go through
-    three pixels each (Fischler and Bolles, "Random sample consensus", 1981); the best is then fitted to what is near
-    it. The draws are the same for every frame.
+    range_m: [H, W], metres. pixels: flat indices [N]; ranges there must not be 0. All are False if less than
+    `LEAST_AREA_M2` of the plane is visible. Each candidate goes through three pixels (Fischler and Bolles, "Random
+    sample consensus", 1981); the best is then fitted to the pixels near it. Draws are the same for every frame.
     """
     if not len(pixels):
         return np.zeros(0, np.bool_)
@@ -52,10 +53,10 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
 
 
 def seen_area_m2(inverse_range: NDArray[np.float64], plane: NDArray[np.float64], camera: Camera) -> float:
-    """Area of a plane (a, b, c) that pixels of given inverse ranges [N], 1 / m, show, square metres.
+    """Area of a plane (a, b, c) visible in pixels of given inverse ranges [N], 1 / m; square metres.
 
-    A pixel's square at range Z has (Z / f)² facing the camera, and shows that over the cosine between ray and normal,
-    which is 1 / (Z |(a, b, c)|) for a ray of unit depth.
+    A pixel at range Z covers (Z / f)² of a surface that faces the camera, and that area over the cosine between ray and
+    normal of a slanted one; the cosine is 1 / (Z |(a, b, c)|) for a ray of unit depth.
     """
     return float(np.linalg.norm(plane) * (inverse_range**-3.0).sum() / camera.focal_px**2)
 
@@ -69,29 +70,30 @@ def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Came
 
 
 def _misfit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far points [N, 3] lie from a plane (a, b, c), [N], in inverse range."""
+    """Signed distance of points [N, 3] from a plane (a, b, c) in inverse range, [N]."""
     a, b, c = (float(number) for number in plane)
     return points[:, 0] * a + points[:, 1] * b + c - points[:, 2]
 
 
 def _fit(points: Points) -> NDArray[np.float64]:
-    """The plane (a, b, c) with the least squares of misfits, by its normal equations."""
+    """Fit a plane (a, b, c) by least squares of misfits, from the normal equations."""
     flat = np.column_stack([points[:, :2], np.ones(len(points))])
     normal, right = np.einsum("ki,kj->ij", flat, flat), np.einsum("ki,k->i", flat, points[:, 2])
     return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], np.float64)
 
 
 def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The plane (a, b, c) through one of the triples of points [N, 3, 3] that passes most of the surface that judges
-    [M, 3] stand for; None if no three points make a plane that passes anybody.
+    """The plane (a, b, c) through one of the triples of points [N, 3, 3] that explains most of the visible surface.
+
+    judges: points [M, 3] that stand for that surface. None if no candidate explains any of them.
     """
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # No products of matrices: for so few numbers, waking threads for them takes longer on a busy machine than the rest.
+    # No matrix products: for so few numbers, starting threads takes longer on a busy machine than all the rest.
     offsets = np.einsum("ij,ij->i", normals, corners[:, 0])
     away = np.einsum("ij,kj->ik", judges, normals) - offsets
-    # Three points of a line leave a normal of nothing, which passes nobody.
-    passed = np.abs(away) < TOLERANCE_PER_M * np.abs(normals[:, 2])
-    surface = np.einsum("i,ij->j", judges[:, 2] ** -2, passed)
+    # Three points on a line have a zero normal, which explains no point.
+    explained = np.abs(away) < TOLERANCE_PER_M * np.abs(normals[:, 2])
+    surface = np.einsum("i,ij->j", judges[:, 2] ** -2, explained)
     best = int(np.argmax(surface))
     if not surface[best]:
         return None

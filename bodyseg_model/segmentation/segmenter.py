@@ -1,11 +1,8 @@
-"""Body parts on a frame of any range camera: background off, each body as the network knows bodies, labels back."""
+"""Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -15,6 +12,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
@@ -25,46 +23,48 @@ STAGES: Final = ("background", "resample", "network", "back")
 
 @dataclass(frozen=True)
 class LabelledBody:
-    """One body of a frame. pixels: int64 [N], row * columns + column, ascending. middle_m, turn_rad, scale: its median
-    range and how its view was turned and scaled for the network (`BodyView`). confidence: float32 [N].
+    """One body of a frame. pixels: int64 [N], row * columns + column, ascending. confidence: float32 [N].
+
+    median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
     """
 
-    pixels: NDArray[np.intp]
-    middle_m: float
+    pixels: NDArray[np.intp] = field(repr=False)
+    median_range_m: float
     turn_rad: float
     scale: float
-    confidence: NDArray[np.float32]
+    confidence: NDArray[np.float32] = field(repr=False)
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Labels of a frame, uint8 [H, W], 0..32 on bodies, 255 elsewhere; its bodies, the largest first; and how long each
-    of `STAGES` took, milliseconds.
+    """Labels of a frame, uint8 [H, W], 0..32 on bodies, 255 elsewhere; its bodies, the largest first; and the time of
+    each of `STAGES`, milliseconds.
     """
 
-    labels: NDArray[np.uint8]
+    labels: NDArray[np.uint8] = field(repr=False)
     bodies: tuple[LabelledBody, ...]
     milliseconds: dict[str, float]
 
     @property
     def pixels(self) -> int:
-        """How many pixels show a body."""
+        """Number of pixels that show a body."""
         return sum(len(body.pixels) for body in self.bodies)
 
     @property
     def mean_confidence(self) -> float | None:
-        """Over all pixels that show a body; None if none does."""
+        """Mean over all pixels that show a body; None if none does."""
         if not self.bodies:
             return None
         return float(np.concatenate([body.confidence for body in self.bodies]).mean(dtype=np.float64))
 
 
 class Segmenter:
-    """Labels frames that one camera took, each by itself.
+    """Labels the frames of one camera, each independently.
 
-    network: in evaluation mode; frames go to its device. camera: whose frames they are. background: what is taken away
-    first. mirrored: whether frames show left for right, as some drivers give them. least_confidence: pixels below it
-    get no label. rig: what the network was trained for, by default the paper's.
+    network: in evaluation mode; frames are moved to its device. camera: that took the frames. background: rule for
+    removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
+    drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
+    paper's. Raises BadConfig for a confidence outside 0 to 1.
     """
 
     def __init__(
@@ -84,10 +84,14 @@ class Segmenter:
         self.device = device_of(network)
         self._network = network
 
-    def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
-        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured. A pixel is labelled once.
+    def __repr__(self) -> str:
+        camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"
+        return f"Segmenter({type(self._network).__name__} on {self.device}, {camera}, {self.background})"
 
-        Raises BadConfig for a frame of another size than the camera's, or a body that no view can hold.
+    def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
+        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured.
+
+        Raises BadConfig for a frame of another size than the camera's, or a body too large for a view.
         """
         if range_m.shape != (self.camera.rows, self.camera.columns):
             raise BadConfig(
@@ -98,28 +102,16 @@ class Segmenter:
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies = []
         with watch("background"):
-            found = find_bodies(range_m, self.camera, self.background)
-        for pixels in found:
+            body_pixels = find_bodies(range_m, self.camera, self.background)
+        for pixels in body_pixels:
             with watch("resample"):
                 view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
             with watch("network"):
-                answer = predict(self._network, torch.from_numpy(view.range_m)[None, None].to(self.device))
-                seen, sure = (image[0].cpu().numpy() for image in answer)
+                prediction = predict(self._network, torch.from_numpy(view.range_m)[None, None].to(self.device))
+                view_labels, view_confidence = (image[0].cpu().numpy() for image in prediction)
             with watch("back"):
-                confidence = view.back(sure)
-                labels.ravel()[pixels] = np.where(confidence >= self.least_confidence, view.back(seen), BACKGROUND)
-                bodies.append(LabelledBody(pixels, view.middle_m, view.turn_rad, view.scale, confidence))
+                confidence = view.back(view_confidence)
+                found = np.where(confidence >= self.least_confidence, view.back(view_labels), BACKGROUND)
+                labels.ravel()[pixels] = found
+                bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence))
         return Segmentation(labels, tuple(bodies), watch.milliseconds)
-
-
-class Stopwatch:
-    """Adds up how long each stage takes: `with watch("network"): ...`. milliseconds: by stage."""
-
-    def __init__(self, stages: Sequence[str]) -> None:
-        self.milliseconds = dict.fromkeys(stages, 0.0)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.milliseconds[stage] += 1000 * (time.perf_counter() - start)

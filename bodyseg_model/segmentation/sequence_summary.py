@@ -1,4 +1,4 @@
-"""What a labelled sequence comes to: bodies, confidence, time and flicker, frame by frame and in all; plain JSON."""
+"""Summary of a labelled sequence: bodies, confidence, time and flicker, for each frame and in all; plain JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
 class SequenceSummary:
-    """Takes the frames of a sequence one by one, in order. Of their images it keeps the last one's."""
+    """Collects the frames of a sequence one by one, in order; only the last frame's images are kept in memory."""
 
     def __init__(self) -> None:
         self._frames: list[dict[str, Any]] = []
@@ -33,7 +33,7 @@ class SequenceSummary:
         segmentation: Segmentation,
         milliseconds: Mapping[str, float],
     ) -> None:
-        """One frame, float32 [H, W], metres. milliseconds: of all `STAGES`."""
+        """Add one frame, float32 [H, W], metres. milliseconds: of all `STAGES`."""
         labels, bodies = segmentation.labels, segmentation.bodies
         change = None
         if self._last is not None:
@@ -61,7 +61,7 @@ class SequenceSummary:
 
     @property
     def mean_confidence(self) -> float | None:
-        """Over all pixels that show a body; None if none does."""
+        """Mean over all pixels that show a body; None if none does."""
         with_people = [frame for frame in self._frames if frame["pixels"]]
         total = sum(frame["pixels"] for frame in with_people)
         return sum(frame["mean_confidence"] * frame["pixels"] for frame in with_people) / total if total else None
@@ -70,7 +70,7 @@ class SequenceSummary:
     def milliseconds(self) -> dict[str, dict[str, float]]:
         """Mean, standard deviation and 95th percentile of every stage and of all together ("frame").
 
-        The first frame is left out where there are others: libraries load their parts while it waits.
+        The first frame is left out if there are others, because libraries are initialised during it.
         """
         counted = [frame["ms"] for frame in self._frames[1:] or self._frames]
         stages = {stage: [frame[stage] for frame in counted] for stage in STAGES}
@@ -80,7 +80,7 @@ class SequenceSummary:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """All of it. `pixels` show a body; `labelled` of them have a label."""
+        """The whole summary. `pixels` show a body; `labelled` of them have a label."""
         return {
             "frames": len(self._frames),
             "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
@@ -99,11 +99,11 @@ class SequenceSummary:
 
 
 def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
-    rows, places = np.divmod(body.pixels, columns)
+    row, column = np.divmod(body.pixels, columns)
     return {
         "pixels": len(body.pixels),
-        "box": [int(rows.min()), int(places.min()), int(rows.max()) + 1, int(places.max()) + 1],
-        "range_m": round(body.middle_m, 4),
+        "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
+        "range_m": round(body.median_range_m, 4),
         "turn_deg": round(math.degrees(body.turn_rad), 2),
         "scale": round(body.scale, 4),
         "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),

@@ -1,4 +1,4 @@
-"""Connected surfaces of a range image: neighbouring pixels whose ranges do not jump."""
+"""Connected surfaces of a range image: neighbouring pixels of similar range."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 GAP_PIXELS: Final = 3
-"""Pixels this far apart in a row or column are neighbours, so that single missing ones part nothing."""
+"""Greatest distance of neighbours in a row or column, pixels, so that single missing pixels divide no surface."""
 
 JUMP_M: Final = 0.1
-"""Neighbours are on one surface if their ranges differ by no more than this."""
+"""Greatest difference of range between neighbours on one surface, metres."""
 
 JUMP_SHARE: Final = 0.04
-"""Or, beyond 2.5 m, by no more than about this share of them: sensors are coarser the farther they look."""
+"""The same beyond 2.5 m, as a share of the range, about: sensors are coarser at a distance."""
 
 SHADOW_M: Final = 0.15
-"""Pixels of a row are neighbours, too, if nothing was measured between them and they are no farther apart than this at
-the nearer one's range: an arm's shadow does not part the trunk that it falls on."""
+"""Widest shadow that does not divide a surface, metres: pixels of a row are also neighbours if nothing was measured
+between them and they are no farther apart than this at the nearer one's range. An arm's shadow falls on the trunk."""
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -27,9 +27,9 @@ Indices = NDArray[np.intp]
 
 
 def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray[np.int32]:
-    """The surface that each pixel of a range image [H, W], metres, lies on, int32 [H, W], -1 where range is 0.
+    """Number the connected surfaces of a range image [H, W], metres; int32 [H, W], -1 where range is 0.
 
-    Surfaces are numbered from 0 by their first pixel in reading order. focal_px: of the camera that took the image.
+    Numbers start from 0, in the order of the surfaces' first pixels in reading order. focal_px: of the camera.
     """
     rows, columns = range_m.shape
     # With an empty margin on the left and below, neighbours are a fixed step apart in flat memory, and no row runs into
@@ -38,7 +38,7 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
     framed[:rows, GAP_PIXELS:] = range_m
     stride, level = framed.shape[1], _jumps(framed).ravel()
     measured = level < np.inf
-    # Pixels that follow each other in a row make runs; what is joined afterwards is runs, which are few.
+    # Adjacent pixels of a row and surface make a run; only runs, which are few, are joined afterwards.
     begins = measured.copy()
     begins[1:] &= ~_near(level, 1)
     begins[_ends_of_shadows(framed.ravel(), level, stride, focal_px)] = False
@@ -52,7 +52,7 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
 
 def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Distances of ranges in jumps, inf for 0: two are on one surface if their answers differ by at most one."""
+    """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0."""
     far = JUMP_M / JUMP_SHARE
     with np.errstate(divide="ignore"):
         near = np.where(range_m > 0, range_m / JUMP_M, np.inf)
@@ -61,16 +61,16 @@ def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _near(level: Floats, shift: int) -> Mask:
-    """Compare pixels `shift` apart: True if they are on one surface, bool [N - shift]; level: [N], of `_jumps`."""
-    with np.errstate(invalid="ignore"):  # nothing less nothing
+    """Compare pixels `shift` apart: True if they are on one surface, bool [N - shift]; level: [N], from `_jumps`."""
+    with np.errstate(invalid="ignore"):  # inf - inf
         near: Mask = np.abs(level[shift:] - level[:-shift]) <= 1
     return near
 
 
 def _ends_of_shadows(range_m: Floats, level: Floats, stride: int, focal_px: float) -> Indices:
-    """The first pixels to the right of holes that do not part a surface, flat indices."""
+    """The first pixels to the right of holes that do not divide a surface, flat indices."""
     measured = range_m > 0
-    # Measured pixels begin and end in turns: holes lie between an end and the next beginning.
+    # Starts and ends of measured stretches alternate; a hole is between an end and the next start.
     changes = np.flatnonzero(measured[1:] != measured[:-1])
     before, behind = changes[1:-1:2], changes[2::2] + 1
     hole = before // stride == behind // stride
@@ -81,19 +81,19 @@ def _ends_of_shadows(range_m: Floats, level: Floats, stride: int, focal_px: floa
 
 
 def _pairs_in_rows(level: Floats, begins: Mask) -> Iterator[Indices]:
-    """Pixels 2 to `GAP_PIXELS` apart in a row, on one surface and not of one run, [2, N]."""
+    """Pairs of pixels 2 to `GAP_PIXELS` apart in a row, on one surface but in different runs, [2, N]."""
     starts = np.flatnonzero(begins)
     for shift in range(2, GAP_PIXELS + 1):
         first = (starts[:, None] - np.arange(1, shift + 1)).ravel()
-        with np.errstate(invalid="ignore"):  # nothing less nothing
+        with np.errstate(invalid="ignore"):  # inf - inf
             first = first[np.abs(level[first + shift] - level[first]) <= 1]
         yield np.stack([first, first + shift])
 
 
 def _pairs_in_columns(level: Floats, begins: Mask, stride: int) -> Iterator[Indices]:
-    """Pixels 1 to `GAP_PIXELS` apart in a column and on one surface, [2, N].
+    """Pairs of pixels 1 to `GAP_PIXELS` apart in a column and on one surface, [2, N].
 
-    Pixels whose runs are those of the pixels before them are left out, and so are those that single steps join.
+    Pairs in the same two runs as the pair to their left are left out, and so are pairs that smaller steps join.
     """
     steps = _near(level, stride)
     stairs = steps
@@ -110,17 +110,17 @@ def _pairs_in_columns(level: Floats, begins: Mask, stride: int) -> Iterator[Indi
 
 
 def _without_doubles(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Pairs [2, N] without those that are equal to the one before."""
+    """Pairs [2, N] without those equal to the previous one."""
     new = np.ones(pairs.shape[1], np.bool_)
     new[1:] = (pairs[:, 1:] != pairs[:, :-1]).any(axis=0)
     return pairs[:, new]
 
 
 def _joined(count: int, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The group of each of `count` things once all `pairs` [2, N] are joined, int32 [count].
+    """Union-find: the group of each of `count` elements after all `pairs` [2, N] are joined, int32 [count].
 
-    Groups are numbered by their lowest member. Every round hooks each group's root to the lowest root it touches and
-    then lets everything point at its root, so that rounds are few however long the chains.
+    Groups are numbered in the order of their lowest elements. Every round links each group's root to the lowest root it
+    touches, then compresses all paths, so that few rounds suffice however long the chains.
     """
     root = np.arange(count)
     lower, upper = pairs

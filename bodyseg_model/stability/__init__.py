@@ -1,1 +1,1 @@
-"""How steady a network is: severities, motion, arithmetic."""
+"""Robustness of trained networks: to sensor artifacts of rising strength, through motion, to the arithmetic used."""

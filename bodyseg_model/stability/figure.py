@@ -1,4 +1,4 @@
-"""Draws the sweeps of stability.json: a panel for each, a line for each group of networks."""
+"""Figure of stability.json: a panel for each sweep, a line for each group of networks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STYLES: Final = {
     "md": _Style("#00785a", (0, (6, 2, 1.2, 2)), "D"),
     "all": _Style("#b8360f", "-", "*"),
 }
-"""Training variant -> its line, as in the figure of `tools/bench variants`; for the first group of each variant."""
+"""Training variant -> line of its first group, as in the figure of `tools/bench variants`."""
 
 _SPARE: Final = (
     _Style("#8a5aa3", (0, (4, 1.5)), "v"),
@@ -39,7 +39,7 @@ _SPARE: Final = (
     _Style("#6b6b6b", "-", "o"),
     _Style("#9a6a3a", (0, (1.2, 1.6)), "D"),
 )
-"""For further groups, told apart by their markers where a colour comes again."""
+"""Lines of further groups; where a colour is repeated, the marker differs."""
 
 _COLUMNS: Final = 4
 _WIDTH: Final = 16.0
@@ -47,7 +47,7 @@ _MOST_IN_A_ROW: Final = 6
 
 
 def draw_stability(figures: Tree, path: Path) -> None:
-    """Write a PNG of `summarise`'s answer. Bands are one standard deviation over seeds.
+    """Write a PNG of what `summarise` returned. Bands are one standard deviation over seeds.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -61,12 +61,12 @@ def draw_stability(figures: Tree, path: Path) -> None:
     axes = figure.subplots(rows, _COLUMNS, sharey=True, squeeze=False)
     for axis in axes.flat[len(sweeps) :]:
         axis.set_visible(False)
-    for place, (name, sweep) in enumerate(sweeps.items()):
-        axis = axes.flat[place]
+    for index, (name, sweep) in enumerate(sweeps.items()):
+        axis = axes.flat[index]
         _panel(axis, sweep, figures["bound"])
         for order, (label, group) in enumerate(groups.items()):
             _line(axis, sweep["strengths"], group["curves"][name], styles[label], 3 + order)
-        if place % _COLUMNS == 0:
+        if index % _COLUMNS == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     figure.legend(
         handles=handles, loc="outside lower center", ncols=in_a_row, fontsize=10.5, handlelength=4.5, frameon=False,
@@ -104,7 +104,7 @@ def _panel(axis: Any, sweep: Tree, bound: float) -> None:
 
 def _line(axis: Any, strengths: list[float], curve: Tree, style: _Style, order: int) -> None:
     if None not in curve["sd"]:
-        edges = [[mean + way * sd for mean, sd in zip(curve["mean"], curve["sd"], strict=True)] for way in (-1, 1)]
+        edges = [[mean + sign * sd for mean, sd in zip(curve["mean"], curve["sd"], strict=True)] for sign in (-1, 1)]
         axis.fill_between(strengths, *edges, color=style.colour, alpha=0.15, linewidth=0)
     axis.plot(strengths, curve["mean"], zorder=order, **_drawn(style))
 
@@ -129,7 +129,7 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 
 
 def _fitting(handles: list[Any]) -> int:
-    """How many entries of the legend fit side by side, in columns as wide as the longest of them."""
+    """Number of legend entries that fit side by side, in columns as wide as the longest entry."""
     inches = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)
     return max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / inches)))
 

@@ -1,11 +1,11 @@
-"""Trained networks, and which of them differ by their seed alone."""
+"""Groups of trained networks that differ by their seed alone."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,22 +13,22 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import Trained, load_network
 
 FEWEST_SEEDS: Final = 3
-"""Fewer say nothing about spread."""
+"""With fewer seeds a standard deviation says little."""
 
 _ALIKE: Final = ("network", "settings", "variant", "recipe")
 
 
 @dataclass(frozen=True)
 class Run:
-    """A trained network. name: unique among those given."""
+    """A trained network. path: a run's folder or a .safetensors file. name: unique among those loaded together."""
 
     name: str
     path: Path
-    trained: Trained
+    trained: Trained = field(repr=False)
 
     @property
     def seed(self) -> Any:
-        """Of its training, as its card has it; None for a card that says nothing."""
+        """Seed of the training, from the network's card; None if the card has none."""
         return self.trained.card.get("seed")
 
 
@@ -41,11 +41,11 @@ class Group:
 
     @property
     def few_seeds(self) -> bool:
-        """Whether there are too few seeds to speak of spread."""
+        """True for fewer seeds than `FEWEST_SEEDS`."""
         return len({run.seed for run in self.runs}) < FEWEST_SEEDS
 
     def to_json(self) -> dict[str, Any]:
-        """What its networks share, and their names and seeds."""
+        """Network, settings and variant that the runs share, and the runs' names and seeds."""
         card = self.runs[0].trained.card
         return {
             **{name: card.get(name) for name in ("network", "settings", "variant")},
@@ -56,23 +56,23 @@ class Group:
 
 
 def load_runs(paths: Sequence[Path]) -> list[Run]:
-    """The networks of runs' folders or .safetensors files, each once; raises BadConfig as `load_network`.
+    """Load the networks of runs' folders or .safetensors files, each once; raises BadConfig as `load_network`.
 
-    A name is the folder's, with as many folders above it as it takes to tell it from the others.
+    A run is named after its folder, with as many parent folders as are needed to tell it from the others.
     """
-    places = {path.resolve(): path for path in paths}
-    parts = {place: place.with_suffix("").parts for place in places}
-    names = {}
-    for place in places:
-        deep = 1
-        while deep < len(parts[place]) and sum(parts[place][-deep:] == other[-deep:] for other in parts.values()) > 1:
-            deep += 1
-        names[place] = "/".join(parts[place][-deep:])
-    return [Run(names[place], path, load_network(path)) for place, path in places.items()]
+    given = {path.resolve(): path for path in paths}
+    every = [full.with_suffix("").parts for full in given]
+    runs = []
+    for parts, path in zip(every, given.values(), strict=True):
+        depth = 1
+        while depth < len(parts) and sum(parts[-depth:] == other[-depth:] for other in every) > 1:
+            depth += 1
+        runs.append(Run("/".join(parts[-depth:]), path, load_network(path)))
+    return runs
 
 
 def group(runs: Sequence[Run]) -> list[Group]:
-    """Runs of one network, settings, variant, recipe and data together, in the order of their first."""
+    """Group runs of one network, settings, variant, recipe and data; groups are in the order of their first runs."""
     alike: dict[str, list[Run]] = {}
     for run in runs:
         alike.setdefault(_identity(run.trained.card), []).append(run)
@@ -81,9 +81,9 @@ def group(runs: Sequence[Run]) -> list[Group]:
 
 
 def group_of(groups: Sequence[Group], paths: Sequence[Path]) -> Group | None:
-    """The one group that `paths` are in; None for no paths. Raises BadConfig if they are in several."""
-    places = {path.resolve() for path in paths}
-    found = [each for each in groups if places & {run.path.resolve() for run in each.runs}]
+    """Find the one group that contains `paths`; None for no paths. Raises BadConfig if they are in several."""
+    given = {path.resolve() for path in paths}
+    found = [each for each in groups if given & {run.path.resolve() for run in each.runs}]
     if len(found) > 1:
         raise BadConfig(
             "networks to compare with must differ by their seed alone, found "
@@ -93,7 +93,7 @@ def group_of(groups: Sequence[Group], paths: Sequence[Path]) -> Group | None:
 
 
 def _identity(card: dict[str, Any]) -> str:
-    """All that shaped a network but its seed, as text."""
+    """Everything on a card that identifies a training, except its seed, as JSON text."""
     data = card.get("data")
     if isinstance(data, dict):
         data = {name: value for name, value in data.items() if name != "seed"}
@@ -101,7 +101,7 @@ def _identity(card: dict[str, Any]) -> str:
 
 
 def _labels(runs: Sequence[Run]) -> list[str]:
-    """A name for the group of each run: the run's without its seed, or else with its network's, or else all of it."""
+    """Unique labels of groups: the first run's name without "-SEED", or with its network added, or the full name."""
     short = [run.name.removesuffix(f"-{run.seed}") for run in runs]
     longer = [f"{name} ({run.trained.card['network']})" for name, run in zip(short, runs, strict=True)]
     for names in (short, longer):

@@ -1,32 +1,31 @@
-"""Consecutive frames of a motion before a camera that stands still: clean samples, and the meshes behind them."""
+"""Consecutive frames of a motion, rendered with a fixed camera: clean samples, and the meshes they are made of."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from bodyseg_data.bodies.source import Body, BodyRef, BodySource
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.sampler import faces_towards, sample_key
 from bodyseg_data.rendering import open_renderer
-from bodyseg_model.stability.correspondence import SeenBody
+from bodyseg_model.stability.correspondence import RenderedBody
 
 DISTANCE_CM: Final = 255
 AZIMUTHS_DEG: Final = (0, 50, 90, 140)
-"""One a shot, in turn: from the front, from both quarters, from the side."""
+"""Camera azimuths that shots take in turn, degrees: front, both three-quarter views, side."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """Consecutive bodies of one motion, and where the camera stands."""
+    """Consecutive bodies of one motion, and the view that the camera has of them."""
 
     bodies: tuple[BodyRef, ...]
     view: View
@@ -34,17 +33,17 @@ class Shot:
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a shot: what is stored of a sample, and the body that it shows."""
+    """One frame of a shot: a sample as it would be stored, and the rendered body in it."""
 
-    sample: Sample
-    seen: SeenBody
+    sample: Sample = field(repr=False)
+    body: RenderedBody
 
 
 def choose_shots(source: BodySource, count: int, frames: int) -> list[Shot]:
-    """`count` shots of `frames` bodies each from the motions that a source tests on, taken in turn.
+    """Choose `count` shots of `frames` bodies each from the motions of a source's test split, taken in turn.
 
-    A motion is all bodies of one subject and pose, in the source's order; its shots begin evenly along it. Raises
-    BadConfig if there is no motion of as many bodies.
+    A motion is all bodies of one subject and pose, in the source's order; its shots start at even intervals along it.
+    Raises BadConfig if no motion has that many bodies.
     """
     motions: dict[tuple[str, str], list[BodyRef]] = {}
     for body in source.bodies():
@@ -66,8 +65,8 @@ def choose_shots(source: BodySource, count: int, frames: int) -> list[Shot]:
     return shots
 
 
-def take_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
-    """The frames of a shot. The camera looks at the mean of the bodies' middles throughout.
+def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
+    """Render the frames of a shot. The camera looks at the mean of the bodies' centres throughout.
 
     Raises as `BodySource.build`, `partition` and `steps`.
     """
@@ -81,18 +80,17 @@ def take_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
 def _frame(
     ref: BodyRef, body: Body, view: View, key: str, placed: tuple[PlacedCamera, PlacedCamera], source: str
 ) -> Frame:
-    """As `Sampler.take`, for devices that are placed already, and with all that the projector sees."""
+    """Make a sample as `Sampler.take` does, but with camera and projector given and all that the projector sees."""
     camera, projector = placed
     renderer = open_renderer("raster", body.mesh)
-    seen = SeenBody(body.mesh, camera, renderer.render(camera))
+    rendered = RenderedBody(body.mesh, camera, renderer.render(camera))
     lit = renderer.render(projector)
     renderer.close()
-    shape = seen.surface.face.shape
-    labels, facing = np.full(shape, BACKGROUND, np.uint8), np.zeros(shape, np.bool_)
-    parts = partition(body.mesh, body.landmarks)
-    labels.ravel()[seen.pixels] = parts.labels_at(body.mesh, seen.faces, seen.points)
-    facing.ravel()[seen.pixels] = faces_towards(body.mesh, seen.faces, seen.points, projector.position)
+    labels = rendered.labels(partition(body.mesh, body.landmarks))
+    facing = np.zeros(labels.shape, np.bool_)
+    facing.ravel()[rendered.pixels] = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
     info = SampleInfo(
         source, ref.subset, ref.subject, ref.mesh, ref.pose, view.distance_cm, view.azimuth_deg, ref.split
     )
-    return Frame(Sample(key, steps(seen.surface.range, key), steps(lit.range, key), labels, facing, info), seen)
+    sample = Sample(key, steps(rendered.surface.range, key), steps(lit.range, key), labels, facing, info)
+    return Frame(sample, rendered)

@@ -1,13 +1,13 @@
-"""The images of every setting: stored samples, altered; or the same bodies from the same side, drawn anew.
+"""Labelled images of every condition: corrupted stored samples, or the same bodies rendered anew from the same azimuth.
 
-Scenes are drawn when they are asked for. What is kept is the bodies, labelled, and their renderers.
+Images are made on demand. Labelled bodies and their renderers are kept.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -18,48 +18,48 @@ from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
 from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.loading.range_images import RangeImages, metres
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.packing.sampler import Sampler, surface_points
+from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
-from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting, altered
+from bodyseg_model.stability.correspondence import RenderedBody
+from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition, corrupted
 
-MADE: Final = ("open", "hard")
-"""Sources whose bodies can be drawn anew: they are made, not read from somebody's files."""
+RENDERABLE: Final = ("open", "hard")
+"""Sources whose bodies can be rendered anew, because they are generated and not read from files."""
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a network is shown, and the truth to compare its answer with.
+class LabelledImage:
+    """Input of a network and the true labels.
 
-    range_m: float32 [H, W], metres, 0 where nothing was measured. places: int64 [N], the pixels of it that count, row *
-    W + column. truth: uint8 [N], their parts.
+    range_m: float32 [H, W], metres, 0 where nothing was measured. pixels: int64 [N], where predictions are compared,
+    row * W + column. truth: uint8 [N], the part at each of `pixels`.
     """
 
-    range_m: NDArray[np.float32]
-    places: NDArray[np.intp]
-    truth: NDArray[np.uint8]
+    range_m: NDArray[np.float32] = field(repr=False)
+    pixels: NDArray[np.intp] = field(repr=False)
+    truth: NDArray[np.uint8] = field(repr=False)
 
 
-def picture(image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> Picture:
-    """Of a range image in steps and its labels, uint8 [H, W]: all that was measured counts."""
-    places = np.flatnonzero(image)
-    return Picture(metres(image), places, labels.ravel()[places])
+def labelled_image(image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> LabelledImage:
+    """Pair a range image in steps with its label image, uint8 [H, W]; every measured pixel is compared."""
+    pixels = np.flatnonzero(image)
+    return LabelledImage(metres(image), pixels, labels.ravel()[pixels])
 
 
 class Scenes:
-    """The images of settings, of the first `count` bodies and views of a permutation that belongs to `images`' seed.
+    """Makes images under any condition of the first `count` samples in the permutation of `images`' seed.
 
-    images: clean ones of a test split. hard: the same of a set of hard poses, or None. progress: called with bodies
-    built and bodies in all, which takes seconds each.
+    images: variant "none" of a test split. hard: the same of a set of hard poses, or None. progress: called with bodies
+    built and bodies in all; building one takes seconds.
     """
 
     def __init__(
@@ -76,23 +76,28 @@ class Scenes:
     def __len__(self) -> int:
         return self._count
 
-    def check(self, setting: Setting) -> None:
-        """Raise BadConfig for a setting that these images cannot show."""
+    def __repr__(self) -> str:
+        return f"Scenes({self.images!r}, {self._count})"
+
+    def check(self, condition: Condition) -> None:
+        """Raise BadConfig for a condition whose images cannot be made from these samples."""
         source = self.images.manifest.source
-        if _is_rendered(setting) and source not in MADE:
+        if _is_rendered(condition) and source not in RENDERABLE:
             raise BadConfig(
-                f"the sweep {setting.sweep!r} draws bodies anew, which those of the sources {' and '.join(MADE)} can "
-                f"be, found a set of {source!r}: leave it out with --sweeps"
+                f"the sweep {condition.sweep!r} renders bodies anew, which needs a set of {' or '.join(RENDERABLE)}, "
+                f"found a set of {source!r}: leave it out with --sweeps"
             )
 
-    def pictures(self, setting: Setting) -> list[Picture]:
-        """The images of a setting, always in the same order. Raises BadConfig as `check`."""
-        self.check(setting)
-        if _is_rendered(setting):
-            return [body.picture(self.rig, setting) for body in self._bodies]
-        if setting.sweep == "hard" and self.hard is not None:
-            return [picture(sample.range, sample.labels) for sample in _first(self.hard, self._count)]
-        return [picture(altered(sample, setting, self.rig, self.seed), sample.labels) for sample in self._samples]
+    def labelled_images(self, condition: Condition) -> list[LabelledImage]:
+        """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""
+        self.check(condition)
+        if _is_rendered(condition):
+            return [body.image(self.rig, condition) for body in self._bodies]
+        if condition.sweep == "hard" and self.hard is not None:
+            return [labelled_image(sample.range, sample.labels) for sample in _first(self.hard, self._count)]
+        return [
+            labelled_image(corrupted(sample, condition, self.rig, self.seed), sample.labels) for sample in self._samples
+        ]
 
     @cached_property
     def _samples(self) -> list[Sample]:
@@ -101,15 +106,15 @@ class Scenes:
     @cached_property
     def _bodies(self) -> list[_PosedBody]:
         source = open_source(self.images.manifest.source)
-        known = {body.mesh: body for body in source.bodies()}
+        refs = {body.mesh: body for body in source.bodies()}
         built: dict[str, _PosedBody] = {}
         posed = []
         for sample in self._samples:
             name = sample.info.mesh
             if name not in built:
-                body = source.build(known[name])
+                body = source.build(refs[name])
                 parts = partition(body.mesh, body.landmarks)
-                built[name] = _PosedBody(known[name], body.mesh, parts, open_renderer("raster", body.mesh), 0)
+                built[name] = _PosedBody(refs[name], body.mesh, parts, open_renderer("raster", body.mesh), 0)
             posed.append(replace(built[name], azimuth_deg=sample.info.azimuth_deg))
             self._progress(len(posed), self._count)
         return posed
@@ -117,7 +122,7 @@ class Scenes:
 
 @dataclass(frozen=True)
 class _PosedBody:
-    """A labelled body and the side that it is seen from."""
+    """A labelled body and the azimuth that it is seen from, degrees."""
 
     ref: BodyRef
     mesh: Mesh
@@ -125,42 +130,38 @@ class _PosedBody:
     renderer: Renderer
     azimuth_deg: int
 
-    def picture(self, rig: Rig, setting: Setting) -> Picture:
-        sweep, strength = setting.sweep, setting.strength
+    def image(self, rig: Rig, condition: Condition) -> LabelledImage:
+        sweep, strength = condition.sweep, condition.strength
         if sweep == "occlusion":
             return self._lit(with_baseline(rig, strength))
         if sweep in ("nearer", "farther"):
-            return picture(*self._seen(rig.camera, strength))
+            return labelled_image(*self._render(rig.camera, strength))
         if sweep == "tilt":
-            return picture(*self._seen(rig.camera, rig.stand_off_m, strength))
-        if sweep in ("rig", "rig_made_over"):
+            return labelled_image(*self._render(rig.camera, rig.stand_off_m, strength))
+        if sweep in ("rig", "rig_resampled"):
             camera = sensor(strength)
-            shown = self._seen(camera, rig.stand_off_m)
-            return picture(*shown) if sweep == "rig" else made_over(*shown, camera, rig)
-        return picture(*self._seen(rig.camera, rig.stand_off_m))
+            rendered = self._render(camera, rig.stand_off_m)
+            return labelled_image(*rendered) if sweep == "rig" else resampled(*rendered, camera, rig)
+        return labelled_image(*self._render(rig.camera, rig.stand_off_m))
 
-    def _seen(
+    def _render(
         self, camera: Camera, distance_m: float, tilt_deg: float = 0.0
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-        """Range in steps and parts, as a camera sees them with no projector to think of."""
+        """Range image in steps and label image from a camera, without shadows of a projector."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
-        seen = self.renderer.render(placed)
-        rows, columns = np.nonzero(seen.face >= 0)
-        labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
-        points = surface_points(seen, placed, rows, columns)
-        labels[rows, columns] = self.parts.labels_at(self.mesh, seen.face[rows, columns], points)
-        return steps(seen.range, self.ref.mesh), labels
+        rendered = RenderedBody(self.mesh, placed, self.renderer.render(placed))
+        return steps(rendered.surface.range, self.ref.mesh), rendered.labels(self.parts)
 
-    def _lit(self, rig: Rig) -> Picture:
-        """What a rig measures: only where its projector's light gets to."""
+    def _lit(self, rig: Rig) -> LabelledImage:
+        """Image of a rig, with the shadows of its projector."""
         sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
         lit = shadow_test(rig).lit(sample.range, sample.occluder_range(), sample.faces_projector)
-        return picture(sample.range * lit, sample.labels)
+        return labelled_image(sample.range * lit, sample.labels)
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
-    """The rig with its projector level with the camera, on its left, and aimed at the stand-off as the paper's is."""
+    """The rig with its projector level with the camera, to its left, and aimed at the stand-off as the paper's is."""
     aim = (0.0, 0.0, rig.stand_off_m)
     projector = replace(rig.projector, position_m=(-baseline_m, 0.0, 0.0), aims_at_m=aim)
     return replace(rig, camera=replace(rig.camera, position_m=(0.0, 0.0, 0.0), aims_at_m=aim), projector=projector)
@@ -169,7 +170,7 @@ def with_baseline(rig: Rig, baseline_m: float) -> Rig:
 def looking_down(
     camera: Camera, centre: NDArray[np.float64], azimuth_deg: int, distance_m: float, tilt_deg: float
 ) -> PlacedCamera:
-    """A camera whose axis points at a body's middle from `distance_m` and `tilt_deg` above the horizontal."""
+    """A camera whose axis points at a body's centre from `distance_m` away and `tilt_deg` above the horizontal."""
     right, down, forward = axes_at(azimuth_deg)
     tilt = math.radians(tilt_deg)
     ahead = math.cos(tilt) * forward + math.sin(tilt) * down
@@ -178,22 +179,22 @@ def looking_down(
 
 
 def sensor(focal_px: float) -> Camera:
-    """The camera of this focal length among `cameras.other_sensors`."""
+    """The camera in `cameras.other_sensors` that has this focal length, pixels."""
     return next(other.camera for other in other_sensors() if other.camera.focal_px == focal_px)
 
 
-def made_over(image: NDArray[np.uint16], labels: NDArray[np.uint8], camera: Camera, rig: Rig) -> Picture:
-    """The image as the camera that networks know would see it, as `segmenter` shows it to them."""
+def resampled(image: NDArray[np.uint16], labels: NDArray[np.uint8], camera: Camera, rig: Rig) -> LabelledImage:
+    """The image as the rig's camera would see the body, resampled as `Segmenter` does."""
     pixels = np.flatnonzero(image)
     view = view_body(metres(image), pixels, camera, rig)
-    return Picture(view.range_m, view.places, labels.ravel()[pixels])
+    return LabelledImage(view.range_m, view.view_pixels, labels.ravel()[pixels])
 
 
 def _first(images: RangeImages, count: int) -> list[Sample]:
-    return [images.clean(int(place)) for place in images.order(0)[:count]]
+    return [images.clean(int(index)) for index in images.order(0)[:count]]
 
 
-def _is_rendered(setting: Setting) -> bool:
-    if setting in CLEAN.values():
-        return setting == CLEAN["rendered"]
-    return SWEEPS[setting.sweep].origin == "rendered"
+def _is_rendered(condition: Condition) -> bool:
+    if condition in CLEAN.values():
+        return condition == CLEAN["rendered"]
+    return SWEEPS[condition.sweep].origin == "rendered"

@@ -1,9 +1,9 @@
-"""From accuracies to curves over seeds, mCE, mRR, the worst case, and where accuracy falls below 60 %.
+"""Summary of accuracies: curves over seeds, mCE, mRR, the worst case, and the strength at which 60 % is lost.
 
 mCE is Hendrycks and Dietterich's mean corruption error ("Benchmarking neural network robustness to common corruptions
-and perturbations", 2019) with accuracy per class in place of their top-1. For one sweep, the error 1 - accuracy summed
-over severities is divided by that of the reference; mCE is the mean over sweeps. mRR is the mean over sweeps of the
-accuracy summed over severities, divided by as many times the accuracy at the clean end. The clean end is no severity.
+and perturbations", 2019) with average per-class accuracy in place of their top-1 accuracy. For one sweep, the
+error 1 - accuracy summed over strengths is divided by that of the reference; mCE is the mean over sweeps. mRR is the
+mean over sweeps of the mean accuracy over strengths divided by the clean accuracy. Neither counts the clean strength.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from typing import Any, Final
 
 from bodyseg_model.evaluation.report import over_seeds
-from bodyseg_model.stability.examining import Accuracies
+from bodyseg_model.stability.accuracies import Accuracies
 from bodyseg_model.stability.groups import Group
-from bodyseg_model.stability.severities import CLEAN, Setting, Sweep
+from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
 
 Tree = dict[str, Any]
 
@@ -24,12 +25,12 @@ BOUND: Final = 0.6
 
 
 def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accuracies, reference: Group | None) -> Tree:
-    """The part of stability.json that is about images; plain JSON. found: holds every setting of the sweeps."""
-    settings = {name: sweep.settings(name) for name, sweep in sweeps.items()}
+    """Build the part of stability.json that is about images; plain JSON. found: has every condition of the sweeps."""
+    conditions = {name: sweep.conditions(name) for name, sweep in sweeps.items()}
     curves = {
         group.label: {
-            name: [[found[run.name][setting] for setting in row] for run in group.runs]
-            for name, row in settings.items()
+            name: [[found[run.name][condition] for condition in row] for run in group.runs]
+            for name, row in conditions.items()
         }
         for group in groups
     }
@@ -41,8 +42,8 @@ def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accur
         "groups": {
             group.label: {
                 **group.to_json(),
-                "clean": _clean(group, settings, found),
-                **_of_curves(sweeps, curves[group.label], means),
+                "clean": _clean(group, conditions, found),
+                **_scores(sweeps, curves[group.label], means),
             }
             for group in groups
         },
@@ -50,7 +51,7 @@ def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accur
 
 
 def motion_over_seeds(groups: Sequence[Group], networks: Mapping[str, Mapping[str, Tree]]) -> Tree:
-    """Group -> variant of the frames -> score of `temporal` over seeds; None for one that a network has none of.
+    """Scores of `temporal` over the seeds of each group: group -> variant -> score; None if a network lacks it.
 
     networks: run's name -> variant -> score -> number.
     """
@@ -68,39 +69,37 @@ def motion_over_seeds(groups: Sequence[Group], networks: Mapping[str, Mapping[st
 
 
 def corruption_error(curve: Sequence[float], reference: Sequence[float]) -> float | None:
-    """The errors of one sweep's accuracies, the clean end's left out, over the reference's; None if that has none."""
+    """Summed errors of one sweep over the reference's, both without the clean one; None if the reference has none."""
     errors = sum(1 - accuracy for accuracy in reference[1:])
     return sum(1 - accuracy for accuracy in curve[1:]) / errors if errors else None
 
 
 def relative_robustness(curve: Sequence[float]) -> float | None:
-    """The mean of one sweep's accuracies, the clean end's left out, over the clean end's; None if that is 0."""
+    """Mean accuracy of one sweep without the clean one, over the clean accuracy; None if that is 0."""
     return sum(curve[1:]) / ((len(curve) - 1) * curve[0]) if curve[0] else None
 
 
 def falls_below(strengths: Sequence[float], curve: Sequence[float], bound: float = BOUND) -> float | None:
-    """The strength at which accuracy first falls below `bound`, on straight lines between strengths; None: never.
+    """Strength at which accuracy first falls below `bound`, interpolated linearly; None if it never does.
 
-    The first strength if it is below there already.
+    It is the first strength if accuracy is below the bound there already.
     """
     if curve[0] < bound:
         return strengths[0]
-    for place in range(1, len(curve)):
-        before, after = curve[place - 1], curve[place]
+    for (low, before), (high, after) in pairwise(zip(strengths, curve, strict=True)):
         if after < bound:
-            share = (before - bound) / (before - after)
-            return round(strengths[place - 1] + share * (strengths[place] - strengths[place - 1]), 4)
+            return round(low + (before - bound) / (before - after) * (high - low), 4)
     return None
 
 
 def _mean(rows: Sequence[Sequence[float]]) -> list[float]:
-    """Over seeds, strength by strength."""
+    """Mean over seeds at each strength."""
     return [statistics.mean(values) for values in zip(*rows, strict=True)]
 
 
-def _clean(group: Group, settings: Mapping[str, Sequence[Setting]], found: Accuracies) -> Tree:
-    """Accuracy on the clean images of the set, and on the same bodies drawn anew, as far as sweeps need them."""
-    needed = {row[0] for row in settings.values()}
+def _clean(group: Group, conditions: Mapping[str, Sequence[Condition]], found: Accuracies) -> Tree:
+    """Accuracy on the clean stored and the clean rendered images, as far as the sweeps have them."""
+    needed = {row[0] for row in conditions.values()}
     return {
         origin: over_seeds([found[run.name][clean] for run in group.runs])
         for origin, clean in CLEAN.items()
@@ -108,13 +107,13 @@ def _clean(group: Group, settings: Mapping[str, Sequence[Setting]], found: Accur
     }
 
 
-def _of_curves(
+def _scores(
     sweeps: Mapping[str, Sweep], curves: Mapping[str, list[list[float]]], reference: Mapping[str, list[float]] | None
 ) -> Tree:
-    """What follows from one group's accuracies, sweep -> seed -> strength."""
+    """Scores of one group from its accuracies, sweep -> seed -> strength."""
     counted = [name for name, sweep in sweeps.items() if sweep.counts]
-    robust = {name: [relative_robustness(row) for row in curves[name]] for name in counted}
-    wrong = (
+    robustness = {name: [relative_robustness(row) for row in curves[name]] for name in counted}
+    errors = (
         None
         if reference is None
         else {name: [corruption_error(row, reference[name]) for row in curves[name]] for name in counted}
@@ -129,8 +128,8 @@ def _of_curves(
             for name, sweep in sweeps.items()
         },
         "worst": _worst(sweeps, curves),
-        "mrr": _over_sweeps(robust),
-        "mce": None if wrong is None else _over_sweeps(wrong),
+        "mrr": _over_sweeps(robustness),
+        "mce": None if errors is None else _over_sweeps(errors),
     }
 
 
@@ -141,7 +140,7 @@ def _curve(rows: Sequence[Sequence[float]]) -> Tree:
 
 
 def _over_sweeps(values: Mapping[str, Sequence[float | None]]) -> Tree | None:
-    """The mean over sweeps, for every seed, and each sweep's mean over seeds; None if there is no number for one."""
+    """Mean over sweeps for every seed, and each sweep's mean over seeds; None if any number is missing."""
     complete = {name: [value for value in row if value is not None] for name, row in values.items()}
     if not values or any(len(complete[name]) < len(row) for name, row in values.items()):
         return None
@@ -150,8 +149,8 @@ def _over_sweeps(values: Mapping[str, Sequence[float | None]]) -> Tree | None:
 
 
 def _worst(sweeps: Mapping[str, Sweep], curves: Mapping[str, list[list[float]]]) -> Tree:
-    """The strength at which the mean over seeds is lowest."""
-    lowest, name, place = min(
-        (accuracy, name, place) for name, rows in curves.items() for place, accuracy in enumerate(_mean(rows)) if place
+    """The sweep and strength, clean ones aside, at which the mean over seeds is lowest."""
+    lowest, name, index = min(
+        (accuracy, name, index) for name, rows in curves.items() for index, accuracy in enumerate(_mean(rows)) if index
     )
-    return {"sweep": name, "strength": sweeps[name].strengths[place], "accuracy": round(lowest, 5)}
+    return {"sweep": name, "strength": sweeps[name].strengths[index], "accuracy": round(lowest, 5)}

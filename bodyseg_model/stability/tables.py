@@ -1,4 +1,4 @@
-"""The answers of `bodyseg stability` as rows that people read: records of text, the columns' titles for names."""
+"""Tables of `bodyseg stability` for people: each row is a record of text whose keys are the columns' titles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _NONE = "–"
 
 
 def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
-    """The tables of the parts that were measured."""
+    """Make the tables of the parts that `figures`, the content of stability.json, has."""
     found = {}
     if "groups" in figures:
         found["images"] = [_images(label, group, figures) for label, group in figures["groups"].items()]
@@ -22,10 +22,10 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
         found["motion"] = [_motion(label, variant, row) for label, of in groups for variant, row in of.items()]
     if "numerical" in figures:
         found["arithmetic"] = [
-            _arithmetic(label, way, row)
+            _arithmetic(label, name, row)
             for label, of in figures["numerical"].items()
-            for way, row in [
-                *of["ways"].items(),
+            for name, row in [
+                *of["computations"].items(),
                 *((f"{size} images together", row["batch"]) for size, row in of["batches"].items() if size != "1"),
             ]
         ]
@@ -35,8 +35,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
 def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) -> dict[str, str]:
     worst = group["worst"]
     sweep = figures["sweeps"][worst["sweep"]]
-    place = sweep["strengths"].index(worst["strength"])
-    accuracy = _percent(_at(group["curves"][worst["sweep"]], place))
+    accuracy = _percent(_at(group["curves"][worst["sweep"]], sweep["strengths"].index(worst["strength"])))
     return {
         "network": label,
         "clean, %": _percent(group["clean"].get("stored")),
@@ -47,7 +46,7 @@ def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) ->
 
 
 def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
-    """One corruption at its strongest, by group."""
+    """Accuracy at the greatest strength of one sweep, by group."""
     sweep = figures["sweeps"][name]
     return {
         "corruption": f"{sweep['title']}, {sweep['axis']}",
@@ -57,7 +56,7 @@ def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _falls(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
-    """How strong a corruption has to be for accuracy to fall below the bound, by group."""
+    """Strength of one sweep at which accuracy falls below the bound, by group."""
     sweep = figures["sweeps"][name]
     clean, strongest = sweep["strengths"][0], sweep["strengths"][-1]
     row = {"corruption": f"{sweep['title']}, {sweep['axis']}", "from, to": f"{clean:g}, {strongest:g}"}
@@ -68,14 +67,14 @@ def _falls(name: str, figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _strength(falls: Mapping[str, Any]) -> str:
-    """That of the mean curve; with the spread of the seeds' own, unless one never falls."""
+    """Strength for the mean curve, and the standard deviation over seeds unless one never falls below the bound."""
     seeds = falls["seeds"]
     spread = "" if len(seeds) < 2 or None in seeds else f" ± {statistics.stdev(seeds):.2g}"
     return f"{falls['mean']:.3g}{spread}"
 
 
-def _at(curve: Mapping[str, Any], place: int) -> dict[str, Any]:
-    return {"mean": curve["mean"][place], "sd": curve["sd"][place]}
+def _at(curve: Mapping[str, Any], index: int) -> dict[str, Any]:
+    return {"mean": curve["mean"][index], "sd": curve["sd"][index]}
 
 
 def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
@@ -89,15 +88,11 @@ def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _arithmetic(label: str, way: str, row: Mapping[str, Any]) -> dict[str, str]:
-    if row["changed"] is None:
-        return {"network": label, "way": way, "labels changed, %": _NONE, "accuracy, points": row["reason"]}
-    return {
-        "network": label,
-        "way": way,
-        "labels changed, %": f"{100 * row['changed']:.3f}",
-        "accuracy, points": f"{100 * row['accuracy_change']:+.2f}",
-    }
+def _arithmetic(label: str, name: str, row: Mapping[str, Any]) -> dict[str, str]:
+    changed, accuracy = _NONE, row.get("reason", "")
+    if row["changed"] is not None:
+        changed, accuracy = f"{100 * row['changed']:.3f}", f"{100 * row['accuracy_change']:+.2f}"
+    return {"network": label, "computation": name, "labels changed, %": changed, "accuracy, points": accuracy}
 
 
 def _percent(value: Mapping[str, Any] | None) -> str:

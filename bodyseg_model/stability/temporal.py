@@ -1,9 +1,9 @@
-"""How steady labels are while a body moves: TC and VC by exact correspondence, with fresh artifacts in every frame.
+"""Temporal consistency of labels while a body moves, with new artifacts in every frame: the scores TC and VC.
 
 TC is the mIoU of a prediction and the next one warped onto it (Liu et al., "Efficient semantic video segmentation with
-per-frame inference", 2020); VC is the share of places whose label stays through a window of frames (Miao et al.,
-"VSPW: a large-scale dataset for video scene parsing in the wild", 2021). They follow places by optical flow, or pixels
-without following them; here meshes say where a place of the skin has gone.
+per-frame inference", 2020); VC is the share of points whose label stays the same through a window of frames (Miao et
+al., "VSPW: a large-scale dataset for video scene parsing in the wild", 2021). These authors follow points by optical
+flow, or compare pixels without following them; here points of the skin are followed exactly, by the meshes.
 """
 
 from __future__ import annotations
@@ -29,47 +29,47 @@ from bodyseg_data.loading.range_images import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.stability.correspondence import NOT_SEEN, SeenBody, follow
-from bodyseg_model.stability.motion_frames import Frame, choose_shots, take_shot
+from bodyseg_model.stability.correspondence import NOT_SEEN, RenderedBody, follow
+from bodyseg_model.stability.motion_frames import Frame, choose_shots, render_shot
 
 SHOTS: Final = 4
 FRAMES: Final = 16
 WINDOW: Final = 8
 WITH_AND_WITHOUT: Final[tuple[VariantName, ...]] = ("all", "none")
-"""Fresh artifacts in every frame, and what flickers without any."""
+"""Variants by default: new artifacts in every frame, and none for comparison."""
 
 Labels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where places of the skin are seen, as places in flat images.
+    """Pixels, as flat indices, in which points of the skin are seen in successive frames.
 
-    pairs: for every frame but the last, int [2, P], here and in the next. windows: for every frame that begins a
-    window, int [window, P], places seen in all of its frames.
+    pairs: for every frame but the last, int [2, P], pixels in this frame and in the next. windows: for every frame that
+    starts a window, int [window, P], points seen in all frames of the window.
     """
 
     pairs: list[NDArray[np.intp]]
     windows: list[NDArray[np.intp]]
 
     def measured(self, images: NDArray[np.bool_]) -> Tracks:
-        """Those places whose pixel was measured in all their frames. images: bool [frames, H, W]."""
+        """Keep the points whose pixel was measured in all their frames. images: bool [frames, H, W]."""
         flat = images.reshape(len(images), -1)
         pairs, windows = (
-            [places[:, _through(flat, start, places).all(axis=0)] for start, places in enumerate(tracks)]
+            [pixels[:, _along(flat, start, pixels).all(axis=0)] for start, pixels in enumerate(tracks)]
             for tracks in (self.pairs, self.windows)
         )
         return Tracks(pairs, windows)
 
-    def places(self) -> int:
-        """How many places are seen throughout a window, summed over windows."""
-        return sum(places.shape[1] for places in self.windows)
+    def points(self) -> int:
+        """Number of points seen throughout a window, summed over windows."""
+        return sum(pixels.shape[1] for pixels in self.windows)
 
 
-def find_tracks(bodies: Sequence[SeenBody], window: int) -> Tracks:
-    """Follow what each frame sees through the window that begins there. Raises BadConfig as `follow`.
+def find_tracks(bodies: Sequence[RenderedBody], window: int) -> Tracks:
+    """Follow the points that each frame sees through the window that starts there. Raises BadConfig as `follow`.
 
-    Every frame of a window is reached from its first at once, so that nothing adds up on the way.
+    Every frame of a window is compared with its first directly, so that errors do not add up.
     """
     tracks = Tracks([], [])
     for start, first in enumerate(bodies[:-1]):
@@ -82,52 +82,51 @@ def find_tracks(bodies: Sequence[SeenBody], window: int) -> Tracks:
     return tracks
 
 
-class Steadiness:
-    """Counts over shots. `agreement`: prediction against the next one; `truth`: prediction against truth.
+class TemporalConsistency:
+    """Counts over shots. agreement: predictions against the next frame's; truth: predictions against the true labels.
 
-    Of places in windows: places, how many; constant, those with one label throughout; right, with one and the true one.
-    material, material_constant, material_right: the same three of places whose true label is one throughout.
+    points: int64 [2, 3], of points in windows. Columns: all, those whose label is constant, those whose label is
+    constant and right. Rows: all points, points whose true label is constant.
     """
 
     def __init__(self) -> None:
         self.agreement, self.truth = ConfusionMatrix(), ConfusionMatrix()
-        self.places = self.constant = self.right = 0
-        self.material = self.material_constant = self.material_right = 0
+        self.points: NDArray[np.int64] = np.zeros((2, 3), np.int64)
+
+    def __repr__(self) -> str:
+        return f"TemporalConsistency({self.points[0, 0]} points, {self.truth.pixels} pixels)"
 
     def add(self, predicted: Labels, truth: Labels, tracks: Tracks) -> None:
-        """Count one shot. predicted, truth: uint8 [frames, H, W], labels wherever tracks lead; pixels whose truth is
-        255 do not count.
+        """Count one shot. predicted, truth: label images, uint8 [frames, H, W]; pixels whose truth is 255 do not count.
+
+        Every pixel of `tracks` must have labels.
         """
         self.truth.add(truth, predicted)
         flat, true = predicted.reshape(len(predicted), -1), truth.reshape(len(truth), -1)
-        for start, places in enumerate(tracks.pairs):
-            self.agreement.add(*_through(flat, start, places))
-        for start, places in enumerate(tracks.windows):
-            labels, wanted = _through(flat, start, places), _through(true, start, places)
-            constant, material = (labels == labels[0]).all(axis=0), (wanted == wanted[0]).all(axis=0)
-            right = constant & (labels == wanted).all(axis=0)
-            self.places += places.shape[1]
-            self.constant += int(constant.sum())
-            self.right += int(right.sum())
-            self.material += int(material.sum())
-            self.material_constant += int((constant & material).sum())
-            self.material_right += int((right & material).sum())
+        for start, pixels in enumerate(tracks.pairs):
+            self.agreement.add(*_along(flat, start, pixels))
+        for start, pixels in enumerate(tracks.windows):
+            labels, expected = _along(flat, start, pixels), _along(true, start, pixels)
+            constant, truth_stays = (labels == labels[0]).all(axis=0), (expected == expected[0]).all(axis=0)
+            columns = np.stack([np.ones_like(constant), constant, constant & (labels == expected).all(axis=0)])
+            self.points += [columns.sum(axis=1), (columns & truth_stays).sum(axis=1)]
 
     def to_json(self) -> dict[str, Any]:
         """Scores; a share of nothing is null."""
+        (every, constant, right), (stays, stays_constant, stays_right) = self.points.tolist()
         return {
             "tc": _share(self.agreement.mean_iou()),
-            "vc": _share(self.constant, self.places),
-            "vc_right": _share(self.right, self.places),
-            "vc_where_truth_stays": _share(self.material_constant, self.material),
-            "vc_right_where_truth_stays": _share(self.material_right, self.material),
+            "vc": _share(constant, every),
+            "vc_right": _share(right, every),
+            "vc_where_truth_stays": _share(stays_constant, stays),
+            "vc_right_where_truth_stays": _share(stays_right, stays),
             "accuracy": _share(self.truth.average_per_class_accuracy()),
         }
 
 
-def _through(flat: NDArray[Any], start: int, places: NDArray[np.intp]) -> NDArray[Any]:
-    """What flat images [frames, H * W] from frame `start` on hold at places [n, P], [n, P]."""
-    return np.stack([image.take(row) for image, row in zip(flat[start:], places, strict=False)])
+def _along(flat: NDArray[Any], start: int, pixels: NDArray[np.intp]) -> NDArray[Any]:
+    """Values of flat images [frames, H * W] at pixels [n, P] of the frames from `start` on, [n, P]."""
+    return np.stack([image.take(row) for image, row in zip(flat[start:], pixels, strict=False)])
 
 
 def temporal(
@@ -142,28 +141,28 @@ def temporal(
     rig: Rig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """TC and VC of every network, in evaluation mode, over shots of motions that nobody was trained on; plain JSON.
+    """Measure TC and VC of every network, in evaluation mode, over shots of test motions; returns plain JSON.
 
-    source: whose bodies move, the open ones by default; rig: what sees them, the paper's by default. Each shot is
-    rendered once. Every network labels every frame alone, as it would come from a sensor, in every variant; draws are
-    new in every frame. All variants are counted at the same places, those measured in each of them. The truth is asked
-    too, as a network that is always right: what it lacks of 1 is what pixels and the partition do.
-    progress: called with frames done and frames in all; rendering one counts as one, as does labelling one.
+    source: of the bodies that move, the open source by default; rig: the paper's by default. Each shot is rendered
+    once. Every network labels every frame alone, as it would come from a sensor, in every variant; artifacts are drawn
+    anew in every frame. All variants are counted at the same points, those measured in each of them. "truth" has the
+    scores of the true labels: their distance from 1 is due to pixels and the partition.
+    progress: called with frames done and frames in all; rendering a frame counts as one, as does labelling it.
 
     Raises BadConfig for counts that are too small, a window longer than a shot or no variant; otherwise as
-    `choose_shots`, `take_shot` and `predict`.
+    `choose_shots`, `render_shot` and `predict`.
     """
     shots = whole_number("the number of shots", shots, 1)
     window = whole_number("the frames of a window", window, 2)
     if whole_number("the frames of a shot", frames, 2) < window:
         raise BadConfig(f"a shot must be at least as long as a window, found {frames} frames and a window of {window}")
     if not variants:
-        raise BadConfig("steadiness needs at least one variant, found none")
+        raise BadConfig("temporal consistency needs at least one variant, found none")
     source, rig = open_source("open") if source is None else source, load_rig() if rig is None else rig
     augmentations = {variant: Augmentation(rig, variant, seed) for variant in variants}
     chosen = choose_shots(source, shots, frames)
-    tallies = {name: {variant: Steadiness() for variant in variants} for name in networks}
-    truth, seen_throughout = Steadiness(), 0
+    tallies = {name: {variant: TemporalConsistency() for variant in variants} for name in networks}
+    truth, rendered_points = TemporalConsistency(), 0
     done, total = 0, shots * frames * (1 + len(variants) * len(networks))
 
     def advance(count: int = 1) -> None:
@@ -173,23 +172,25 @@ def temporal(
             progress(done, total)
 
     for shot in chosen:
-        taken: list[Frame] = []
-        for frame in take_shot(source, shot, rig):
-            taken.append(frame)
+        frames_of_shot: list[Frame] = []
+        for frame in render_shot(source, shot, rig):
+            frames_of_shot.append(frame)
             advance()
-        tracks = find_tracks([frame.seen for frame in taken], window)
+        tracks = find_tracks([frame.body for frame in frames_of_shot], window)
         images = {
-            variant: [augmentation(frame.sample) for frame in taken] for variant, augmentation in augmentations.items()
+            variant: [augmentation(frame.sample) for frame in frames_of_shot]
+            for variant, augmentation in augmentations.items()
         }
         measured: NDArray[np.bool_] = np.all([[image.range > 0 for image in made] for made in images.values()], axis=0)
         kept = tracks.measured(measured)
-        labels = np.where(measured, np.stack([frame.sample.labels for frame in taken]), np.uint8(BACKGROUND))
-        seen_throughout += tracks.places()
+        labels = np.where(measured, np.stack([frame.sample.labels for frame in frames_of_shot]), np.uint8(BACKGROUND))
+        rendered_points += tracks.points()
         truth.add(labels, labels, kept)
         for variant, made in images.items():
             for name, network in networks.items():
                 tallies[name][variant].add(_labels(network, made), labels, kept)
                 advance(frames)
+    points = int(truth.points[0, 0])
     return {
         "source": source.name,
         "shots": [{"first": shot.bodies[0].mesh, "last": shot.bodies[-1].mesh, **asdict(shot.view)} for shot in chosen],
@@ -198,9 +199,9 @@ def temporal(
         "frames_per_second": FRAMES_PER_SECOND,
         "seed": seed,
         "pairs": truth.agreement.pixels,
-        "places": truth.places,
-        "measured_throughout": _share(truth.places, seen_throughout),
-        "truth_stays": _share(truth.material, truth.places),
+        "points": points,
+        "measured_throughout": _share(points, rendered_points),
+        "truth_stays": _share(int(truth.points[1, 0]), points),
         "truth": truth.to_json(),
         "networks": {
             name: {variant: tally.to_json() for variant, tally in by_variant.items()}
@@ -210,7 +211,7 @@ def temporal(
 
 
 def _labels(network: Network, images: Sequence[RangeImage]) -> Labels:
-    """What a network says of frames that come one by one, uint8 [frames, H, W]."""
+    """Predict frames one by one; returns label images, uint8 [frames, H, W]."""
     device = device_of(network)
     ranges = (torch.from_numpy(metres(image.range))[None, None].to(device) for image in images)
     return np.stack([predict(network, range_m).labels[0].cpu().numpy() for range_m in ranges])

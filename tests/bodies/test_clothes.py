@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -196,21 +193,9 @@ def test_cloth_hangs_down(coarse: dict[str, Wardrobe], bodies: dict[str, Floats]
         assert gaps[below].mean() > 1.5 * gaps[above].mean()
 
 
-def test_the_same_bits_in_every_process(coarse: dict[str, Wardrobe], bodies: dict[str, Floats]) -> None:
+def test_the_same_bits_again(coarse: dict[str, Wardrobe], bodies: dict[str, Floats]) -> None:
     here = coarse["B"].worn(bodies["deep_squat"])
     assert here.tobytes() == coarse["B"].worn(bodies["deep_squat"]).tobytes()
-    script = """
-import hashlib
-from bodyseg_data.bodies.clothes.wardrobe import OUTFITS, Wardrobe
-from bodyseg_data.bodies.sources import open_source
-source = open_source("open")
-refs = {ref.pose: ref for ref in source.bodies() if ref.subset == "A"}
-built = {pose: source.build(refs[pose]).mesh for pose in ("standing", "deep_squat")}
-wardrobe = Wardrobe(built["standing"].vertices, built["standing"].faces, OUTFITS["B"])
-print(hashlib.sha256(wardrobe.worn(built["deep_squat"].vertices).tobytes()).hexdigest())
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.strip() == hashlib.sha256(here.tobytes()).hexdigest()
 
 
 def test_a_seed_is_a_set_of_folds(

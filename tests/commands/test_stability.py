@@ -11,21 +11,22 @@ from typing import Any
 
 import pytest
 import torch
-from fakes import Figures
+from fakes import FiguresEntry
 from label_networks import Places
 
 from bodyseg_data import RangeImages
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.stability import examining, scenes
-from bodyseg_model.stability.examining import accuracy, evaluate_conditions
+from bodyseg_model.stability import accuracies
+from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs
-from bodyseg_model.stability.scenes import Picture, Scenes
-from bodyseg_model.stability.severities import CLEAN, Setting
+from bodyseg_model.stability.scenes import LabelledImage, Scenes
+from bodyseg_model.stability.sweeps import CLEAN, Condition
 
 SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
 CHOSEN = ("farther", "hard")
@@ -37,7 +38,7 @@ def plain_bodies_and_one_thread() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scenes, "open_source", lambda name: Figures())
+        patch.setitem(SOURCES, "open", FiguresEntry())
         yield
     torch.set_num_threads(before)
 
@@ -110,7 +111,7 @@ def test_answers_at_other_places_are_counted_there() -> None:
     range_m, places = torch.full((2, 4), 2.0).numpy(), torch.tensor([0, 3, 3, 4]).numpy()
     truth = torch.tensor([0, 3, 2, 0], dtype=torch.uint8).numpy()
     # Columns are labels: right at 0, 3 and (row 1, column 0) 4; wrong once where 3 was said for 2.
-    assert accuracy(Places(1, 1), [Picture(range_m, places, truth)]) == pytest.approx((1 + 1 + 0) / 3)
+    assert accuracy(Places(1, 1), [LabelledImage(range_m, places, truth)]) == pytest.approx((1 + 1 + 0) / 3)
 
 
 def test_an_interrupted_run_carries_on(
@@ -120,11 +121,11 @@ def test_an_interrupted_run_carries_on(
     file = out / "cached_results" / "all-1.json"
     content = json.loads(file.read_text())
     farther = {"sweep": "farther", "strength": 3.5}
-    lost = next(key for key, each in content["results"].items() if farther.items() <= each["question"].items())
+    lost = next(key for key, each in content["results"].items() if farther.items() <= each["query"].items())
     wanted = content["results"].pop(lost)
     file.write_text(json.dumps(content))
     times = []
-    monkeypatch.setattr(examining, "accuracy", lambda *known: times.append(known) or accuracy(*known))
+    monkeypatch.setattr(accuracies, "accuracy", lambda *known: times.append(known) or accuracy(*known))
     assert command.run(asked(figures_set, runs, out)) == 0
     assert len(times) == 1
     assert json.loads(file.read_text())["results"][lost] == wanted
@@ -135,10 +136,10 @@ def test_an_interrupted_run_carries_on(
 def test_another_network_is_asked_again(runs: Path, figures_set: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(runs / "all-0", tmp_path / "all-0")
     scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 1)
-    settings = [CLEAN["stored"], Setting("noise", 10)]
-    before = evaluate_conditions(load_runs([folder]), settings, scenes_here, tmp_path)
+    conditions = [CLEAN["stored"], Condition("noise", 10)]
+    before = evaluate_conditions(load_runs([folder]), conditions, scenes_here, tmp_path)
     save(folder, "none", 5)
-    after = evaluate_conditions(load_runs([folder]), settings, scenes_here, tmp_path)
+    after = evaluate_conditions(load_runs([folder]), conditions, scenes_here, tmp_path)
     assert before["all-0"] != after["all-0"]
     assert len(json.loads((tmp_path / "all-0.json").read_text())["results"]) == 2
 
@@ -147,21 +148,21 @@ def test_progress_counts_images(runs: Path, figures_set: Path, tmp_path: Path) -
     seen: list[tuple[Any, ...]] = []
     loaded = load_runs([runs / "all-0", runs / "none-0"])
     scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 3)
-    settings = [CLEAN["stored"], Setting("noise", 10)]
-    evaluate_conditions(loaded, settings, scenes_here, tmp_path, lambda *figures: seen.append(figures))
+    conditions = [CLEAN["stored"], Condition("noise", 10)]
+    evaluate_conditions(loaded, conditions, scenes_here, tmp_path, lambda *figures: seen.append(figures))
     assert seen == [(3, 12, "clean"), (6, 12, "clean"), (9, 12, "noise 10"), (12, 12, "noise 10")]
 
 
 def test_an_accuracy_of_nothing_measured_is_kept(
     runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(examining, "accuracy", lambda network, pictures: math.nan)
+    monkeypatch.setattr(accuracies, "accuracy", lambda network, images: math.nan)
     loaded, scenes_here = load_runs([runs / "all-0"]), Scenes(RangeImages(figures_set, "none", "test"), 1)
     for _ in range(2):
         assert math.isnan(
             evaluate_conditions(loaded, [CLEAN["stored"]], scenes_here, tmp_path)["all-0"][CLEAN["stored"]]
         )
-        monkeypatch.setattr(examining, "accuracy", lambda network, pictures: 0.5)
+        monkeypatch.setattr(accuracies, "accuracy", lambda network, images: 0.5)
 
 
 @pytest.mark.parametrize("text", ['{"format": "another", "results": {}}', "{"])
@@ -191,7 +192,7 @@ def test_other_parts_are_sections(
 
     def arithmetic(network: Any, images: RangeImages, count: int) -> dict[str, Any]:
         asked_for.append((images.variant, images.split, count))
-        return {"ways": {}, "batches": {}}
+        return {"computations": {}, "batches": {}}
 
     monkeypatch.setattr(command, "temporal", motion)
     monkeypatch.setattr(command, "numerical", arithmetic)

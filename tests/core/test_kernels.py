@@ -193,7 +193,7 @@ def test_the_environment_chooses(choice: str | None, expected: bool, monkeypatch
 @pytest.mark.usefixtures("asked_anew")
 def test_an_unknown_choice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(kernels.VARIABLE, "fast")
-    with pytest.raises(BadConfig, match="BODYSEG_KERNELS must be one of auto, numpy, compiled, found 'fast'"):
+    with pytest.raises(BadConfig, match="BODYSEG_KERNELS .*found 'fast'"):
         kernels.use_compiled()
 
 

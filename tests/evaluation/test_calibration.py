@@ -68,7 +68,7 @@ def test_calibration_error_is_exact(pieces: int) -> None:
         assert row.pixels == chosen.sum()
         assert row.accuracy == pytest.approx(right[chosen].mean())
         assert row.confidence == pytest.approx(confidence[chosen].mean(dtype=np.float64))
-        assert (row.above, row.up_to) == pytest.approx((number / 15, (number + 1) / 15))
+        assert (row.confidence_above, row.up_to) == pytest.approx((number / 15, (number + 1) / 15))
         expected += chosen.sum() * abs(right[chosen].mean() - confidence[chosen].mean(dtype=np.float64)) / len(pairs)
     assert len(rows) == 15
     assert found.ece() == pytest.approx(expected)
@@ -81,7 +81,7 @@ def test_what_is_kept_above_a_threshold_is_exact(threshold: float) -> None:
     kept = counted(pairs, confidence, 3).above(threshold)
     chosen = confidence > np.float32(threshold)
     truth, right = pairs // 33, ~is_wrong(pairs)
-    assert kept.share == chosen.mean()
+    assert kept.share_of_pixels == chosen.mean()
     assert kept.pixel_accuracy == pytest.approx(right[chosen].mean())
     by_part = [right[chosen & (truth == part)].mean() for part in range(33)]
     assert kept.average_per_class_accuracy == pytest.approx(np.mean(by_part))
@@ -92,7 +92,7 @@ def test_a_pixel_at_the_threshold_is_dropped_and_one_above_is_kept() -> None:
     confidences = Confidences()
     confidences.add(np.array([0, 1]), np.array([at, np.nextafter(at, np.float32(1))], np.float32))
     kept = confidences.above(0.7)
-    assert (kept.share, kept.pixel_accuracy) == (0.5, 0.0)
+    assert (kept.share_of_pixels, kept.pixel_accuracy) == (0.5, 0.0)
 
 
 def test_the_curve_ends_at_all_pixels_and_their_risk() -> None:
@@ -132,9 +132,9 @@ def test_nothing_counted_is_no_score() -> None:
     assert math.isnan(confidences.ece())
     assert math.isnan(confidences.aurc())
     assert math.isnan(confidences.mean())
-    assert math.isnan(confidences.above(0.7).share)
+    assert math.isnan(confidences.above(0.7).share_of_pixels)
     assert confidences.curve()[0].size == 0
     confidences.add(np.array([PAIRS - 1]), np.array([0.2], np.float32))
     kept = confidences.above(0.7)
-    assert kept.share == 0
+    assert kept.share_of_pixels == 0
     assert math.isnan(kept.pixel_accuracy)

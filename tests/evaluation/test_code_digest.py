@@ -18,7 +18,7 @@ from bodyseg_model.evaluation.code_digest import PACKAGES, SourceTree, code_dige
 
 VARIANTS, ABLATION = "benches.model.variants.scores", "benches.model.ablation.conditions"
 _OWN = ["bodyseg_model", "bodyseg_model.evaluation", "bodyseg_model.evaluation.code_digest"]
-STABILITY = "bodyseg_model.stability.examining"
+STABILITY = "bodyseg_model.stability.accuracies"
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from collections.abc import Callable
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
 from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import EXTRAS, Evaluation, Scores, Seen, evaluate, open_images
+from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
@@ -108,7 +106,7 @@ def test_scores_are_those_of_single_images(
         assert scores.images == plain["images"]
         assert np.array_equal(scores.confusion.counts, plain["counts"])
         assert scores.confidences is not None and scores.borders is not None
-        assert scores.confidences.above(0.5).share == pytest.approx(plain["sure"] / plain["counts"].sum())
+        assert scores.confidences.above(0.5).share_of_pixels == pytest.approx(plain["sure"] / plain["counts"].sum())
         assert scores.confidences.mean() == pytest.approx(plain["confidence"] / plain["counts"].sum())
         assert scores.borders.counts[0].sum() == plain["near"]
         assert scores.borders.counts[0].sum() - scores.borders.counts[0, KINDS.index("right")] == plain["wrong_near"]
@@ -117,7 +115,7 @@ def test_scores_are_those_of_single_images(
     assert np.array_equal(total.confusion.counts, sum(plain["counts"] for plain in expected.values()))
     assert total.images == len(images) == 8
     assert steps[-1] == (8, 8)
-    assert min(found.seconds.network, found.seconds.scores, found.seconds.loading) > 0
+    assert set(found.milliseconds) == {"network", "scores", "loading"} and min(found.milliseconds.values()) > 0
 
 
 def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
@@ -136,7 +134,7 @@ def test_a_number_of_images_means_the_same_bodies_whatever_else_is_asked(
     assert keys_seen(network, open_images(str(figures_set), "noise", noise_mm=40), 5, 16) == chosen
     assert sorted(keys_seen(network, images, 99, 3)) == sorted(images.keys)
     assert keys_seen(network, open_images(str(figures_set), seed=1), 5, 2) != chosen
-    with pytest.raises(BadConfig, match="the number of images must be a whole number of at least 1, found 0"):
+    with pytest.raises(BadConfig, match="number of images .*found 0"):
         evaluate(network, images, 0)
 
 
@@ -177,7 +175,7 @@ def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkey
     assert "reliability" not in report(fewer) and "border_distance_px" not in report(fewer)
     with pytest.raises(BadConfig, match="scores to merge must count the same things"):
         whole.merge(fewer)
-    with pytest.raises(BadConfig, match="scores to count must be among confidences, borders, found 'speed'"):
+    with pytest.raises(BadConfig, match="scores .*found 'speed'"):
         evaluate(network, images, extras=["speed"])  # type: ignore[list-item]
 
 
@@ -204,10 +202,12 @@ def test_answers_that_are_none_are_refused(figures_set: Path) -> None:
         evaluate(Undecided().eval(), images)
 
 
-def seen_image(subset: str, labels: list[int], predicted: list[int]) -> Seen:
+def seen_image(subset: str, labels: list[int], predicted: list[int]) -> PredictedImage:
     truth, guess = (np.array([row], np.uint8) for row in (labels, predicted))
     body = truth != BACKGROUND
-    return Seen(f"{subset}-{labels[0]}", subset, body.astype(np.float32) * 2, truth, guess, body.astype(np.float32))
+    return PredictedImage(
+        f"{subset}-{labels[0]}", subset, body.astype(np.float32) * 2, truth, guess, body.astype(np.float32)
+    )
 
 
 def test_an_empty_image_counts_as_an_image_and_as_nothing_else() -> None:
@@ -287,7 +287,7 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
     picture = SamplePicture()
     seen: list[tuple[float, str, str]] = []
 
-    def watch(one: Seen, accuracy: float) -> None:
+    def watch(one: PredictedImage, accuracy: float) -> None:
         picture.watch(one, accuracy)
         seen.append((accuracy, one.subset, one.key))
 
@@ -352,7 +352,7 @@ def test_the_command_writes_scores_and_figures(
 
 
 def test_several_sets_are_one_evaluation_unless_they_share_samples(
-    figures_set: Path, run_folder: Path, tmp_path: Path, pack_figures: Callable[..., Path], capsys: Any
+    figures_set: Path, run_folder: Path, tmp_path: Path, capsys: Any
 ) -> None:
     out = tmp_path / "scores.json"
     common = ("--run", run_folder, "--json", out, "--frames", 0, "--num-workers", 0, "--images", 3)
@@ -362,7 +362,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
     assert [described["evaluated"] for described in tree["data"]] == [3, 3]
     assert tree["images"] == 6
     out.unlink()
-    copy = pack_figures(tmp_path / "copy")
+    copy = shutil.copytree(figures_set, tmp_path / "copy")
     assert call(*common, "--data", figures_set, copy) == 2
     assert "a sample counts once: open-A-A-2-d215-a000" in capsys.readouterr().err
     assert not out.exists()
@@ -438,10 +438,3 @@ def test_without_a_run_the_network_that_ships_is_judged(
     monkeypatch.setattr(command, "shipped_network", lambda: command.load_network(run_folder))
     assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None
-
-
-def test_evaluating_loads_nothing_that_draws() -> None:
-    script = "import sys, bodyseg_model.commands.evaluate; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=200)
-    assert not {"matplotlib", "scipy", "tensorboard", "numba"} & set(done.stdout.split())
-    assert set(EXTRAS) == {"confidences", "borders"}

@@ -1,4 +1,4 @@
-"""Results kept in a file: for which questions, for how long, and by several processes at once."""
+"""Results cached in a file: lookup by query, invalidation, and several processes at once."""
 
 from __future__ import annotations
 

@@ -5,7 +5,10 @@ import pytest
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.scores import ConfusionMatrix, Spread, count_pairs, pairs_of
+from bodyseg_model.evaluation.border_distance import BorderErrors
+from bodyseg_model.evaluation.calibration import Confidences
+from bodyseg_model.evaluation.evaluation import Evaluation, Scores
+from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 
 
 def image(*labels: int) -> np.ndarray:
@@ -74,7 +77,7 @@ def test_spread_counts_every_image_once() -> None:
         (image(0, 0), image(0, 1)),  # part 0: 0.5
         (image(BACKGROUND), image(BACKGROUND)),
     ]
-    spread, rest = Spread(), Spread()
+    spread, rest = PerImageAccuracy(), PerImageAccuracy()
     averages = [
         part.add(count_pairs(pairs_of(truth, predicted)))
         for part, (truth, predicted) in zip((spread, rest, rest), images, strict=True)
@@ -87,3 +90,16 @@ def test_spread_counts_every_image_once() -> None:
     assert spread.deviation()[[0, 33]] == pytest.approx([np.std([0.75, 0.5], ddof=1), np.std([0.625, 0.5], ddof=1)])
     assert np.isnan(spread.mean()[1])
     assert np.isnan(spread.deviation()[[1, 7]]).all(), "one image has no deviation"
+
+
+def test_counts_print_in_one_line() -> None:
+    matrix, spread = ConfusionMatrix(), PerImageAccuracy()
+    matrix.add(np.array([[0, 1, 1]], np.uint8), np.array([[0, 1, 2]], np.uint8))
+    spread.add(matrix.counts)
+    assert repr(matrix) == "ConfusionMatrix(3 pixels, average per-class accuracy 0.750)"
+    assert repr(spread) == "PerImageAccuracy(1 images, mean 0.750)"
+    confidences, borders, scores = Confidences(), BorderErrors(), Scores()
+    scores.confusion.counts += matrix.counts
+    assert repr(confidences) == "Confidences(0 pixels, mean nan)" and repr(borders) == "BorderErrors(0 pixels)"
+    assert repr(scores) == f"Scores(0 images, {matrix!r})"
+    assert repr(Evaluation(subsets={"A": scores})) == f"Evaluation(subsets={{'A': {scores!r}}})"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from shapes import figure
 
-from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies.source import Body, BodyRef, BodySource
+from bodyseg_data.bodies.sources import SourceEntry
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
 
@@ -36,3 +39,14 @@ class Figures:
         mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
         # The first trunk vertex after every equal step down the list: far enough apart to be 33 parts.
         return Body(mesh, np.linspace(0, 600, PART_COUNT).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class FiguresEntry(SourceEntry):
+    """Stands in `SOURCES`, under a name that readers of a set accept, for a source that `make` makes."""
+
+    home: str = "fakes.Figures"
+    make: Callable[[], BodySource] = Figures
+
+    def open(self, *arguments: Any) -> BodySource:
+        return self.make()

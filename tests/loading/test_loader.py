@@ -214,15 +214,15 @@ def test_indices_alone_draw_for_the_epoch_that_was_set(figures_set: Path) -> Non
 def test_bad_options_are_refused(figures_set: Path) -> None:
     images = RangeImages(figures_set)
     cases: list[tuple[dict[str, Any], str]] = [
-        ({"on_error": "ignore"}, "on_error must be stop or skip, found 'ignore'"),
-        ({"on_error": "skip"}, "on_error='skip' and a skip_budget belong together, found 'skip' and None"),
+        ({"on_error": "ignore"}, "on_error .*found 'ignore'"),
+        ({"on_error": "skip"}, "skip_budget .*found 'skip' and None"),
         ({"skip_budget": 1}, "belong together, found 'stop' and 1"),
         ({"on_error": "skip", "skip_budget": -1}, "skip_budget must be a number of samples, or a share"),
         ({"on_error": "skip", "skip_budget": 1.5}, "a share from 0 to 1, found 1.5"),
         ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
-        ({"prefetch_factor": 0}, "prefetch_factor must be a whole number of at least 1, found 0"),
-        ({"start_method": "thread"}, "start_method must be fork, spawn, forkserver or None, found 'thread'"),
-        ({"rank": 1, "ranks": 1}, "rank must be less than ranks, found 1 of 1"),
+        ({"prefetch_factor": 0}, "prefetch_factor .*found 0"),
+        ({"start_method": "thread"}, "start_method .*found 'thread'"),
+        ({"rank": 1, "world_size": 1}, "rank .*found 1 of 1"),
     ]
     for options, message in cases:
         with pytest.raises(BadConfig, match=message):

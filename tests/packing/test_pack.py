@@ -3,19 +3,21 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fakes import Figures
+from folders import HELPERS
 from processes import start_interruptible
 
 from bodyseg_data.bodies.source import BodyRef
@@ -68,46 +70,59 @@ class Interrupted(Exception):
     """Stands for whatever ends a process in the middle of its work."""
 
 
-@contextlib.contextmanager
-def dying_after(renders: int) -> Iterator[None]:
-    count = 0
-    whole = packing.render_run
+class Renders(Executor):
+    """Renders at once what was not rendered before, and ends the packing after so many runs.
 
-    def render_run(*arguments: Any) -> Any:
-        nonlocal count
-        count += 1
-        if count > renders:
-            raise Interrupted
-        return whole(*arguments)
+    Rendering twice gives the same bytes, which the first test here shows; what follows is about what is kept of it.
+    """
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(packing, "render_run", render_run)
-        yield
+    def __init__(self, known: dict[Any, Any], limit: float = math.inf) -> None:
+        self._known, self._left = known, limit
+
+    def submit(self, fn: Callable[..., Any], /, packing: Packing, *run: Any, **kwargs: Any) -> Future[Any]:  # type: ignore[override]
+        future: Future[Any] = Future()
+        self._left -= 1
+        if self._left < 0:
+            future.set_exception(Interrupted())
+            return future
+        key = (packing.tolerance_mm, run[:2])
+        try:
+            if key not in self._known:
+                self._known[key] = fn(packing, *run, **kwargs)
+            future.set_result(self._known[key])
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[Any, Any]:
+    """All that was rendered for this file: packing is cut short and taken up dozens of times."""
+    return {}
 
 
 @pytest.mark.parametrize("renders", range(9))
 def test_a_packing_cut_short_carries_on_to_the_same_bytes(
-    renders: int, figures_set: Path, tmp_path: Path, pack_figures: Pack
+    renders: int, figures_set: Path, tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]
 ) -> None:
     out = tmp_path / "shards"
-    with dying_after(renders), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=5)
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, renders), shard_samples=5)
     assert not (out / "manifest.json").exists(), "an unfinished set must not look finished"
     whole = contents(figures_set)
     assert all(whole[path.name] == contents(out)[path.name] for path in out.glob("*.tar"))
-    pack_figures(out, shard_samples=5)
+    pack_figures(out, Renders(known), shard_samples=5)
     assert contents(out) == whole
     assert not (out / STATE_NAME).exists()
 
 
-def test_a_restart_renders_only_what_is_missing(tmp_path: Path, pack_figures: Pack) -> None:
+def test_a_restart_renders_only_what_is_missing(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
     out = tmp_path / "shards"
-    with dying_after(4), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=4)  # one shard a mesh
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 4), shard_samples=4)  # one shard a mesh
     finished = {path.name for path in out.glob("*.tar")}
     assert finished
-    with dying_after(6 - len(finished)):
-        pack_figures(out, shard_samples=4)
+    pack_figures(out, Renders(known, 6 - len(finished)), shard_samples=4)
 
 
 def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
@@ -123,10 +138,10 @@ def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
         return replace(parts, note="by the edge graph: an edge has three faces") if mesh.name == "people-1" else parts
 
     monkeypatch.setattr(packing, "partition", parted)
-    out = tmp_path / "shards"
-    with dying_after(4), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=5)
-    pack_figures(out, shard_samples=5)
+    out, known = tmp_path / "shards", dict[Any, Any]()
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 4), shard_samples=5)
+    pack_figures(out, Renders(known), shard_samples=5)
     manifest = read_manifest(out)
     graph = "people-1: by the edge graph: an edge has three faces"
     assert {shard.name: shard.notes for shard in manifest.shards if shard.notes} == {
@@ -143,101 +158,104 @@ def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
     ]
 
 
-def test_a_finished_shard_that_was_altered_is_made_again(tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
+def test_a_finished_shard_that_was_altered_is_made_again(
+    tmp_path: Path, figures_set: Path, pack_figures: Pack, known: dict[Any, Any]
+) -> None:
     out = tmp_path / "shards"
-    with dying_after(5), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=5)
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 5), shard_samples=5)
     first = out / "train-00000.tar"
     first.write_bytes(first.read_bytes()[:-1] + b"x")
-    pack_figures(out, shard_samples=5)
+    pack_figures(out, Renders(known), shard_samples=5)
     assert contents(out) == contents(figures_set)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", '"\\ud800"', "NaN"])
 def test_records_that_say_nothing_are_made_again(
-    text: str, tmp_path: Path, figures_set: Path, pack_figures: Pack
+    text: str, tmp_path: Path, figures_set: Path, pack_figures: Pack, known: dict[Any, Any]
 ) -> None:
     out = tmp_path / "shards"
-    with dying_after(4), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=5)
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 4), shard_samples=5)
     records = list((out / STATE_NAME).glob("*.tar.json"))
     assert records
     for record in records:
         record.write_text(text)
-    pack_figures(out, shard_samples=5)
+    pack_figures(out, Renders(known), shard_samples=5)
     assert contents(out) == contents(figures_set)
-    with dying_after(0), pytest.raises(Interrupted):
-        pack_figures(tmp_path / "other", shard_samples=5)
+    with pytest.raises(Interrupted):
+        pack_figures(tmp_path / "other", Renders(known, 0), shard_samples=5)
     (tmp_path / "other" / STATE_NAME / "plan.json").write_text(text)
     with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
-        pack_figures(tmp_path / "other", shard_samples=5)
+        pack_figures(tmp_path / "other", Renders(known), shard_samples=5)
 
 
-def test_a_finished_set_is_left_as_it_is(tmp_path: Path, pack_figures: Pack) -> None:
-    out = pack_figures(tmp_path / "shards", meshes=2)
+def test_a_finished_set_is_left_as_it_is(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
+    out = pack_figures(tmp_path / "shards", Renders(known), meshes=2)
     stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
-    with dying_after(0):
-        pack_figures(out, meshes=2)
+    pack_figures(out, Renders(known, 0), meshes=2)
     assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == stamps
 
 
 @pytest.mark.parametrize("damage", ["gone", "altered"])
-def test_a_damaged_finished_set_is_mended(damage: str, tmp_path: Path, figures_set: Path, pack_figures: Pack) -> None:
-    out = pack_figures(tmp_path / "shards", shard_samples=5)
+def test_a_damaged_finished_set_is_mended(
+    damage: str, tmp_path: Path, figures_set: Path, pack_figures: Pack, known: dict[Any, Any]
+) -> None:
+    out = pack_figures(tmp_path / "shards", Renders(known), shard_samples=5)
     shard = out / "train-00002.tar"
     if damage == "gone":
         shard.unlink()
     else:
         shard.write_bytes(shard.read_bytes()[:-100])
-    with dying_after(0), pytest.raises(Interrupted):
-        pack_figures(out, shard_samples=5)
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 0), shard_samples=5)
     assert not (out / "manifest.json").exists(), "a set with a damaged shard is not finished"
-    pack_figures(out, shard_samples=5)
+    pack_figures(out, Renders(known), shard_samples=5)
     assert contents(out) == contents(figures_set)
 
 
 def test_other_bodies_of_the_same_names_are_another_packing(
-    tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pack_figures: Pack, known: dict[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = pack_figures(tmp_path / "shards", meshes=2)
+    out = pack_figures(tmp_path / "shards", Renders(known), meshes=2)
     monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-        pack_figures(out, meshes=2)
+        pack_figures(out, Renders(known), meshes=2)
 
 
-def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: Pack) -> None:
-    out = pack_figures(tmp_path / "shards", meshes=2)
+def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
+    out = pack_figures(tmp_path / "shards", Renders(known), meshes=2)
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-        pack_figures(out, meshes=3)
-    with dying_after(1), pytest.raises(Interrupted):
-        pack_figures(tmp_path / "unfinished", meshes=2)
+        pack_figures(out, Renders(known), meshes=3)
+    with pytest.raises(Interrupted):
+        pack_figures(tmp_path / "unfinished", Renders(known, 1), meshes=2)
     with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
-        pack_figures(tmp_path / "unfinished", meshes=3)
+        pack_figures(tmp_path / "unfinished", Renders(known), meshes=3)
     (tmp_path / "tars").mkdir()
     (tmp_path / "tars" / "mine.tar").touch()
-    with pytest.raises(BadConfig, match="holds tars of no packing: choose another folder"):
-        pack_figures(tmp_path / "tars")
+    with pytest.raises(BadConfig, match="holds tars of no packing"):
+        pack_figures(tmp_path / "tars", Renders(known))
     (tmp_path / "file").touch()
     with pytest.raises(BadConfig, match="is a file"):
-        pack_figures(tmp_path / "file")
+        pack_figures(tmp_path / "file", Renders(known))
 
 
-def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: Pack) -> None:
+def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
     out = tmp_path / "shards"
-    with dying_after(1), pytest.raises(Interrupted):
-        pack_figures(out)
+    with pytest.raises(Interrupted):
+        pack_figures(out, Renders(known, 1))
     description = json.loads((out / STATE_NAME / "plan.json").read_bytes())
     with (
         claimed(out, description, "digest"),
         pytest.raises(BadConfig, match="another packing is at work in"),
     ):
-        pack_figures(out)
+        pack_figures(out, Renders(known))
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figures: Pack) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BadConfig, match="cannot write shards in .*: Not a directory"):
-        pack_figures(tmp_path / "file" / "shards")
+        pack_figures(tmp_path / "file" / "shards", Renders(known))
 
 
 def test_a_bad_body_stops_the_packing_by_name(
@@ -291,8 +309,8 @@ def test_a_plan_counts_without_rendering() -> None:
     [
         ({"meshes": 0}, "at least one mesh, found 0"),
         ({"shard_samples": 0}, "at least one sample, found 0"),
-        ({"renderer": "povray"}, "the renderer must be one of raster, embree, opengl, found 'povray'"),
-        ({"codec": "jpg"}, "the codec must be one of bsi, png, found 'jpg'"),
+        ({"renderer": "povray"}, "renderer .*found 'povray'"),
+        ({"codec": "jpg"}, "codec .*found 'jpg'"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:
@@ -301,7 +319,7 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message
 
 
 def test_sources_say_what_they_need() -> None:
-    with pytest.raises(BadConfig, match="the source must be one of open, .*, found 'cinema'"):
+    with pytest.raises(BadConfig, match="one of open, .*found 'cinema'"):
         open_source("cinema")
     with pytest.raises(BadConfig, match="'mit' needs --path"):
         open_source("mit")
@@ -309,12 +327,15 @@ def test_sources_say_what_they_need() -> None:
         open_source("open", Path())
 
 
-COMMAND = [sys.executable, "-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "6", "--views", "3"]
-COMMAND += ["--shard-samples", "4"]
+COMMAND = ["-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "4", "--views", "2", "--shard-samples", "3"]
 
 
-def _shard(out: Path, workers: int) -> list[str]:
-    return [*COMMAND, "--workers", str(workers), "--out", str(out)]
+FIGURES = [str(HELPERS / "figure_command.py"), "shard", "--source", "open", "--views", "4", "--azimuth-span", "360"]
+FIGURES += ["--shard-samples", "5"]  # as the fixture figures_set
+
+
+def _shard(out: Path, workers: int, command: list[str] = COMMAND) -> list[str]:
+    return [sys.executable, *command, "--workers", str(workers), "--out", str(out)]
 
 
 @pytest.fixture(scope="module")
@@ -323,8 +344,8 @@ def real_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("real") / "shards"
     done = subprocess.run(_shard(out, 1), capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
-    assert "18 samples in 5 shards" in done.stdout
-    assert "packing: 18 of 18 views" in done.stderr
+    assert "8 samples in 3 shards" in done.stdout
+    assert "packing: 8 of 8 views" in done.stderr
     return out
 
 
@@ -333,11 +354,13 @@ def test_any_number_of_workers_gives_the_same_bytes(real_set: Path, tmp_path: Pa
     assert contents(tmp_path / "two") == contents(real_set)
 
 
-def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(real_set: Path, tmp_path: Path) -> None:
+def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
-    process = subprocess.Popen(_shard(out, 2), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    command, environment = _shard(out, 2, FIGURES), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    (tmp_path / "slow").touch()
+    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
-    while not (out / STATE_NAME / "train-00001.tar.json").exists():
+    while not (out / STATE_NAME / "train-00000.tar.json").exists():
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.02)
@@ -349,15 +372,15 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(real_set: Pat
     while any(_alive(child) for child in children):
         assert time.monotonic() < deadline, "workers outlive the process that started them"
         time.sleep(0.05)
-    subprocess.run(_shard(out, 2), check=True, capture_output=True, timeout=200)
-    assert contents(out) == contents(real_set)
+    (tmp_path / "slow").unlink()
+    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=200)
+    assert contents(out) == contents(figures_set)
 
 
 @pytest.mark.parametrize(
     ("signals", "said", "status"),
     [
         ([signal.SIGINT], "interrupted", 130),
-        ([signal.SIGINT] * 2, "interrupted", 130),
         ([signal.SIGINT] * 6, "interrupted", 130),
         ([signal.SIGTERM], "terminated", 143),
     ],

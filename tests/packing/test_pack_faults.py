@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forked, contents, left_over
-from fakes import Figures
+from fakes import FiguresEntry
 from folders import ROOT
 
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.views import ViewGrid
@@ -36,11 +37,9 @@ def memory_folder() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def interrupted(memory_folder: Path) -> Iterator[Interrupted]:
-    packing._source.cache_clear()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(packing, "open_source", lambda *where: Figures())
+        patch.setitem(SOURCES, "open", FiguresEntry())
         yield Interrupted(SMALL, memory_folder)
-    packing._source.cache_clear()
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)

@@ -109,7 +109,7 @@ def test_another_distance_gives_a_body_of_the_known_size() -> None:
 def test_a_known_view_is_only_turned_to_its_middle() -> None:
     image = median_at(PAPER.camera, 2.5)
     view = viewed(image, PAPER.camera)
-    assert view.scale == pytest.approx(1, rel=1e-3) and view.middle_m == pytest.approx(2.5, rel=1e-3)
+    assert view.scale == pytest.approx(1, rel=1e-3) and view.median_range_m == pytest.approx(2.5, rel=1e-3)
     truth = seen(PAPER.camera, distance_to(2.5), math.degrees(view.turn_rad))
     assert within_a_pixel(on_paper(view), truth, 0.01) > 0.999
     np.testing.assert_allclose(view.back(view.range_m), image[image > 0], atol=0.03)
@@ -162,11 +162,11 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
     pixels = np.flatnonzero(image)
     view = view_body(image, pixels, lens, PAPER, mirrored)
 
-    assert view.places.shape == pixels.shape
+    assert view.view_pixels.shape == pixels.shape
     assert (view.back(view.range_m) > 0).all()
     ranges, ahead = turned(image, pixels, lens, view)
-    assert view.middle_m == pytest.approx(np.median(ranges), rel=1e-9)
-    moved = (ranges + 2.5 - view.middle_m).clip(1e-4, 6.5535).astype(np.float32)
+    assert view.median_range_m == pytest.approx(np.median(ranges), rel=1e-9)
+    moved = (ranges + 2.5 - view.median_range_m).clip(1e-4, 6.5535).astype(np.float32)
     assert np.isin(view.range_m[view.range_m > 0], moved).all(), "ranges are never blended"
     # Where the view is nowhere coarser, every pixel gets its own range back.
     if view.scale > 1.0001 * ahead.max() ** 2:
@@ -188,7 +188,7 @@ def test_a_pixel_of_the_view_is_the_pixel_that_its_centre_falls_in() -> None:
         assert abs(math.degrees(view.turn_rad)) > 2
         sine, cosine = math.sin(view.turn_rad), math.cos(view.turn_rad)
         rotation = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
-        focal = PAPER.camera.focal_px / 2.5 * view.middle_m
+        focal = PAPER.camera.focal_px / 2.5 * view.median_range_m
         found = 0
         for row, column in draws.permutation(np.argwhere(view.range_m))[:500]:
             x, y = column + 0.5 + view.corner[1] - 164.5, row + 0.5 + view.corner[0] - 320
@@ -197,7 +197,7 @@ def test_a_pixel_of_the_view_is_the_pixel_that_its_centre_falls_in() -> None:
             if not (0 <= x < 30 and 0 <= y < 40):
                 continue  # a border pixel of the body, whose centre is in this pixel though the pixel's is not in it
             seen_there = (int(x) + 0.5 - 5.3) / lens.focal_px, (int(y) + 0.5 - 22.9) / lens.focal_px, 1.0
-            expected = (rotation @ seen_there)[2] * image[int(y), int(x)] + 2.5 - view.middle_m
+            expected = (rotation @ seen_there)[2] * image[int(y), int(x)] + 2.5 - view.median_range_m
             assert view.range_m[row, column] == pytest.approx(expected, abs=1e-6)
             found += 1
         assert found > 450

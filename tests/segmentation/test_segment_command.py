@@ -181,7 +181,7 @@ def test_where_nobody_is_results_are_empty(frame: Any, tmp_path: Path, capsys: p
     assert facts["people"] == 0 and facts["mean_confidence"] is None
     said = capsys.readouterr().err
     assert "nobody was found: are --units, --near and --far right?" in said
-    assert "camera assumed: Kinect v1, by the frames' size: --focal or --rig says otherwise" in said
+    assert "camera assumed: Kinect v1, by the frames' size: give --focal or --rig if it is another" in said
 
 
 def test_a_bad_frame_stops_a_sequence_and_leaves_what_was_written(

@@ -16,10 +16,11 @@ from PIL import Image
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.overlay import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.segmenter import STAGES, Segmenter, Stopwatch
+from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
@@ -50,7 +51,7 @@ def test_labels_come_back_to_the_pixels_that_they_are_of() -> None:
     scale = 757.5757 / 2.5 / (100 / 2.0)
     (body,) = result.bodies
     assert body.scale == pytest.approx(scale, rel=1e-6)
-    assert (body.middle_m, body.turn_rad) == pytest.approx((2.0, 0.0))
+    assert (body.median_range_m, body.turn_rad) == pytest.approx((2.0, 0.0))
     np.testing.assert_array_equal(body.pixels, np.flatnonzero(frame))
     np.testing.assert_array_equal(result.labels == BACKGROUND, frame == 0)
     # The block's rows in the paper's image, and the view's first row there: 640 rows with the block in their middle.
@@ -58,6 +59,16 @@ def test_labels_come_back_to_the_pixels_that_they_are_of() -> None:
     first = (np.floor(edges[0]) + np.ceil(edges[1]) - 640) // 2
     expected = np.minimum((np.floor(edges[0] + (np.arange(40) + 0.5) * scale) - first) // 11, 32)
     np.testing.assert_array_equal(result.labels[10:50, 34:46], np.repeat(expected[:, None], 12, axis=1))
+
+
+def test_a_segmenter_and_its_results_print_in_one_line() -> None:
+    segmenter = Segmenter(Places(axis=0, step=11), LENS, KEEP)
+    assert repr(segmenter) == (
+        "Segmenter(Places on cpu, 60 x 80 pixels, focal length 100 px, Background(mode='keep', near_m=0.5, far_m=5.0))"
+    )
+    result = repr(segmenter(standing(34, 2.0)))
+    assert result.startswith("Segmentation(bodies=(LabelledBody(median_range_m=2.0, turn_rad=") and "\n" not in result
+    assert repr(Preview(10)) == "Preview(0 frames, 10 per second)"
 
 
 def test_the_network_sees_a_body_at_its_distance() -> None:
@@ -80,8 +91,8 @@ def test_every_body_is_seen_by_itself_and_every_pixel_labelled_once() -> None:
     assert len(np.unique(pixels)) == len(pixels) == result.pixels == np.count_nonzero(frame)
     np.testing.assert_array_equal(result.labels != BACKGROUND, frame > 0)
     for body, z in zip(result.bodies, (3.0, 2.0), strict=True):
-        assert body.middle_m == pytest.approx(z, rel=0.05) and body.scale == pytest.approx(
-            body.middle_m * 3.0303, rel=1e-4
+        assert body.median_range_m == pytest.approx(z, rel=0.05) and body.scale == pytest.approx(
+            body.median_range_m * 3.0303, rel=1e-4
         )
         assert len(np.unique(result.labels.ravel()[body.pixels])) in (2, 3, 4)
 
@@ -138,7 +149,7 @@ def test_every_stage_is_timed() -> None:
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
-    monkeypatch.setattr("bodyseg_model.segmentation.segmenter.time.perf_counter", lambda: next(times))
+    monkeypatch.setattr("bodyseg_model.evaluation.frame_times.time.perf_counter", lambda: next(times))
     watch = Stopwatch(("a", "b"))
     for _ in range(2):
         with watch("b"):

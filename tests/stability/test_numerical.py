@@ -20,7 +20,7 @@ from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.stability.numerical import BATCH_SIZES, Whole, numerical
+from bodyseg_model.stability.numerical import BATCH_SIZES, Uncropped, numerical
 
 NOTHING = {"changed": 0.0, "accuracy_change": 0.0}
 FEWER_BITS = {"bf16, autocast", "bf16 throughout", "fp16, autocast", "fp16 throughout", "weights kept in fp16"}
@@ -82,8 +82,8 @@ def test_whole_numbers_are_the_same_in_every_way(images: RangeImages) -> None:
     done: list[tuple[int, int]] = []
     found = numerical(Told(lambda range_m: 3), images, 3, lambda *numbers: done.append(numbers))
     assert (found["images"], found["variant"], found["split"], found["seed"]) == (3, "all", None, 0)
-    assert set(found["ways"]) == FEWER_BITS | AS_MANY
-    assert all(way == NOTHING for way in found["ways"].values())
+    assert set(found["computations"]) == FEWER_BITS | AS_MANY
+    assert all(way == NOTHING for way in found["computations"].values())
     assert set(found["batches"]) == {str(size) for size in BATCH_SIZES}
     for batch in found["batches"].values():
         assert batch == {"batch": NOTHING, "window": NOTHING, "arithmetic": NOTHING}
@@ -97,9 +97,9 @@ def test_whole_numbers_are_the_same_in_every_way(images: RangeImages) -> None:
 def test_fewer_bits_change_what_hangs_on_the_last_ones(images: RangeImages) -> None:
     found = numerical(Close(), images, 2)
     for name in FEWER_BITS:
-        assert found["ways"][name]["changed"] == 1, name
+        assert found["computations"][name]["changed"] == 1, name
     for name in AS_MANY:
-        assert found["ways"][name] == NOTHING, name
+        assert found["computations"][name] == NOTHING, name
 
 
 def test_a_change_of_accuracy_is_that_of_the_labels(images: RangeImages) -> None:
@@ -107,16 +107,16 @@ def test_a_change_of_accuracy_is_that_of_the_labels(images: RangeImages) -> None
     shown = set(labels[labels != BACKGROUND].tolist())
     there, hidden = min(shown), min(set(range(PART_COUNT)) - shown)
     found = numerical(Told(lambda range_m: there if range_m.dtype == torch.float32 else hidden), images, 1)
-    assert found["ways"]["bf16 throughout"] == {
+    assert found["computations"]["bf16 throughout"] == {
         "changed": 1.0,
         "accuracy_change": pytest.approx(-1 / len(shown), abs=1e-6),
     }
-    assert found["ways"]["bf16, autocast"] == NOTHING
+    assert found["computations"]["bf16, autocast"] == NOTHING
 
 
 def test_a_network_that_counts_the_batch_changes_by_arithmetic(images: RangeImages) -> None:
     found = numerical(Told(len), images, 3)
-    assert all(way == NOTHING for way in found["ways"].values())
+    assert all(way == NOTHING for way in found["computations"].values())
     # Of three images, two make a batch and the last is alone; or all make one.
     for batch in found["batches"].values():
         assert batch["window"] == NOTHING
@@ -145,10 +145,10 @@ def test_a_hidden_network_says_the_same_without_being_cut_to_bodies(images: Rang
     torch.manual_seed(1)
     network = Compact(CompactSettings(widths=(8,), blocks=(1,))).eval()
     image = images[0]["range"][None]
-    assert torch.equal(predict(Whole(network), image[:, :, :, 30:]).labels > 32, image[:, 0, :, 30:] == 0)
+    assert torch.equal(predict(Uncropped(network), image[:, :, :, 30:]).labels > 32, image[:, 0, :, 30:] == 0)
     widths: list[int] = []
     network.register_forward_pre_hook(lambda module, inputs: widths.append(inputs[0].shape[3]))
-    predict(Whole(network), image)
+    predict(Uncropped(network), image)
     assert widths == [image.shape[3]]
 
 
@@ -158,10 +158,10 @@ def test_what_cannot_be_computed_is_null_with_a_reason(images: RangeImages) -> N
             raise RuntimeError(f"no kernel for {range_m.dtype}\nand a long tail")
         return 3
 
-    ways = numerical(Told(refuse), images, 1)["ways"]
+    found = numerical(Told(refuse), images, 1)["computations"]
     for name, kind in (("bf16 throughout", "bfloat16"), ("fp16 throughout", "float16")):
-        assert ways[name] == {"changed": None, "accuracy_change": None, "reason": f"no kernel for torch.{kind}"}
-    assert ways["fp16, autocast"] == NOTHING
+        assert found[name] == {"changed": None, "accuracy_change": None, "reason": f"no kernel for torch.{kind}"}
+    assert found["fp16, autocast"] == NOTHING
 
 
 @pytest.fixture
@@ -180,10 +180,10 @@ def test_threads_are_one_but_where_two_are_tried_and_then_as_before(images: Rang
         seen.append(torch.get_num_threads())
         return seen[-1]
 
-    ways = numerical(Told(count), images, 2)["ways"]
+    found = numerical(Told(count), images, 2)["computations"]
     assert torch.get_num_threads() == 2
     assert sorted(seen) == [1] * (len(seen) - 2) + [2, 2]
-    assert ways["two threads"]["changed"] == 1 and ways["bf16, autocast"]["changed"] == 0
+    assert found["two threads"]["changed"] == 1 and found["bf16, autocast"]["changed"] == 0
 
 
 @pytest.mark.parametrize("count", [0, -1, 1.5])

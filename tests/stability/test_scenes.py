@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import Figures
+from fakes import Figures, FiguresEntry
 from shapes import figure
 
 from bodyseg_data import RangeImages
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import axes_at, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.stability import scenes as module
-from bodyseg_model.stability.scenes import Picture, Scenes, looking_down, picture, sensor, with_baseline
-from bodyseg_model.stability.severities import CLEAN, SWEEPS, Setting
+from bodyseg_model.stability.scenes import LabelledImage, Scenes, labelled_image, looking_down, sensor, with_baseline
+from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition
 
 RIG = load_rig()
 
@@ -32,20 +32,20 @@ def images(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture
 def scenes(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> Scenes:
-    monkeypatch.setattr(module, "open_source", lambda name: Figures())
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
     return Scenes(images, 2, images)
 
 
-def shares(pictures: list[Picture]) -> np.ndarray:
-    return np.array([len(each.places) for each in pictures])
+def shares(images: list[LabelledImage]) -> np.ndarray:
+    return np.array([len(each.pixels) for each in images])
 
 
 def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages) -> None:
-    stored, drawn = (scenes.pictures(CLEAN[origin]) for origin in ("stored", "rendered"))
+    stored, drawn = (scenes.labelled_images(CLEAN[origin]) for origin in ("stored", "rendered"))
     assert len(scenes) == len(stored) == len(drawn) == 2
     for number, (a, b) in enumerate(zip(stored, drawn, strict=True)):
         np.testing.assert_array_equal(a.range_m, b.range_m)
-        np.testing.assert_array_equal(a.places, b.places)
+        np.testing.assert_array_equal(a.pixels, b.pixels)
         np.testing.assert_array_equal(a.truth, b.truth)
         sample = images.clean(int(images.order(0)[number]))
         np.testing.assert_array_equal(a.range_m, sample.range * np.float32(1e-4))
@@ -53,7 +53,9 @@ def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages)
 
 
 def test_no_more_images_than_there_are(images: RangeImages) -> None:
-    assert len(Scenes(images, 1000)) == len(images) == 8
+    scenes = Scenes(images, 1000)
+    assert len(scenes) == len(images) == 8
+    assert repr(scenes) == f"Scenes({images!r}, 8)"
 
 
 def test_bodies_are_built_once_and_reported(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,36 +66,36 @@ def test_bodies_are_built_once_and_reported(images: RangeImages, monkeypatch: py
             built.append(body.mesh)
             return super().build(body)
 
-    monkeypatch.setattr(module, "open_source", lambda name: Counting())
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
     seen: list[tuple[int, int]] = []
     scenes = Scenes(images, 8, progress=lambda *numbers: seen.append(numbers))
-    scenes.pictures(Setting("farther", 3.0))
-    scenes.pictures(Setting("farther", 4.0))
+    scenes.labelled_images(Condition("farther", 3.0))
+    scenes.labelled_images(Condition("farther", 4.0))
     assert sorted(built) == ["A-2", "people-2"] and seen == [(number, 8) for number in range(1, 9)]
 
 
-@pytest.mark.parametrize("name", ["nearer", "farther", "tilt", "rig", "rig_made_over", "occlusion"])
+@pytest.mark.parametrize("name", ["nearer", "farther", "tilt", "rig", "rig_resampled", "occlusion"])
 def test_every_setting_of_a_drawn_sweep_can_be_shown(name: str, scenes: Scenes) -> None:
-    clean = shares(scenes.pictures(CLEAN["rendered"]))
-    for setting in SWEEPS[name].settings(name)[1:]:
-        pictures = scenes.pictures(setting)
-        assert len(pictures) == 2
-        for each in pictures:
+    clean = shares(scenes.labelled_images(CLEAN["rendered"]))
+    for condition in SWEEPS[name].conditions(name)[1:]:
+        images = scenes.labelled_images(condition)
+        assert len(images) == 2
+        for each in images:
             assert each.range_m.dtype == np.float32 and each.truth.max() < 33
-            assert (each.range_m.ravel()[each.places] > 0).all() and len(each.places) == len(each.truth)
+            assert (each.range_m.ravel()[each.pixels] > 0).all() and len(each.pixels) == len(each.truth)
         if name == "nearer":
-            assert (shares(pictures) > clean).all()
+            assert (shares(images) > clean).all()
         elif name != "tilt":
-            assert (shares(pictures) < clean).all()
+            assert (shares(images) < clean).all()
 
 
 def test_shadows_grow_with_the_baseline(scenes: Scenes) -> None:
-    seen = [shares(scenes.pictures(setting)) for setting in SWEEPS["occlusion"].settings("occlusion")]
+    seen = [shares(scenes.labelled_images(condition)) for condition in SWEEPS["occlusion"].conditions("occlusion")]
     assert (np.diff(seen, axis=0) < 0).all()
 
 
 def test_a_body_gets_smaller_with_its_distance(scenes: Scenes) -> None:
-    near, far = (scenes.pictures(setting) for setting in (CLEAN["rendered"], Setting("farther", 4.0)))
+    near, far = (scenes.labelled_images(condition) for condition in (CLEAN["rendered"], Condition("farther", 4.0)))
     np.testing.assert_allclose(shares(far) / shares(near), (2.5 / 4) ** 2, rtol=0.08)
     for a, b in zip(near, far, strict=True):
         nearest = [each.range_m[each.range_m > 0].min() for each in (a, b)]
@@ -133,32 +135,32 @@ def test_sensors_are_known_by_focal_length(scenes: Scenes) -> None:
         (424, 512),
     ]
     for focal in SWEEPS["rig"].strengths[1:]:
-        as_it_is, made = (scenes.pictures(Setting(name, focal)) for name in ("rig", "rig_made_over"))
+        as_it_is, made = (scenes.labelled_images(Condition(name, focal)) for name in ("rig", "rig_resampled"))
         for a, b in zip(as_it_is, made, strict=True):
             np.testing.assert_array_equal(a.truth, b.truth)
             assert b.range_m.shape == (RIG.camera.rows, RIG.camera.columns)
             tall = [np.count_nonzero(each.range_m.any(axis=1)) for each in (a, b)]
             # Pixels a metre at the body's middle become what the known camera has at its stand-off.
-            middle = np.median(a.range_m.ravel()[a.places])
+            middle = np.median(a.range_m.ravel()[a.pixels])
             assert tall[1] / tall[0] == pytest.approx(RIG.camera.focal_px / focal * middle / RIG.stand_off_m, rel=0.05)
 
 
 def test_hard_poses_are_another_sets_images(scenes: Scenes) -> None:
-    hard, clean = scenes.pictures(Setting("hard", 1)), scenes.pictures(CLEAN["stored"])
+    hard, clean = scenes.labelled_images(Condition("hard", 1)), scenes.labelled_images(CLEAN["stored"])
     for a, b in zip(hard, clean, strict=True):
         np.testing.assert_array_equal(a.range_m, b.range_m)
 
 
 def test_a_picture_counts_what_was_measured() -> None:
     image, labels = np.array([[0, 20_000], [30_000, 0]], np.uint16), np.array([[255, 7], [9, 4]], np.uint8)
-    made = picture(image, labels)
+    made = labelled_image(image, labels)
     np.testing.assert_array_equal(made.range_m, np.float32([[0, 2], [3, 0]]))
-    assert made.places.tolist() == [1, 2] and made.truth.tolist() == [7, 9]
+    assert made.pixels.tolist() == [1, 2] and made.truth.tolist() == [7, 9]
 
 
 def test_bodies_of_files_cannot_be_drawn_anew(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "manifest", replace(images.manifest, source="mit"))
     scenes = Scenes(images, 3)
-    with pytest.raises(BadConfig, match="the sweep 'tilt' draws bodies anew, .* found a set of 'mit'.*--sweeps"):
-        scenes.pictures(Setting("tilt", 5))
-    assert len(scenes.pictures(Setting("noise", 10))) == 3
+    with pytest.raises(BadConfig, match="the sweep 'tilt' renders bodies anew, .* found a set of 'mit'.*--sweeps"):
+        scenes.labelled_images(Condition("tilt", 5))
+    assert len(scenes.labelled_images(Condition("noise", 10))) == 3

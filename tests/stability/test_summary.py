@@ -14,7 +14,6 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.stability.figure import _styles, draw_stability
 from bodyseg_model.stability.groups import Group, Run, group, group_of
-from bodyseg_model.stability.severities import CLEAN, Setting, Sweep
 from bodyseg_model.stability.summary import (
     corruption_error,
     falls_below,
@@ -23,6 +22,7 @@ from bodyseg_model.stability.summary import (
     relative_robustness,
     summarise,
 )
+from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),
@@ -31,12 +31,12 @@ SWEEPS = {
 }
 SETTINGS = [
     CLEAN["stored"],
-    Setting("noise", 10),
-    Setting("noise", 30),
+    Condition("noise", 10),
+    Condition("noise", 30),
     CLEAN["rendered"],
-    Setting("nearer", 2.0),
-    Setting("nearer", 1.5),
-    Setting("hard", 1),
+    Condition("nearer", 2.0),
+    Condition("nearer", 1.5),
+    Condition("hard", 1),
 ]
 
 
@@ -51,7 +51,7 @@ GROUPS = [
 ]
 
 
-def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[Setting, float]]:
+def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[Condition, float]]:
     return {name.replace("_", "-"): dict(zip(SETTINGS, row, strict=True)) for name, row in rows.items()}
 
 

@@ -86,7 +86,7 @@ def test_arithmetic_says_why_a_number_is_missing() -> None:
     figures = {
         "numerical": {
             "all": {
-                "ways": {
+                "computations": {
                     "bf16": {"changed": 0.0123, "accuracy_change": -0.001},
                     "fp16": {"changed": None, "accuracy_change": None, "reason": "not on this processor"},
                 },

@@ -27,9 +27,9 @@ from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.stability.correspondence import NEAR_M, NOT_SEEN, SeenBody, follow
-from bodyseg_model.stability.motion_frames import AZIMUTHS_DEG, choose_shots, take_shot
-from bodyseg_model.stability.temporal import Steadiness, Tracks, find_tracks, temporal
+from bodyseg_model.stability.correspondence import NEAR_M, NOT_SEEN, RenderedBody, follow
+from bodyseg_model.stability.motion_frames import AZIMUTHS_DEG, choose_shots, render_shot
+from bodyseg_model.stability.temporal import TemporalConsistency, Tracks, find_tracks, temporal
 
 RIG = load_rig()
 COLUMNS = RIG.camera.columns
@@ -55,10 +55,10 @@ def boxes(*sizes_and_middles: tuple[Triple, Triple]) -> Mesh:
     return Mesh("boxes", np.concatenate(vertices), np.concatenate([_BOX + 8 * i for i in range(len(vertices))]))
 
 
-def seen(mesh: Mesh) -> SeenBody:
+def seen(mesh: Mesh) -> RenderedBody:
     """From the front, by a camera that stands 2.55 m from the origin, wherever the mesh is."""
     camera, _ = RIG.placed(np.zeros(3), View(255, 0))
-    return SeenBody(mesh, camera, RasterRenderer(mesh).render(camera))
+    return RenderedBody(mesh, camera, RasterRenderer(mesh).render(camera))
 
 
 def metres_of(pixels: int, depth_m: float) -> float:
@@ -68,6 +68,7 @@ def metres_of(pixels: int, depth_m: float) -> float:
 def test_each_pixel_follows_itself() -> None:
     body = seen(figure())
     assert len(body.pixels) > 20_000
+    assert repr(body) == f"RenderedBody({body.mesh.name!r}, {len(body.pixels)} pixels)"
     np.testing.assert_array_equal(follow(body, body), body.pixels)
 
 
@@ -167,7 +168,7 @@ def test_tracks_of_a_still_body_stay_where_they_are() -> None:
     images[2].ravel()[body.pixels[:100]] = False
     kept = tracks.measured(images)
     assert [pairs.shape[1] for pairs in kept.pairs] == [len(body.pixels) - lost for lost in (0, 100, 100, 0)]
-    assert kept.places() == 3 * (len(body.pixels) - 100), "frame 2 is in every window"
+    assert kept.points() == 3 * (len(body.pixels) - 100), "frame 2 is in every window"
 
 
 def test_places_that_one_frame_of_a_window_hides_are_not_in_it() -> None:
@@ -186,7 +187,7 @@ def test_scores_counted_by_hand() -> None:
     truth = np.array([[1, 1, 2, 9], [9, 1, 2, 2], [9, 9, 1, 2]], np.uint8)[:, None]
     pairs = [np.array([[0, 1, 2], [1, 2, 3]])] * 2
     windows = [np.array([[0, 1], [1, 2], [2, 3]])]
-    tally = Steadiness()
+    tally = TemporalConsistency()
     tally.add(predicted, truth, Tracks(pairs, windows))
     scores = tally.to_json()
     # Pairs (1,1) (1,1) (2,2) and (9,9) (1,1) (1,3): of part 1, 3 of 4; of 2 and 9, all; of 3, none.
@@ -196,7 +197,7 @@ def test_scores_counted_by_hand() -> None:
     assert (scores["vc_where_truth_stays"], scores["vc_right_where_truth_stays"]) == (1.0, 1.0)
     # Part 1: 4 of 4; 2: 2 of 4; 9: 3 of 4.
     assert scores["accuracy"] == pytest.approx((1 + 0.5 + 0.75) / 3, abs=1e-5)
-    wrong = Steadiness()
+    wrong = TemporalConsistency()
     wrong.add(np.full_like(predicted, 5), truth, Tracks(pairs, windows))
     assert wrong.to_json() | {"accuracy": 0.0} == {
         "tc": 1.0,
@@ -209,7 +210,8 @@ def test_scores_counted_by_hand() -> None:
 
 
 def test_a_share_of_nothing_is_null() -> None:
-    assert set(Steadiness().to_json().values()) == {None}
+    assert set(TemporalConsistency().to_json().values()) == {None}
+    assert repr(TemporalConsistency()) == "TemporalConsistency(0 points, 0 pixels)"
 
 
 class Walk:
@@ -273,7 +275,7 @@ def test_shots_lie_evenly_along_motions_to_test_on() -> None:
 
 def test_a_shot_of_one_frame_is_the_sample_of_that_body() -> None:
     shot = choose_shots(Walk(), 1, 1)[0]
-    (frame,) = take_shot(Walk(), shot, RIG)
+    (frame,) = render_shot(Walk(), shot, RIG)
     ref, body = shot.bodies[0], Walk().build(shot.bodies[0])
     parts = partition(body.mesh, body.landmarks)
     sample = Sampler(RasterRenderer(body.mesh), RIG, body.mesh, parts, "open", ref).take(shot.view)
@@ -287,8 +289,8 @@ def test_a_shot_of_one_frame_is_the_sample_of_that_body() -> None:
 
 
 def test_the_camera_stands_still() -> None:
-    frames = list(take_shot(Walk(0.02), choose_shots(Walk(), 1, 3)[0], SMALL))
-    assert len({tuple(frame.seen.camera.position) for frame in frames}) == 1
+    frames = list(render_shot(Walk(0.02), choose_shots(Walk(), 1, 3)[0], SMALL))
+    assert len({tuple(frame.body.camera.position) for frame in frames}) == 1
     columns = [np.nonzero(frame.sample.range)[1].mean() for frame in frames]
     steps_px = 0.02 / 2.5 * SMALL.camera.focal_px
     np.testing.assert_allclose(np.diff(columns), steps_px, rtol=0.1)
@@ -296,14 +298,14 @@ def test_the_camera_stands_still() -> None:
 
 def plainly(network: Network, source: Walk, frames: int, window: int) -> dict[str, float]:
     """TC and VC of one shot without artifacts, place by place."""
-    taken = list(take_shot(source, choose_shots(source, 1, frames)[0], SMALL))
+    taken = list(render_shot(source, choose_shots(source, 1, frames)[0], SMALL))
     labels: list[NDArray[np.uint8]] = []
     for frame in taken:
         image = torch.from_numpy(frame.sample.range * np.float32(1e-4))[None, None]
         labels.append(predict(network.eval(), image).labels[0].numpy().ravel())
     both: dict[int, list[int]] = {part: [0, 0, 0] for part in range(PART_COUNT)}
     for first, later, here, there in zip(taken, taken[1:], labels, labels[1:], strict=False):
-        for pixel, found in zip(first.seen.pixels, follow(first.seen, later.seen), strict=True):
+        for pixel, found in zip(first.body.pixels, follow(first.body, later.body), strict=True):
             if found != NOT_SEEN:
                 both[here[pixel]][0] += 1
                 both[there[found]][1] += 1
@@ -311,7 +313,7 @@ def plainly(network: Network, source: Walk, frames: int, window: int) -> dict[st
     shown = [same / (one + other - same) for one, other, same in both.values() if one + other]
     places = constant = right = 0
     for start in range(frames - window + 1):
-        ways = [follow(taken[start].seen, taken[start + step].seen) for step in range(window)]
+        ways = [follow(taken[start].body, taken[start + step].body) for step in range(window)]
         for way in zip(*ways, strict=True):
             if NOT_SEEN in way:
                 continue
@@ -334,7 +336,7 @@ def test_scores_are_those_of_a_plain_count() -> None:
 
 def test_fresh_artifacts_are_what_a_still_body_flickers_by() -> None:
     done: list[tuple[int, int]] = []
-    frame = next(take_shot(Walk(0.0), choose_shots(Walk(), 1, 1)[0], SMALL))
+    frame = next(render_shot(Walk(0.0), choose_shots(Walk(), 1, 1)[0], SMALL))
     commonest = int(np.bincount(frame.sample.labels.ravel())[:PART_COUNT].argmax())
     networks = {"by range": ByRange().eval(), "always": Always(commonest).eval()}
     found = temporal(
@@ -370,7 +372,7 @@ def test_the_seed_is_that_of_the_artifacts() -> None:
         ({"window": 1}, "the frames of a window must be a whole number of at least 2"),
         ({"frames": 1}, "the frames of a shot must be a whole number of at least 2"),
         ({"frames": 7}, "a shot must be at least as long as a window, found 7 frames and a window of 8"),
-        ({"variants": ()}, "steadiness needs at least one variant, found none"),
+        ({"variants": ()}, "temporal consistency needs at least one variant, found none"),
         ({"variants": ("some",)}, "the variant must be one of"),
     ],
 )

@@ -156,10 +156,8 @@ def test_a_part_packs_and_notes_what_was_mended(tmp_path: Path) -> None:
     faces[::7] = faces[::7, ::-1]
     write_mesh(root / "caesar" / "csr0001a.ply", PERSON.vertices @ turn("-x", "z") * 1000, faces)
     out = tmp_path / "shards"
-    packing._source.cache_clear()
     with ThreadPoolExecutor(1) as executor:
         packing.pack(Packing("paper", root, views=ViewGrid(count=2)), out, executor, 1)
-    packing._source.cache_clear()
     manifest = read_manifest(out)
     assert manifest.samples() == 8 and manifest.source == "paper"
     assert any(note.startswith("csr0001a: repaired: ") for shard in manifest.shards for note in shard.notes)

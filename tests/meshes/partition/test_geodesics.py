@@ -186,5 +186,5 @@ def test_a_missing_package_says_how_to_install_it(
 
 def test_an_unknown_method_is_refused() -> None:
     check_method("heat")
-    with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'hot'"):
+    with pytest.raises(BadConfig, match="method .*found 'hot'"):
         check_method("hot")

@@ -260,7 +260,7 @@ def test_folds_without_any_area_fall_back() -> None:
 
 def test_an_unknown_method_is_refused() -> None:
     mesh = ball(subdivisions=3)
-    with pytest.raises(BadConfig, match="must be one of exact, unfolded, edges, marching, heat, found 'euclid'"):
+    with pytest.raises(BadConfig, match="method .*found 'euclid'"):
         partition(mesh, evenly_drawn(mesh), "euclid")  # type: ignore[arg-type]  # on purpose
 
 

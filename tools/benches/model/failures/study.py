@@ -15,7 +15,7 @@ from benches.model.failures.poses import POSE_KINDS, UNKNOWN, KnownPoses, Neares
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
 from bodyseg_data.core.sample import SampleInfo
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.evaluation import Seen
+from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
 
 Tree = dict[str, Any]
@@ -76,7 +76,7 @@ class Study:
         self.images = 0
         self.worst: list[_Failure] = []
 
-    def watch(self, seen: Seen, accuracy: float) -> None:
+    def watch(self, seen: PredictedImage, accuracy: float) -> None:
         """Count one image; one that shows nothing counts as an image alone."""
         self.images += 1
         if math.isnan(accuracy):
@@ -221,7 +221,7 @@ class Study:
         }
 
 
-def _picture(steps: NDArray[np.uint16], seen: Seen, cause: NDArray[np.uint8]) -> Picture:
+def _picture(steps: NDArray[np.uint16], seen: PredictedImage, cause: NDArray[np.uint8]) -> Picture:
     body = seen.labels != BACKGROUND
     causes = np.full(body.shape, BACKGROUND, np.uint8)
     causes[body] = cause

@@ -212,7 +212,7 @@ def _lost(ask: Ask, variants: Sequence[VariantName], sweep: Sweep, strength: flo
     found: Tree = {}
     for variant in variants:
         pairs = zip(*(accuracies(ask, variant, setting) for setting in ends), strict=True)
-        found[variant] = over_seeds([100 * (clean - worse) for clean, worse in pairs], places=2)
+        found[variant] = over_seeds([100 * (clean - worse) for clean, worse in pairs], decimals=2)
     return found
 
 

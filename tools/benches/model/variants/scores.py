@@ -97,7 +97,7 @@ class Evaluator:
         extras: count confidences and distances to borders as well. Raises as `ResultCache` and `evaluate`.
         """
         images = self.images(setting)
-        question = {
+        query = {
             "setting": setting.name,
             "images": images.identity(),
             "count": self._count,
@@ -106,12 +106,12 @@ class Evaluator:
             "device": device_of(network).type,
         }
         cache = self._cache(folder, type(setting).__module__)
-        found = cache.get(question)
+        found = cache.get(query)
         if found is None:
             chosen = EXTRAS if extras else ()
             answer = report(evaluate(network, images, self._count, extras=chosen, batch_size=_BATCH))
             found = {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
-            cache.put(question, found)
+            cache.put(query, found)
         return found
 
     def _cache(self, folder: Path, settings: str) -> ResultCache:

@@ -1,7 +1,7 @@
-"""What a sensor does to its images, in rising strength: the sweeps, and those made of stored samples.
+"""Corruptions of rising strength: the table of sweeps, and those sweeps that are computed from stored samples.
 
-In every sweep one thing changes and all else is clean, so that a network's answers to two strengths differ by that
-thing alone. The first strength of a sweep is its clean end. docs/stability.md describes every sweep.
+A sweep changes one thing and leaves all else clean, so two predictions at different strengths differ because of it
+alone. Its first strength is clean. docs/stability.md describes every sweep.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bodyseg_model.segmentation.cameras import other_sensors
 Origin = Literal["stored", "rendered"]
 
 DEPTHS_M: Final = (0.5, 4.5)
-"""The interval that a sensor of few bits shares out evenly."""
+"""Ends of the interval that the sweep `depth_steps` divides into equal steps, metres."""
 
 _SHARES: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _FOCALS_PX: Final = tuple(sorted({sensor.camera.focal_px for sensor in other_sensors()}, reverse=True))
@@ -35,26 +35,27 @@ _KNOWN_FOCAL_PX: Final = round(load_rig().camera.focal_px, 1)
 
 
 @dataclass(frozen=True)
-class Setting:
-    """The images of one sweep at one strength; the clean images that sweeps begin with are one setting for all."""
+class Condition:
+    """One sweep at one strength; the clean condition that sweeps begin with is shared by all of one `Origin`."""
 
     sweep: str
     strength: float = 0.0
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Words for progress and messages, such as "noise 10"."""
         return self.sweep if self in CLEAN.values() else f"{self.sweep} {self.strength:g}"
 
 
-CLEAN: Final[dict[Origin, Setting]] = {"stored": Setting("clean"), "rendered": Setting("clean, rendered")}
+CLEAN: Final[dict[Origin, Condition]] = {"stored": Condition("clean"), "rendered": Condition("clean, rendered")}
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One thing that goes wrong. strengths: in rising severity, the first is the clean end.
+    """One corruption. strengths: in rising severity; the first is clean.
 
-    origin: whether its images are changed stored samples, or drawn anew. counts: whether it enters mCE and mRR.
+    origin: "stored" if stored samples are corrupted, "rendered" if bodies are rendered anew. counts: True if it enters
+    mCE and mRR.
     """
 
     title: str
@@ -63,9 +64,9 @@ class Sweep:
     origin: Origin = "stored"
     counts: bool = True
 
-    def settings(self, name: str) -> list[Setting]:
-        """One for each strength."""
-        return [CLEAN[self.origin], *(Setting(name, strength) for strength in self.strengths[1:])]
+    def conditions(self, name: str) -> list[Condition]:
+        """The conditions of the sweep, which has this name in `SWEEPS`: one for each strength."""
+        return [CLEAN[self.origin], *(Condition(name, strength) for strength in self.strengths[1:])]
 
 
 SWEEPS: Final = {
@@ -83,16 +84,19 @@ SWEEPS: Final = {
     "farther": Sweep("Farther", "distance, m", (2.5, 3.0, 3.5, 4.0), "rendered"),
     "tilt": Sweep("Camera looks down", "degrees", (0, 5, 10, 15, 20, 30), "rendered"),
     "rig": Sweep("Other cameras, as they are", "focal length, px", (_KNOWN_FOCAL_PX, *_FOCALS_PX), "rendered"),
-    "rig_made_over": Sweep(
-        "Other cameras, made over", "focal length, px", (_KNOWN_FOCAL_PX, *_FOCALS_PX), "rendered", counts=False
+    "rig_resampled": Sweep(
+        "Other cameras, resampled", "focal length, px", (_KNOWN_FOCAL_PX, *_FOCALS_PX), "rendered", counts=False
     ),
     "hard": Sweep("Hard poses", "0: the set's, 1: hard", (0, 1), counts=False),
 }
-"""Name -> sweep. Neither the remedy for other cameras nor other bodies are a sensor's fault, so they do not count."""
+"""Name -> sweep. Resampling is a remedy and hard poses are not a sensor's fault, so neither counts."""
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
-    """The sweeps of these names, or all if there are none; hard: whether there are hard poses. Raises BadConfig."""
+    """The sweeps of the given names, or all if none is given. hard: True if a set of hard poses is given.
+
+    Raises BadConfig for an unknown name, or "hard" without such a set.
+    """
     for name in names:
         if name not in SWEEPS:
             raise BadConfig(f"a sweep must be one of {', '.join(SWEEPS)}, found {name!r}")
@@ -101,19 +105,20 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}
 
 
-def altered(sample: Sample, setting: Setting, rig: Rig, seed: int) -> NDArray[np.uint16]:
-    """The range image of a stored sample in a setting of a sweep of stored samples, uint16 [H, W], steps of 0.1 mm.
+def corrupted(sample: Sample, condition: Condition, rig: Rig, seed: int) -> NDArray[np.uint16]:
+    """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], steps of 0.1 mm.
 
-    A pixel of 0 shows nothing any more. Draws belong to seed and sample, so that a higher strength adds to a lower one.
+    Pixels that the corruption removes are 0. Draws depend on seed and sample alone, so a greater strength removes the
+    pixels of a smaller one, and more. An unchanged image is returned as it is, not copied.
     """
-    if setting == CLEAN["stored"]:
+    if condition == CLEAN["stored"]:
         return sample.range
-    if setting.sweep in _ARTIFACTS:
-        return shown_with(_ARTIFACTS[setting.sweep](setting.strength), sample, rig, seed).range
-    if setting.sweep in SHAPES:
-        draws = generator(seed, 0, sample.key, setting.sweep)
-        return sample.range * ~lost(setting.sweep, sample.range, setting.strength, rig.camera, draws)
-    return _CHANGES[setting.sweep](sample, setting.strength)
+    if condition.sweep in _ARTIFACTS:
+        return shown_with(_ARTIFACTS[condition.sweep](condition.strength), sample, rig, seed).range
+    if condition.sweep in SHAPES:
+        draws = generator(seed, 0, sample.key, condition.sweep)
+        return sample.range * ~lost(condition.sweep, sample.range, condition.strength, rig.camera, draws)
+    return _CHANGES[condition.sweep](sample, condition.strength)
 
 
 def _depth_steps(sample: Sample, bits: float) -> NDArray[np.uint16]:
@@ -125,31 +130,14 @@ def _depth_steps(sample: Sample, bits: float) -> NDArray[np.uint16]:
     return np.where(sample.range > 0, np.rint(depths), 0).astype(np.uint16)
 
 
-def _crop_below(sample: Sample, share: float) -> NDArray[np.uint16]:
-    top, bottom = _extent(sample.range, 0)
-    image = sample.range.copy()
-    image[bottom - round(share * (bottom - top)) :] = 0
-    return image
-
-
-def _crop_above(sample: Sample, share: float) -> NDArray[np.uint16]:
-    top, bottom = _extent(sample.range, 0)
-    image = sample.range.copy()
-    image[: top + round(share * (bottom - top))] = 0
-    return image
-
-
-def _crop_side(sample: Sample, share: float) -> NDArray[np.uint16]:
-    left, right = _extent(sample.range, 1)
-    image = sample.range.copy()
-    image[:, : left + round(share * (right - left))] = 0
-    return image
-
-
-def _extent(image: NDArray[np.uint16], axis: int) -> tuple[int, int]:
-    """The first row (axis 0) or column (axis 1) that shows anything, and the first after the last; 0 and 0 if none."""
-    places = np.flatnonzero(image.sum(axis=1 - axis, dtype=np.int64))
-    return (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)
+def _crop(image: NDArray[np.uint16], share: float, from_end: bool = False) -> NDArray[np.uint16]:
+    """Remove a share of the rows that the body covers, from the top or the bottom of the body."""
+    rows = np.flatnonzero(image.any(axis=1))
+    first, end = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
+    removed = round(share * (end - first))
+    cropped = image.copy()
+    cropped[slice(end - removed, None) if from_end else slice(first + removed)] = 0
+    return cropped
 
 
 _ARTIFACTS: Final[dict[str, Callable[[float], Artifact]]] = {
@@ -160,7 +148,7 @@ _ARTIFACTS: Final[dict[str, Callable[[float], Artifact]]] = {
 
 _CHANGES: Final[dict[str, Callable[[Sample, float], NDArray[np.uint16]]]] = {
     "depth_steps": _depth_steps,
-    "crop_below": _crop_below,
-    "crop_above": _crop_above,
-    "crop_side": _crop_side,
+    "crop_below": lambda sample, share: _crop(sample.range, share, from_end=True),
+    "crop_above": lambda sample, share: _crop(sample.range, share),
+    "crop_side": lambda sample, share: np.ascontiguousarray(_crop(sample.range.T, share).T),
 }

@@ -1,0 +1,197 @@
+"""The documentation names files, modules, commands, options and links that exist."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import io
+import re
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+import pytest
+from benches.__main__ import main as tools_main
+from benches.bench import BENCHES
+
+from bodyseg_model.commands.cli import main as bodyseg_main
+
+ROOT = Path(__file__).parents[1]
+
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "decisions").glob("*.md")])
+
+HOMES = {"bodyseg_data": ROOT, "bodyseg_model": ROOT, "benches": ROOT / "tools"}
+"""Package -> the folder that holds it."""
+
+ONLY_IN_A_CHECKOUT = ("bench", "chart")
+
+FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/(?:[\w./-]*[\w/])?")
+PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")
+DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+(?!/)")
+MEMBER = re.compile(r"`([A-Z]\w+)\.([a-z]\w*)")
+BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z]+)")
+COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
+"""A command's name, which is no folder, file or format ("bodyseg shards 3"), and the rest of its line."""
+
+OPTION = re.compile(r"(?<=\s)--[a-z][a-z-]*")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+EXAMPLE = re.compile(r"```python\n(.*?)```", re.DOTALL)
+
+
+def defined_in(body: Sequence[ast.stmt]) -> Iterator[tuple[str, Sequence[ast.stmt]]]:
+    """Names that statements define, each with the statements inside it."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name, node.body
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            yield from ((alias.asname or alias.name, ()) for alias in node.names)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from ((target.id, ()) for target in targets if isinstance(target, ast.Name))
+        elif isinstance(node, ast.If):
+            yield from defined_in([*node.body, *node.orelse])
+
+
+def is_defined(name: str) -> bool:
+    """Whether a dotted name is a package, a module, or what one of them defines, down to a class's members."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        folder = HOMES[parts[0]].joinpath(*parts[:end])
+        file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+        if not file.is_file():
+            continue
+        body: Sequence[ast.stmt] = ast.parse(file.read_text()).body
+        for part in parts[end:]:
+            members = dict(defined_in(body))
+            if part not in members:
+                return False
+            body = members[part]
+        return True
+    return False
+
+
+def imported(text: str) -> Iterator[str]:
+    """Dotted names that a document's examples import from the project."""
+    for example in EXAMPLE.findall(text):
+        for node in ast.walk(ast.parse(example)):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in HOMES:
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors that a page's headings get."""
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in HEADING.findall(text)}
+
+
+def is_reached(link: str, text: str, folder: Path) -> bool:
+    """Whether a link of a document in `folder` ends at a file, and at a heading of it if it names one."""
+    if "://" in link:
+        return True
+    name, _, anchor = link.partition("#")
+    target = folder / name if name else None
+    if target is not None and not target.exists():
+        return False
+    return not anchor or anchor in anchors(text if target is None else target.read_text())
+
+
+@cache
+def python_files() -> list[str]:
+    """Paths of all Python files of the project, with a slash before each."""
+    homes = (ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools", "tests"))
+    return [f"/{path.relative_to(ROOT).as_posix()}" for home in homes for path in home.rglob("*.py")]
+
+
+@cache
+def members() -> dict[str, set[str]]:
+    """Class -> what its body and those of its bases in the project define, together for classes of one name."""
+    own: dict[str, set[str]] = {}
+    bases: dict[str, set[str]] = {}
+    for path in python_files():
+        for node in ast.walk(ast.parse((ROOT / path[1:]).read_text())):
+            if isinstance(node, ast.ClassDef):
+                own.setdefault(node.name, set()).update(name for name, _ in defined_in(node.body))
+                bases.setdefault(node.name, set()).update(ast.unparse(base) for base in node.bases)
+    for name, parents in bases.items():
+        own[name] = own[name].union(*(own.get(parent, set()) for parent in parents))
+    return own
+
+
+def wrong_names(text: str, folder: Path) -> list[str]:
+    """Files, modules, commands, benches and links of a document in `folder` that are not there."""
+    wrong = [f"file {name}" for name in FILE.findall(text) if not (ROOT / name).exists()]
+    known = python_files()
+    wrong += [
+        f"file {name}" for name in PYTHON_FILE.findall(text) if not any(path.endswith(f"/{name}") for path in known)
+    ]
+    wrong += [f"name {name}" for name in [*DOTTED_NAME.findall(text), *imported(text)] if not is_defined(name)]
+    wrong += [f"name {kind}.{name}" for kind, name in MEMBER.findall(text) if name not in members().get(kind, {name})]
+    wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
+    wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES]
+    return wrong + [f"target {link}" for link in LINK.findall(text) if not is_reached(link, text, folder)]
+
+
+def test_whatever_a_document_names_exists() -> None:
+    found = {str(path.relative_to(ROOT)): wrong_names(path.read_text(), path.parent) for path in DOCUMENTS}
+    assert not {document: wrong for document, wrong in found.items() if wrong}
+
+
+def test_names_of_nothing_are_found() -> None:
+    text = """
+# One heading
+
+See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.state_dict()`,
+`bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
+[a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loader.py`,
+`loader.py`, `bodyseg_data.loading.loader.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
+[a page](architecture.md#rooms), [a heading](#one-heading) and `tools/bench codec`.
+
+```python
+from bodyseg_data.loading.loader import Loader, Nothing
+```
+"""
+    assert wrong_names(text, ROOT / "docs") == [
+        "file bodyseg_data/loading/nowhere.py",
+        "file tools/nothing",
+        "file bodyseg_data/loading/nowhere.py",
+        "file nowhere.py",
+        "name bodyseg_data.loading.loader.Loader.nothing",
+        "name bodyseg_data.loading.loader.Nothing",
+        "name Loader.nothing",
+        "command nothing",
+        "bench nothing",
+        "target nowhere.md",
+        "target #two-headings",
+    ]
+
+
+def test_every_decision_is_in_the_index() -> None:
+    folder = ROOT / "docs" / "decisions"
+    pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
+    assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../architecture.md"}
+
+
+def options_on_command_lines() -> dict[str, set[str]]:
+    """Command -> the options that the documents' command lines give it."""
+    found: dict[str, set[str]] = {}
+    for document in DOCUMENTS:
+        for name, rest in COMMAND.findall(document.read_text().replace("\\\n", " ")):
+            found.setdefault(name, set()).update(OPTION.findall(rest.partition(" # ")[0]))
+    return found
+
+
+def options_of(name: str) -> set[str]:
+    """The options that a command's help lists."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([name, "--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", out.getvalue()))
+
+
+def test_commands_have_the_options_that_documents_give_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")  # no option's name is wrapped
+    given = options_on_command_lines()
+    assert {"--source", "--plan"} <= given["shard"]
+    assert "--json" in options_of("bench")
+    wrong = {name: options - options_of(name) for name, options in given.items() if options}
+    assert not {name: options for name, options in wrong.items() if options}

@@ -1,0 +1,268 @@
+"""The wording of errors that users meet, each line once; other tests pin the kind of an error and the value in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import check_key, steps
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.geodesics import check_method
+from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.packing.engines.engine import check_engine
+from bodyseg_data.packing.mesh_reduction import check_tolerance
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.rendering import check_renderer
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.sample_codec import check_codec, decode_sample
+
+NONE: Any = None
+NUMBER: Any = 3
+NAME: Any = "hot"
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+FACES: Any = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+
+Case = tuple[Callable[[], Any], type[BodysegError], str]
+
+CASES: dict[str, Case] = {
+    "read a set that is not there": (lambda: RangeImages("none"), BadConfig, "no such folder: none"),
+    "read a set by a number": (
+        lambda: RangeImages(NUMBER),
+        BadConfig,
+        "path must be that of a set, as text or a Path, found 3",
+    ),
+    "read a manifest that is not there": (lambda: read_manifest(Path("none")), BadConfig, "no such folder: none"),
+    "open an unknown source": (
+        lambda: open_source("cinema"),
+        BadConfig,
+        "the source must be one of open, bare, wide, hard, scape, mit, caesar, folder, paper, found 'cinema'",
+    ),
+    "open a source of files without its folder": (
+        lambda: open_source("mit"),
+        BadConfig,
+        "the source 'mit' needs --path: the folder that holds I_crane and the other sequences",
+    ),
+    "open a source of files in no folder": (
+        lambda: open_source("mit", Path("none")),
+        BadConfig,
+        "the source 'mit' reads a folder, found none at none",
+    ),
+    "open a source of made bodies in a folder": (
+        lambda: open_source("open", Path("x")),
+        BadConfig,
+        "the source 'open' makes its bodies and reads no files: leave --path out",
+    ),
+    "pack no mesh": (lambda: Packing("open", meshes=0), BadConfig, "a packing needs at least one mesh, found 0"),
+    "pack empty shards": (
+        lambda: Packing("open", shard_samples=0),
+        BadConfig,
+        "a shard holds at least one sample, found 0",
+    ),
+    "pack with an unknown renderer": (
+        lambda: check_renderer("povray"),
+        BadConfig,
+        "the renderer must be one of raster, embree, opengl, found 'povray'",
+    ),
+    "pack with an unknown codec": (
+        lambda: check_codec("jpg"),
+        BadConfig,
+        "the codec must be one of bsi, png, found 'jpg'",
+    ),
+    "pack with an unknown distance": (
+        lambda: check_method(NAME),
+        BadConfig,
+        "the method for distances must be one of exact, unfolded, edges, marching, heat, found 'hot'",
+    ),
+    "pack on an unknown engine": (
+        lambda: check_engine("dask"),
+        BadConfig,
+        "the engine must be processes or dask://HOST:PORT, found 'dask'",
+    ),
+    "reduce meshes by less than nothing": (
+        lambda: check_tolerance(-1.0),
+        BadConfig,
+        "the tolerance of a mesh's ranges must be 0 mm or more, found -1 mm",
+    ),
+    "pack more meshes than there are": (
+        lambda: Packing("open", meshes=3000).bodies(),
+        BadConfig,
+        "3000 meshes asked for, the source has 2329",
+    ),
+    "view from too near": (
+        lambda: ViewGrid((20,)),
+        BadConfig,
+        "view distances must be between 50 and 600 cm, found [20]",
+    ),
+    "view from one distance twice": (
+        lambda: ViewGrid((215, 215)),
+        BadConfig,
+        "view distances must differ, found [215, 215]",
+    ),
+    "view in uneven steps": (
+        lambda: ViewGrid(azimuths=7),
+        BadConfig,
+        "the azimuth span must be 1 to 360 whole degrees and divide evenly by the number of azimuths, "
+        "found span 180 and 7 azimuths",
+    ),
+    "view more often than there are views": (
+        lambda: ViewGrid(count=55),
+        BadConfig,
+        "views a mesh must be between 1 and 54, found 55",
+    ),
+    "name a sample with a dot": (
+        lambda: check_key("a.b"),
+        BadSample,
+        "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'a.b'",
+    ),
+    "store a range beyond 16 bits": (
+        lambda: steps(np.array([[7.0]]), "here"),
+        BadSample,
+        "here: a range must be 0 to 6.5535 m, found 7 m",
+    ),
+    "decode no members": (
+        lambda: decode_sample("k", {}),
+        BadSample,
+        "k: a sample has the members bsi, json or json, labels.png, projector.png, range.png, found none",
+    ),
+    "decode damaged images": (
+        lambda: decode_sample("k", {"bsi": b"x", "json": b"{}"}),
+        BadSample,
+        "k: bsi: images have a header of 64 bytes, found 1 bytes in all",
+    ),
+    "add an unknown variant": (
+        lambda: Augmentation(load_rig(), "snow"),
+        BadConfig,
+        "the variant must be one of none, occ, noise, md, all, occ+noise, occ+md, noise+md, found 'snow'",
+    ),
+    "add artifacts without a rig": (
+        lambda: Augmentation(NONE, "all"),
+        BadConfig,
+        "rig must be of class Rig, found NoneType",
+    ),
+    "add artifacts by a wrong seed": (
+        lambda: Augmentation(load_rig(), "all", -1),
+        BadConfig,
+        "a seed must be a whole number from 0 to 2**63 - 1, found -1",
+    ),
+    "use an unknown rig": (
+        lambda: load_rig("none"),
+        BadConfig,
+        "no rig is called 'none': give 'paper' or the path of a .toml file",
+    ),
+    "read a rig that is not there": (
+        lambda: load_rig(Path("none.toml")),
+        BadConfig,
+        "cannot read the rig file none.toml: [Errno 2] No such file or directory: 'none.toml'",
+    ),
+    "use unknown landmarks": (
+        lambda: load_landmarks("none"),
+        BadLandmarks,
+        "no landmark set is called 'none': give mit_I, open or the path of a .json file",
+    ),
+    "read a mesh that is not there": (
+        lambda: read_mesh(Path("none.ply")),
+        BadMesh,
+        "cannot read none.ply: No such file or directory",
+    ),
+    "read a mesh of an unknown kind": (
+        lambda: read_mesh(Path("body.step")),
+        BadMesh,
+        "a mesh file's name must end in .ply, .obj, .off, .ply.gz, .obj.gz, .off.gz, found body.step",
+    ),
+    "make a mesh of nothing": (
+        lambda: Mesh("m", np.zeros((0, 3)), np.zeros((0, 3), int)),
+        BadMesh,
+        "mesh m: a body needs vertices and faces, found 0 and 0",
+    ),
+    "make a mesh of flat points": (
+        lambda: Mesh("m", np.zeros((4, 2)), FACES),
+        BadMesh,
+        "mesh m: vertices and faces must have three columns, found (4, 2), (4, 3)",
+    ),
+    "make a mesh of broken numbers": (
+        lambda: Mesh("m", np.full((4, 3), np.nan), FACES),
+        BadMesh,
+        "mesh m: coordinates must be finite, found [nan, nan, nan] at vertex 0",
+    ),
+    "make a mesh of other vertices": (
+        lambda: Mesh("m", POINTS, FACES + 1),
+        BadMesh,
+        "mesh m: faces must use vertices 0 to 3, found [1, 2, 4] at face 1",
+    ),
+    "make a mesh of faces between numbers": (
+        lambda: Mesh("m", POINTS, FACES * 1.0),
+        BadMesh,
+        "mesh m: faces must be whole numbers, found float64",
+    ),
+    "make a mesh in millimetres": (
+        lambda: Mesh("m", POINTS * 1000, FACES),
+        BadMesh,
+        "mesh m: a body must be 0.5 to 2.5 m at its largest, found 1e+03 m",
+    ),
+    "make a mesh inside out": (
+        lambda: Mesh("m", POINTS, FACES[:, ::-1]),
+        BadMesh,
+        "mesh m: faces must point outwards, found a signed volume of -0.167 m3 (inside out?)",
+    ),
+    "make a mesh with a face turned over": (
+        lambda: Mesh("m", POINTS, np.concatenate([FACES[:1, ::-1], FACES[1:]])),
+        BadMesh,
+        "mesh m: neighbouring faces must agree on their outside, "
+        "found faces that clash at the edge of vertices 0 and 1",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_error_is_this_line(case: str) -> None:
+    provoke, kind, line = CASES[case]
+    with pytest.raises(BodysegError) as caught:
+        provoke()
+    assert (type(caught.value), str(caught.value)) == (kind, line)
+
+
+LOADER: dict[str, tuple[dict[str, Any], str]] = {
+    "batch of nothing": ({"batch_size": 0}, "batch_size must be a whole number of at least 1, found 0"),
+    "workers below zero": ({"num_workers": -1}, "num_workers must be a whole number of at least 0, found -1"),
+    "nothing ahead": ({"prefetch_factor": 0}, "prefetch_factor must be a whole number of at least 1, found 0"),
+    "no such start": (
+        {"start_method": "thread"},
+        "start_method must be fork, spawn, forkserver or None, found 'thread'",
+    ),
+    "text for yes": ({"shuffle": "no"}, "shuffle must be True or False, found 'no'"),
+    "rank alone": ({"rank": 1}, "rank and world_size are given together or not at all, found 1 of None"),
+    "rank too high": ({"rank": 1, "world_size": 1}, "rank must be less than world_size, found 1 of 1"),
+    "more ranks than samples": (
+        {"rank": 0, "world_size": 25},
+        "24 samples are fewer than 25 ranks: use fewer ranks",
+    ),
+    "errors ignored": ({"on_error": "ignore"}, "on_error must be stop or skip, found 'ignore'"),
+    "skipping without a budget": (
+        {"on_error": "skip"},
+        "on_error='skip' and a skip_budget belong together, found 'skip' and None",
+    ),
+    "a budget of more than all": (
+        {"on_error": "skip", "skip_budget": 1.5},
+        "skip_budget must be a number of samples, or a share from 0 to 1, found 1.5",
+    ),
+    "a log of nothing skipped": ({"skip_log": "x"}, "skip_log is for on_error='skip', found it with 'stop'"),
+}
+
+
+@pytest.mark.parametrize("case", LOADER)
+def test_a_loaders_error_is_this_line(case: str, figures_set: Path) -> None:
+    options, line = LOADER[case]
+    with pytest.raises(BadConfig) as caught:
+        loader(RangeImages(figures_set, "none"), **({"batch_size": 4} | options))
+    assert str(caught.value) == line
