@@ -61,7 +61,7 @@ class Scene:
         An artifact that draws once a pixel draws for these, whatever was lost before it: the draws of one pixel are
         then the same in every variant.
         """
-        return np.flatnonzero(self.sample.range)
+        return np.flatnonzero(self.sample.range != 0)
 
 
 class Artifact(Protocol):

@@ -93,7 +93,7 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
-    pixels = np.flatnonzero(inside)
+    pixels = np.flatnonzero(inside != 0)  # of bools: five times faster
     count, *chances = _chances(generator, 1 + 3 * MOST_PATCHES)
     nearest = np.full(inside.shape, np.inf, np.float32)
     for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
@@ -189,7 +189,7 @@ def _lose_first(
 ) -> NDArray[np.bool_]:
     """Mark the share of the foreground with the lowest `order` [h, w]; of equal pixels the first ones."""
     lost = np.zeros(range_image.shape, np.bool_)
-    pixels = np.flatnonzero(range_image[box])
+    pixels = np.flatnonzero(range_image[box] != 0)
     values = order.ravel()[pixels]
     count = _rounded(share, len(pixels))
     if count:

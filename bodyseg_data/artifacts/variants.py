@@ -150,8 +150,7 @@ class Augmentation:
             scene = Scene(clean, self.rig)
             for artifact in others:
                 artifact.apply(made, scene, draws)
-            # A pixel that was lost shows nothing, so there is nothing to classify.
-            np.copyto(labels, np.uint8(BACKGROUND), where=image == 0)
+            _unlabel_lost(made)
         return made
 
     def prepare(self) -> None:
@@ -171,8 +170,15 @@ def shown_with(artifact: Artifact, sample: Sample, rig: Rig, seed: int, epoch: i
     draws = Draws(check_seed(seed), check_epoch(epoch), sample.key)
     image = RangeImage(sample.key, sample.range.copy(), sample.labels.copy(), artifact.draw(draws))
     artifact.apply(image, Scene(sample, rig), draws)
-    np.copyto(image.labels, np.uint8(BACKGROUND), where=image.range == 0)
+    _unlabel_lost(image)
     return image
+
+
+def _unlabel_lost(image: RangeImage) -> None:
+    """Give lost pixels the label of background: they show nothing, so there is nothing to classify."""
+    lost = (image.range == 0).view(np.uint8)
+    lost *= BACKGROUND  # all bits
+    image.labels[...] |= lost
 
 
 def _check_distinct(what: str, artifacts: Artifacts) -> None:
