@@ -50,11 +50,11 @@ def _raw_words(key_0: Any, key_1: Any, count: Any, words: Any) -> None:
             a, b, c, d = upper_1 ^ b ^ round_0, lower_1, upper_0 ^ d ^ round_1, lower_0
             round_0 += _WEYL_0
             round_1 += _WEYL_1
-        place = _WORDS * block
-        words[place] = a
-        words[place + np.uint64(1)] = b
-        words[place + np.uint64(2)] = c
-        words[place + np.uint64(3)] = d
+        offset = _WORDS * block
+        words[offset] = a
+        words[offset + np.uint64(1)] = b
+        words[offset + np.uint64(2)] = c
+        words[offset + np.uint64(3)] = d
 
 
 raw_words: Any = compiled(_raw_words, "the compiled form of the artifacts")

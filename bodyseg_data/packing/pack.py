@@ -83,7 +83,7 @@ class Packing:
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""
-        return spread(self.opened().bodies(), self.meshes)
+        return evenly_sampled(self.opened().bodies(), self.meshes)
 
     def opened(self, plan: str = "") -> BodySource:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
@@ -92,7 +92,7 @@ class Packing:
         return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
 
 
-def spread(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
+def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
     """`count` of `bodies` in their order, shared out evenly over subsets, and evenly spaced in each."""
     if count is None:
         return list(bodies)

@@ -35,7 +35,7 @@ EXAMPLE = "bodyseg train --data shards --variant all --network compact --out run
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of `bodyseg train`."""
 
     data: str = option("folder or address of a set of shards; its train split is used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")

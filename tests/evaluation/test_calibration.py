@@ -43,7 +43,7 @@ def test_area_under_the_curve_is_that_of_sorted_pixels(sharp: float) -> None:
     pairs, confidence = pixels(1, 200_000, sharp)
     found, expected = counted(pairs, confidence).aurc(), exact_aurc(pairs, confidence)
     assert found == pytest.approx(expected, abs=3e-5)
-    coarse = np.floor(confidence * 1500) / 1500  # what even steps alone would know
+    coarse = np.floor(confidence * 1500) / 1500  # as from equal steps alone
     assert abs(found - expected) <= abs(exact_aurc(pairs, coarse) - expected) + 3e-5
 
 

@@ -105,7 +105,7 @@ class Nodes:
             client.wait_for_workers(count, timeout=30)
 
     def tasks(self) -> int:
-        """How many tasks the scheduler knows of."""
+        """Number of tasks that the scheduler holds."""
         import distributed
 
         with distributed.Client(f"tcp://127.0.0.1:{self.port}", timeout=10, set_as_default=False) as client:

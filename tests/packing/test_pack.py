@@ -28,7 +28,7 @@ from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing import pack as packing
-from bodyseg_data.packing.pack import Packing, plan, spread
+from bodyseg_data.packing.pack import Packing, evenly_sampled, plan
 from bodyseg_data.packing.state import STATE_NAME, claimed
 from bodyseg_data.shards.manifest import read_manifest
 
@@ -288,12 +288,12 @@ def test_meshes_are_taken_evenly_from_every_subset() -> None:
     bodies = [
         BodyRef(subset, subset, f"{subset}{n}", "", "train") for subset, k in (("A", 4), ("P", 100)) for n in range(k)
     ]
-    assert [body.mesh for body in spread(bodies, 3)] == ["A1", "A3", "P50"]
-    assert [body.subset for body in spread(bodies, 20)].count("A") == 4
-    assert spread(bodies, 20)[-1].mesh == "P96"
-    assert spread(bodies, None) == bodies
+    assert [body.mesh for body in evenly_sampled(bodies, 3)] == ["A1", "A3", "P50"]
+    assert [body.subset for body in evenly_sampled(bodies, 20)].count("A") == 4
+    assert evenly_sampled(bodies, 20)[-1].mesh == "P96"
+    assert evenly_sampled(bodies, None) == bodies
     with pytest.raises(BadConfig, match="105 meshes asked for, the source has 104"):
-        spread(bodies, 105)
+        evenly_sampled(bodies, 105)
 
 
 def test_a_plan_counts_without_rendering() -> None:

@@ -211,8 +211,10 @@ def _source_of_wave(vertices: Floats, faces: Indices, sources: Indices, distance
     total = weights.sum(axis=1)
     reached = np.isfinite(distance[tip])
     if (total[reached] == 0).any():
-        place = vertices[tip[reached & (total == 0)][0]].tolist()
-        raise Unanswerable(f"the method 'marching' cannot answer: its distances have a minimum of their own at {place}")
+        position = vertices[tip[reached & (total == 0)][0]].tolist()
+        raise Unanswerable(
+            f"the method 'marching' cannot answer: its distances have a minimum of their own at {position}"
+        )
     weights, tip, ends = (weights / total[:, None])[reached], tip[reached], ends[reached]
     # In the order of arrival every vertex depends on earlier ones only: a triangular system.
     rank = np.empty(count, np.int64)

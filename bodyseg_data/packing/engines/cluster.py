@@ -36,14 +36,14 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         raise MissingLibrary(
             f"packing on a Dask cluster needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
         ) from error
-    place = f"{address[0]}:{address[1]}"
+    scheduler = f"{address[0]}:{address[1]}"
     with _quiet():
         wanted = expected(packing)
         client = _connect(distributed, address)
         try:
-            threads = _workers(client, place)
-            _check_workers(client, wanted, place, list(threads))
-            executor = _Cluster(client, wanted, place)
+            threads = _workers(client, scheduler)
+            _check_workers(client, wanted, scheduler, list(threads))
+            executor = _Cluster(client, wanted, scheduler)
             try:
                 yield Engine(executor, workers or len(threads), _note(threads))
             finally:
@@ -91,25 +91,25 @@ async def _identify(distributed: Any, address: str) -> str:
     return str(identity["type"])
 
 
-def _workers(client: Any, place: str) -> dict[str, int]:
+def _workers(client: Any, scheduler: str) -> dict[str, int]:
     """Address -> threads, of every worker of the cluster."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE_S)
         threads: dict[str, int] = client.nthreads()
     except Exception as error:
         raise BadConfig(
-            f"the scheduler at {place} has no workers; start some with: dask worker {place} --nthreads 1"
+            f"the scheduler at {scheduler} has no workers; start some with: dask worker {scheduler} --nthreads 1"
         ) from error
     return threads
 
 
-def _check_workers(client: Any, wanted: Expected, place: str, workers: list[str]) -> None:
+def _check_workers(client: Any, wanted: Expected, scheduler: str, workers: list[str]) -> None:
     try:
         client.run_on_scheduler(installed)
     except Exception as error:
         raise BadConfig(
-            f"the scheduler at {place} cannot load bodyseg of this version, which jobs pass through: install it there, "
-            f"too ({error})"
+            f"the scheduler at {scheduler} cannot load bodyseg of this version, which jobs pass through: "
+            f"install it there, too ({error})"
         ) from error
     # A source may fill a cache on first use, which the workers of one machine, or of one shared folder, would all do.
     machines = {worker.rpartition(":")[0]: worker for worker in workers}
@@ -117,7 +117,7 @@ def _check_workers(client: Any, wanted: Expected, place: str, workers: list[str]
         try:
             answers = client.run(check, wanted, workers=group, on_error="return")
         except Exception as error:
-            raise _lost(place) from error
+            raise _lost(scheduler) from error
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Exception):
                 answer = f"cannot load bodyseg of this version: install the same versions on both ({answer})"
@@ -135,15 +135,15 @@ def _note(threads: dict[str, int]) -> str | None:
     )
 
 
-def _lost(place: str) -> BadConfig:
-    return BadConfig(f"the scheduler at {place} was lost: the same command carries on, there or with other workers")
+def _lost(scheduler: str) -> BadConfig:
+    return BadConfig(f"the scheduler at {scheduler} was lost: the same command carries on, there or with other workers")
 
 
 class _Cluster(Executor):
     """Dask's executor, whose futures also end when the scheduler is lost, and whose errors are one line."""
 
-    def __init__(self, client: Any, wanted: Expected, place: str) -> None:
-        self._client, self._wanted, self._place = client, wanted, place
+    def __init__(self, client: Any, wanted: Expected, scheduler: str) -> None:
+        self._client, self._wanted, self._scheduler = client, wanted, scheduler
         self._inner = client.get_executor(pure=False)
         self._waiting: set[Future[Any]] = set()
         self._over = threading.Event()
@@ -154,7 +154,7 @@ class _Cluster(Executor):
         if self._over.is_set():
             raise RuntimeError("cannot schedule new futures after shutdown")
         if self._client.status != "running":
-            raise _lost(self._place)
+            raise _lost(self._scheduler)
         body = next((argument.mesh for argument in args if isinstance(argument, BodyRef)), "?")
         # Dask's future ends with the one here, and so do the worker's memory and this one's: nothing else holds it.
         answer: Future[Any] = Future()
@@ -182,9 +182,9 @@ class _Cluster(Executor):
         if isinstance(error, KilledWorker):
             return BadConfig(f"mesh {body}: every worker that rendered it was killed (out of memory?)")
         if isinstance(error, CancelledError):
-            return _lost(self._place)
+            return _lost(self._scheduler)
         if isinstance(error, OSError):
-            return BadConfig(f"the cluster at {self._place} could not give mesh {body}: {error}")
+            return BadConfig(f"the cluster at {self._scheduler} could not give mesh {body}: {error}")
         return error
 
     def _watch_scheduler(self) -> None:
@@ -194,7 +194,7 @@ class _Cluster(Executor):
                 for answer in self._waiting.copy():
                     self._waiting.discard(answer)
                     with suppress(InvalidStateError):
-                        answer.set_exception(_lost(self._place))
+                        answer.set_exception(_lost(self._scheduler))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._over.set()

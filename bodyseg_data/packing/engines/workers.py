@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
-from bodyseg_data.packing.pack import PACKING_VERSION, Packing, forget_sources, spread
+from bodyseg_data.packing.pack import PACKING_VERSION, Packing, evenly_sampled, forget_sources
 
 _SHAPE_BYTES: Final = (
     "bodyseg",
@@ -85,7 +85,7 @@ def installed() -> tuple[tuple[str, str], ...]:
 def _seen(packing: Packing) -> str:
     """Digest of all bodies' names and of the files of a few: enough to tell another folder, and quickly read."""
     bodies = packing.bodies()
-    few = spread(bodies, min(_SEEN_BODIES, len(bodies)))
+    few = evenly_sampled(bodies, min(_SEEN_BODIES, len(bodies)))
     return hashlib.sha256(repr((bodies, packing.opened().fingerprint(few))).encode()).hexdigest()
 
 

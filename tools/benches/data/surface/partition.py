@@ -23,7 +23,7 @@ from bodyseg_data.core.errors import Unanswerable
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
-from bodyseg_data.packing.pack import spread
+from bodyseg_data.packing.pack import evenly_sampled
 
 METHODS: Final[tuple[GeodesicMethod, ...]] = get_args(GeodesicMethod)
 DEFAULT: Final[GeodesicMethod] = "exact"
@@ -43,9 +43,9 @@ def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dic
     the whole partition. Raises BadConfig for a folder without frames.
     """
     source = open_source("open")
-    chosen = spread(source.bodies(), _OPEN_BODIES)
+    chosen = evenly_sampled(source.bodies(), _OPEN_BODIES)
     frames = None if mit is None else open_source("mit", mit)
-    frame_refs = [] if frames is None else spread(frames.bodies(), min(_MIT_FRAMES, len(frames.bodies())))
+    frame_refs = [] if frames is None else evenly_sampled(frames.bodies(), min(_MIT_FRAMES, len(frames.bodies())))
     total = len(chosen) + len(frame_refs) + len(CASES)
     steps = iter(range(1, total + 1))
 

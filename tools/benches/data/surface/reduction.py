@@ -28,7 +28,7 @@ from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.meshes.repair import load_pymeshlab
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
-from bodyseg_data.packing.pack import Packing, spread
+from bodyseg_data.packing.pack import Packing, evenly_sampled
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
@@ -100,13 +100,13 @@ def _open_bodies() -> list[Body]:
     """Two postures of one person, and another person."""
     source = open_source("open")
     postures = {body.pose: body for body in reversed(source.bodies()) if body.subset == "A"}
-    people = spread([body for body in source.bodies() if body.subset == "people"], 1)
+    people = evenly_sampled([body for body in source.bodies() if body.subset == "people"], 1)
     return [source.build(body) for body in (*(postures[pose] for pose in _POSES), *people)]
 
 
 def _mit_frames(folder: Path) -> list[Body]:
     source = open_source("mit", folder)
-    return [source.build(body) for body in spread([body for body in source.bodies() if body.subset == "B"], 2)]
+    return [source.build(body) for body in evenly_sampled([body for body in source.bodies() if body.subset == "B"], 2)]
 
 
 def _rough(body: Body, triangles: int) -> Body:

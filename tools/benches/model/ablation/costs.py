@@ -26,7 +26,7 @@ from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages, metres
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.pack import spread
+from bodyseg_data.packing.pack import evenly_sampled
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
@@ -111,7 +111,7 @@ def rendering_costs(rig: Rig) -> Tree | None:
     None without Anny.
     """
     dressed = OpenBodies()
-    bodies = spread([body for body in dressed.bodies() if body.subset in ("B", "C")], BODIES)
+    bodies = evenly_sampled([body for body in dressed.bodies() if body.subset in ("B", "C")], BODIES)
     bare = MadeBodies("open", {body: partial(replace, dressed.figure(body), outfit=None) for body in bodies})
     sources = {"dressed": dressed, "bare": bare}
     jobs = {name: partial(_render, source, bodies, rig) for name, source in sources.items()}

@@ -100,7 +100,7 @@ def depth_differences(
     d of what was not measured, or lies outside of the image, is FAR_M.
     """
     height, width = range_m.shape
-    padded = np.zeros((height + 1, width + 1), np.float32)  # one row and column more, for all that lies outside
+    padded = np.zeros((height + 1, width + 1), np.float32)  # one row and column more, for pixels outside the image
     padded[:height, :width] = range_m
     padded[padded == 0] = FAR_M
     rows, columns = (each[:, None] for each in np.divmod(pixels, width))
