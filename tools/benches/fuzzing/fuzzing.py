@@ -34,8 +34,9 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.meshes.landmarks.files import load_landmark_file
 from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.sample_codec import CODECS, decode_sample
+from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
 
 SECONDS_EACH: Final = 2.0
@@ -96,7 +97,7 @@ def one_input(target: str, seed: int, number: int) -> Any:
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
     members = given if isinstance(given, Mapping) else {"": given}
-    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith(CODECS))
+    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith(tuple(CODECS)))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 
 

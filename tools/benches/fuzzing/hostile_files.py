@@ -18,8 +18,9 @@ from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.core.splits import SPLITS
+from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
-from bodyseg_data.shards.sample_codec import CODECS, CodecName, encode_sample
+from bodyseg_data.shards.sample_codec import encode_sample
 
 KEY: Final = "open-A-posture-00-d215-a040"
 """The key that hostile samples are read under."""
@@ -80,7 +81,7 @@ def hostile_pngs(generator: Generator) -> dict[str, bytes]:
 
 def hostile_sample(generator: Generator) -> dict[str, bytes]:
     """Members of a sample: other bytes or JSON in one of them, one missing, too many, of two codecs or samples."""
-    codec = CODECS[int(generator.integers(len(CODECS)))]
+    codec = list(CODECS)[int(generator.integers(len(CODECS)))]
     members, other = _members(codec, generator), _members(codec, generator)
     names = list(members)
     name = names[int(generator.integers(len(names)))]

@@ -36,8 +36,7 @@ from benches.model.ablation.runs import (
 )
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
@@ -69,7 +68,7 @@ def bench_ablation(
     Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
     `clothes`, or a wrong number; otherwise as `evaluate`.
     """
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     sets = sets_of(data, clothes)
     start = time.perf_counter()
     chosen = [row for row in ROWS if row.source in sets]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
-from bodyseg_data.commands.options import place_name
+from bodyseg_data.commands.options import last_name
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
@@ -132,7 +132,7 @@ def missing(
 
 
 def _command(row: AblationRow, recipe: Recipe, data: str, folder: Path) -> str:
-    words = ["bodyseg", "train", "--data", place_name(data), "--out", f"{folder.name}/{row.name}-0"]
+    words = ["bodyseg", "train", "--data", last_name(data), "--out", f"{folder.name}/{row.name}-0"]
     words += ["--steps", str(recipe.steps), "--batch-size", str(recipe.batch_size)]
     words += ["--no-geometric-augmentation"] if recipe.geometric_augmentation == GeometricAugmentation() else []
     return shlex.join([*words, *(row.arguments or ())])

@@ -17,7 +17,7 @@ from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
 from bodyseg_data.bodies.anny.skeleton import Pose
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
@@ -50,7 +50,7 @@ def bench_failures(
     as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no image or no
     network, MissingLibrary without scikit-image; otherwise as `RangeImages`.
     """
-    wanted = whole_number("the number of images", images, 1)
+    wanted = check_int("the number of images", images, 1)
     network = load_network(runs[0] if runs else SHIPPED).network
     sets = {"test": (open_images(data), wanted)}
     if hard is not None:

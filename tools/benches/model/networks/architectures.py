@@ -24,9 +24,8 @@ from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Evaluator
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.machine import processors
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report
@@ -72,7 +71,7 @@ def bench_architectures(
     `predict` on typical frames, on the processor. Raises BadConfig for wrong numbers, or as `groups_in`, MissingLibrary
     without Anny, what a network needs or, for a forest, scikit-learn and numba.
     """
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     groups = groups_in(runs)
     evaluator = Evaluator(data, images)
     test_images = evaluator.images(TABLE["all"])
@@ -174,7 +173,7 @@ def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
 
 def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
     """None for no images. Raises BadConfig unless `data` is what the networks were trained on."""
-    if whole_number("the number of the forest's images", images, 0) == 0:
+    if check_int("the number of the forest's images", images, 0) == 0:
         return None
     theirs, ours = run.trained.card["data"].get("set"), RangeImages(data, "all", "train").identity()["set"]
     if theirs != ours:

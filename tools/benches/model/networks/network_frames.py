@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from benches.measuring import mixed
 from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import metres
 from bodyseg_data.packing.pack import Packing, render_run
 from bodyseg_data.shards.sample_codec import decode_sample
@@ -24,7 +24,7 @@ def typical_frames(count: int) -> list[NDArray[np.float32]]:
 
     Raises BadConfig for no frame, MissingLibrary without Anny.
     """
-    packing = Packing("open", meshes=whole_number("the number of typical frames", count, 1))
+    packing = Packing("open", meshes=check_int("the number of typical frames", count, 1))
     views, show = list(ViewGrid(span_deg=360)), Augmentation(load_rig(), "all")
     frames = []
     for number, body in enumerate(packing.bodies()):

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.packing.sampler import surface_points
@@ -81,7 +81,7 @@ def bench_sensors(
     is the one that ships. in_view: the share of the bodies' vertices that the frames hold, hidden ones counted. Raises
     BadConfig for no body or no network, MissingLibrary without Anny.
     """
-    count = whole_number("the number of bodies", views, 1)
+    count = check_int("the number of bodies", views, 1)
     network = load_network(runs[0] if runs else SHIPPED).network
     scenes = all_scenes()
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]

@@ -19,8 +19,7 @@ from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
@@ -51,7 +50,7 @@ def bench_variants(
     """
     if len(runs) != 1:
         raise BadConfig(f"bench variants keeps its trainings in one folder, found {len(runs)} with --runs")
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     trainings = runs_in(runs[0], seeds)
     plan = common_plan(trainings, data, steps)
     sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})

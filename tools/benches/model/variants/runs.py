@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.commands.options import place_name
+from bodyseg_data.commands.options import last_name
 from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build
@@ -75,7 +74,7 @@ class Plan:
 
 def runs_in(folder: Path, seeds: int) -> list[Run]:
     """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
-    numbers = range(whole_number("the number of seeds", seeds, 1))
+    numbers = range(check_int("the number of seeds", seeds, 1))
     return [Run(variant, seed, folder / f"{variant}-{seed}") for seed in numbers for variant in VARIANTS]
 
 
@@ -120,5 +119,5 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, _RUN_OPTIONS)
-    command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
+    command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})
