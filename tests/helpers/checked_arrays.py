@@ -1,9 +1,10 @@
 """Arrays are checked against the docstrings while tests run: importing this module checks all that is imported later.
 
 A public docstring of the project promises "NAME: uint16 [H, W]" for a parameter or a field of a dataclass, and
-"... uint16 [H, W]" in its first paragraph for what a function returns; "uint8 or uint16 [H, W]" allows both. A letter stands for one length in all promises
-of a docstring; a number, or the name of a parameter that is one, for itself. A call that breaks a promise raises
-`BrokenPromise`. Promises of another form ("[N]" without a type, "[3 * count]") are for people.
+"... uint16 [H, W]" in its first paragraph for what a function returns; "uint8 or uint16 [H, W]" allows both. A letter
+stands for one length in all promises of a docstring; a number, or the name of a parameter that is one, for itself. A
+call that breaks a promise raises `BrokenPromise`. Promises of another form ("[N]" without a type, "[3 * count]") are
+for people.
 """
 
 from __future__ import annotations
