@@ -30,8 +30,8 @@ class Cut:
     """Outfit on every vertex of a person at rest. top, trousers: bool [V], covered by that garment (never by both).
 
     axis: float64 [V, 3], the direction in which the garment hangs. stand_off: [V], metres from the body.
-    crumple: [V], share of length in excess. partner, slide: int64 [V], float64 [V]: the cloth of a vertex lies that
-    share of the way to its partner, another vertex, so that hems are straight for any triangles.
+    crumple: [V], share of length in excess. partner: int64 [V], another vertex for each. slide: float64 [V], share of
+    the way to its partner at which the cloth of a vertex lies, so that hems are straight for any triangles.
     """
 
     top: NDArray[np.bool_]
