@@ -1,8 +1,8 @@
-"""Streaming range images of people, with the artifacts of a structured-light sensor made on the fly.
+"""Streaming of range images of people, with the artifacts of a structured-light sensor made on the fly.
 
     from bodyseg_data import RangeImages, loader
 
-Importing this package is light: each name below is loaded when it is first used, and nothing here needs a renderer.
+Importing this package is fast: each name below is imported on first use, and none needs a renderer.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _installed_version() -> str:
-    """The version of the installed package `bodyseg`; "0+unknown" in a checkout that was never installed."""
+    """Return the version of the installed package `bodyseg`; "0+unknown" in a checkout that was never installed."""
     from importlib import metadata
 
     try:

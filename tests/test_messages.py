@@ -158,7 +158,7 @@ CASES: dict[str, Case] = {
     "use an unknown rig": (
         lambda: load_rig("none"),
         BadConfig,
-        "no rig is called 'none': give 'paper' or the path of a .toml file",
+        "no rig is called 'none': give one of kinect_v1, kinect_v2, paper or the path of a .toml file",
     ),
     "read a rig that is not there": (
         lambda: load_rig(Path("none.toml")),
@@ -183,7 +183,7 @@ CASES: dict[str, Case] = {
     "make a mesh of nothing": (
         lambda: Mesh("m", np.zeros((0, 3)), np.zeros((0, 3), int)),
         BadMesh,
-        "mesh m: a body needs vertices and faces, found 0 and 0",
+        "mesh m: a mesh needs vertices and faces, found 0 and 0",
     ),
     "make a mesh of flat points": (
         lambda: Mesh("m", np.zeros((4, 2)), FACES),

@@ -1,7 +1,7 @@
-"""Bringing a mesh as its file holds it into the body frame: which unit it is in, which axes point up and left.
+"""Alignment of a mesh file with the body frame: its unit, and its axes that point up and left.
 
-Files keep their posture: a body is scaled, and turned by one of the 24 rotations that take axes to axes. What is not
-given is found from the body's size and from its landmarks: the trunk points up, the shoulders lie left and right.
+The posture is kept: a body is scaled, and rotated by one of the 24 rotations that take axes to axes. Unit and axes, if
+not given, are found from the body's size and its landmarks: the trunk points up, the shoulders lie left and right.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Units = Literal["auto", "m", "cm", "mm", "in"]
 UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 
 UPRIGHT_DEG: Final = 25.0
-"""A body whose trunk and legs lean no farther than this shows which way is up beyond doubt."""
+"""Largest lean of trunk and legs of a body that counts as upright, degrees."""
 
 _TOO_LEANING_DEG: Final = 40.0  # at 45 degrees the next axis is as near
 _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
@@ -29,11 +29,11 @@ _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
 
 @dataclass(frozen=True)
 class Alignment:
-    """How to bring a file's coordinates into the body frame. Made by `find_alignment`.
+    """Transform of a file's coordinates into the body frame. Made by `find_alignment`.
 
     scale: metres in the file's unit. rotation: float64 [3, 3], one of the 24; its rows are the directions to the
-    subject's left, up and to the front, in the file's axes. lean_deg: how far the trunk or the legs of the body it was
-    found from, whichever more, lean from upright.
+    subject's left, up and to the front, in the file's axes. lean_deg: angle from upright of the trunk or the legs,
+    whichever is larger, of the body that it was found from.
     """
 
     scale: float
@@ -41,18 +41,19 @@ class Alignment:
     lean_deg: float
 
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points [N, 3] of the file in the body frame, metres."""
-        from_axis = np.abs(self.rotation).argmax(axis=1)  # not a product of matrices: that spreads what is not finite
+        """Return points [N, 3] of the file in the body frame, metres."""
+        # No matrix product: it would spread values that are not finite.
+        from_axis = np.abs(self.rotation).argmax(axis=1)
         placed: NDArray[np.float64] = points[:, from_axis] * (self.scale * self.rotation.sum(axis=1))
         return placed
 
     def __str__(self) -> str:
-        """Everything that shapes what it does, for digests."""
+        """Return scale and rotation as text, for digests."""
         return f"{self.scale!r} {self.rotation.astype(int).tolist()}"
 
 
 def check_alignment(units: str, up: str) -> None:
-    """Raise BadConfig unless these can be given for the units and the axis that points up."""
+    """Raise BadConfig for an unknown unit or axis that points up."""
     for option, value, choices in (("units", units, get_args(Units)), ("up", up, get_args(UpAxis))):
         if value not in choices:
             raise BadConfig(f"{option} must be one of {', '.join(choices)}, found {value!r}")
@@ -61,19 +62,19 @@ def check_alignment(units: str, up: str) -> None:
 def find_alignment(
     surface: NDArray[np.float64], landmarks: NDArray[np.float64], units: Units, up: UpAxis, where: str
 ) -> Alignment:
-    """The placement of one body.
+    """Find the alignment of one body.
 
     surface: the vertices [N, 3] that its faces use, as the file has them. landmarks: its points [33, 3] in the same
     axes, whatever their unit. where: names the file in messages. Raises BadMesh if no unit gives a body of human
     size, or if the axis that points up is to be found and the trunk points along none.
     """
     scale = metres_a_unit(surface, units, where)
-    place = dict(zip(LANDMARKS, landmarks, strict=True))
-    pelvis = (place["Rt. PSIS"] + place["Lt. PSIS"]) / 2
-    feet = (place["Rt. Lateral Malleolus"] + place["Lt. Lateral Malleolus"]) / 2
-    trunk = _direction(place["Cervicale"] - pelvis)
+    points = dict(zip(LANDMARKS, landmarks, strict=True))
+    pelvis = (points["Rt. PSIS"] + points["Lt. PSIS"]) / 2
+    feet = (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2
+    trunk = _direction(points["Cervicale"] - pelvis)
     legs = _direction(pelvis - feet)
-    left = _direction(place["Lt. Acromion"] - place["Rt. Acromion"])
+    left = _direction(points["Lt. Acromion"] - points["Rt. Acromion"])
     upward = _axis(up) if up != "auto" else _nearest_axis(trunk)
     if up == "auto" and _angle(trunk, upward) > _TOO_LEANING_DEG:
         raise BadMesh(
@@ -86,7 +87,7 @@ def find_alignment(
 
 
 def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> float:
-    """Metres in the unit that vertices [N, 3] of a whole body are in. Raises BadMesh."""
+    """Return the metres in the unit of the vertices [N, 3] of a whole body. Raises BadMesh if no unit fits."""
     extents = np.ptp(surface, axis=0)
     extent = float(extents.max())
     shown = " x ".join(f"{value:.4g}" for value in extents)
@@ -110,8 +111,8 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
     """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
 
-    Its head is well above its feet; and what lies at the front of head, chest and pelvis is in front of what lies at
-    their back, which it is not if right and left, or front and back, are mistaken for each other.
+    Its head must be well above its feet, and landmarks at the front of head, chest and pelvis in front of those at the
+    back, which fails if right and left, or front and back, are exchanged.
     """
     heights = dict(zip(LANDMARKS, landmarks[:, 1], strict=True))
     feet = (heights["Rt. Lateral Malleolus"] + heights["Lt. Lateral Malleolus"]) / 2
@@ -121,9 +122,9 @@ def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
             f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
             "axis points up? --up gives it)"
         )
-    places = dict(zip(LANDMARKS, landmarks, strict=True))
+    points = dict(zip(LANDMARKS, landmarks, strict=True))
     ahead = [
-        places[front][2] - places[back][2]
+        points[front][2] - points[back][2]
         for front, back in (
             ("Sellion", "Nuchale"),
             ("Suprasternale", "Cervicale"),
@@ -145,9 +146,9 @@ def _axis(name: str) -> NDArray[np.float64]:
 
 
 def _nearest_axis(direction: NDArray[np.float64], not_along: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-    place = int(np.where(np.equal(not_along, 0), np.abs(direction), -1.0).argmax())
+    index = int(np.where(np.equal(not_along, 0), np.abs(direction), -1.0).argmax())
     axis = np.zeros(3)
-    axis[place] = -1.0 if direction[place] < 0 else 1.0
+    axis[index] = -1.0 if direction[index] < 0 else 1.0
     return axis
 
 

@@ -1,4 +1,4 @@
-"""Finding mesh files and landmark files on disk, in a fixed order."""
+"""Search for mesh files and landmark files on disk, in a fixed order."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred
 
 LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
-"""What a landmark file's name ends in; of several for one mesh, the first in this order is read."""
+"""Suffixes of landmark files; of several files for one mesh, the first in this order is read."""
 
 
 def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Path]:
-    """A landmark file given for all meshes, if one was; and the folder in which others are looked for.
+    """Return the landmark file given for all meshes, or None, and the folder to search for others.
 
-    path: the source's folder. landmarks: what the user gave. Raises BadConfig if that is neither file nor folder.
+    path: the source's folder. landmarks: the user's option. Raises BadConfig if that is neither file nor folder.
     """
     if landmarks is None:
         return None, path
@@ -29,11 +29,10 @@ def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Pa
 
 
 def files_below(root: Path) -> list[Path]:
-    """All files in a folder and its sub-folders, sorted; none whose name, or whose folder's, begins with a dot.
+    """List all files in a folder and its sub-folders, sorted, without names and folders that begin with a dot.
 
-    Links are followed, to each folder once. Pipes, devices and the like are no files.
-
-    Raises BadConfig for a folder that cannot be listed.
+    Links are followed, to each folder once. Pipes, devices and the like are left out. Raises BadConfig for a folder
+    that cannot be listed.
     """
 
     def refuse(error: OSError) -> None:
@@ -43,20 +42,20 @@ def files_below(root: Path) -> list[Path]:
     seen: set[tuple[int, int]] = set()
     for folder, folders, names in os.walk(root, onerror=refuse, followlinks=True):
         status = Path(folder).stat()
-        place = (status.st_dev, status.st_ino)
-        if place in seen:  # a link back to where it lies would lead round for ever
+        identity = (status.st_dev, status.st_ino)
+        if identity in seen:  # a link to a folder above itself would never end
             folders.clear()
             continue
-        seen.add(place)
+        seen.add(identity)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         found += [file for name in names if not name.startswith(".") and (file := Path(folder, name)).is_file()]
     return sorted(found)
 
 
 def meshes_in(folder: Path) -> dict[str, Path]:
-    """Stem -> file of all meshes right in a folder, sorted; of several forms of one mesh, the one to read.
+    """Return stem -> file of all meshes directly in a folder, sorted; of several forms of one mesh, the preferred one.
 
-    Empty if there is no such folder. Raises BadConfig for one that cannot be listed.
+    Empty if the folder does not exist. Raises BadConfig for one that cannot be listed.
     """
     try:
         names = [entry.name for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
@@ -70,7 +69,7 @@ def meshes_in(folder: Path) -> dict[str, Path]:
 
 
 def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
-    """The first of STEM.json, STEM.lnd and STEM.lnd.gz that one of the folders holds."""
+    """Return the first of STEM.json, STEM.lnd and STEM.lnd.gz in the first folder that holds one, or None."""
     return next(
         (
             folder / f"{stem}{suffix}"

@@ -1,8 +1,8 @@
-"""What all sources that read mesh files have in common: from a mesh file and its landmarks to a body.
+"""Base of all sources that read mesh files: makes a body of a mesh file and its landmarks.
 
 Meshes that share a topology share one landmark file; by vertex, or by coordinate on the first of them. Meshes of one
-group share one placement, found from its first upright body, so that a motion keeps one frame for all its frames. A
-mesh in no group is placed by itself.
+group share one alignment, found from its first upright body, so that a motion keeps one frame of reference throughout.
+A mesh in no group is aligned by itself.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from bodyseg_data.bodies.alignment import (
     find_alignment,
     metres_a_unit,
 )
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
+from bodyseg_data.core.errors import BadLandmarks, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, SnappedLandmarks
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
@@ -38,18 +38,18 @@ from bodyseg_data.meshes.repair import repair
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-_LOOKED_AT: Final = 12  # bodies of a group, evenly, in search of an upright one
+_MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
 _FAULTS_NAMED: Final = 3
 _IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """Where a body is read from.
+    """Files of one body.
 
-    landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` says what is
-    needed. shared: whether other meshes of the same topology use the same landmarks. group: of meshes that are placed
-    alike; None for a mesh placed by itself. standing: whether its head must be above its feet.
+    landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` names the file
+    needed. shared: other meshes of the same topology use the same landmarks. group: of meshes that share an alignment;
+    None for a mesh aligned by itself. standing: the head must be above the feet.
     """
 
     path: Path
@@ -60,73 +60,57 @@ class MeshFile:
     standing: bool = False
 
 
-class MeshBodies:
-    """Bodies read from mesh files. A source derives from it and says which files."""
-
-    name: str
+class MeshBodies(ListedBodies[MeshFile]):
+    """Bodies read from mesh files. A source derives from it and lists the files."""
 
     def __init__(
         self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], units: Units = "auto", up: UpAxis = "auto"
     ) -> None:
         check_alignment(units, up)
-        self._files, self._missing, self._units, self._up = dict(files), tuple(missing), units, up
+        super().__init__(files, missing)
+        self._units, self._up = units, up
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
-        self._placements: dict[str, Alignment] = {}
-
-    def bodies(self) -> Sequence[BodyRef]:
-        """All bodies found, in their fixed order."""
-        return tuple(self._files)
-
-    def path_of(self, body: BodyRef) -> Path:
-        """The mesh file of a body, whether or not it has landmarks. Raises BadConfig for one of another source."""
-        if body not in self._files:
-            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
-        return self._files[body].path
-
-    def missing(self) -> Sequence[str]:
-        """What a complete set would have and this one has not."""
-        return self._missing
+        self._alignments: dict[str, Alignment] = {}
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Covers every byte of the meshes' files, the landmarks, and how bodies are placed.
+        """Return a digest of every byte of the meshes' files, the landmarks, and the alignments.
 
         Raises BadLandmarks for bodies that have no usable landmark file, naming the first few and saying how many.
         """
         self._check_landmarks(bodies)
         digest = hashlib.sha256(repr((self._units, self._up)).encode())
-        for group in dict.fromkeys(self._files[body].group for body in bodies):
+        for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
-                digest.update(str(self._placement_of_group(group)).encode())
+                digest.update(str(self._group_alignment(group)).encode())
         for body in bodies:
             landmarks = self._landmarks(body)
-            places = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
-            digest.update(repr(places).encode())
+            points = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
+            digest.update(repr(points).encode())
             try:
-                digest.update(self._files[body].path.read_bytes())
+                digest.update(self._entries[body].path.read_bytes())
             except OSError as error:
-                raise BadMesh(f"cannot read {self._files[body].path}: {error.strerror or error}") from error
+                raise BadMesh(f"cannot read {self._entries[body].path}: {error.strerror or error}") from error
         return digest.hexdigest()
 
     def build(self, body: BodyRef) -> Body:
-        """One body in the body frame.
+        """Build one body in the body frame.
 
         Raises BadMesh, naming the file, for one that cannot be read as a body; BadLandmarks for one whose landmarks are
         missing or do not fit; BadConfig for a body of another source.
         """
-        landmarks = self._landmarks(body)
-        file = self._files[body]
+        landmarks, file = self._landmarks(body), self.entry(body)
         surface = read_mesh(file.path)
         if file.group is None:
-            placement = self._placement_by(landmarks, surface, file.path)
+            alignment = self._alignment_of(landmarks, surface, file.path)
         else:
-            placement = self._placement_of_group(file.group)
-        vertices = placement.apply(surface[0])
+            alignment = self._group_alignment(file.group)
+        vertices = alignment.apply(surface[0])
         if isinstance(landmarks, LandmarkSet):
             mesh = _mesh(body.mesh, vertices, surface[1], file.path)
             built = Body(mesh, landmarks.for_mesh(mesh), self._notes.get(file.landmarks or "", ()))
         else:
-            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.transformed(1.0, placement.rotation))
+            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.transformed(1.0, alignment.rotation))
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
         return built
@@ -145,10 +129,8 @@ class MeshBodies:
             raise BadLandmarks(f"{count} of {len(bodies)} bodies cannot be labelled: {named}{more}")
 
     def _landmarks(self, body: BodyRef) -> LandmarkSet | PointLandmarks:
-        """A body's landmarks; by vertex whenever others share them."""
-        if body not in self._files:
-            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
-        file = self._files[body]
+        """Return a body's landmarks; by vertex whenever other bodies share them."""
+        file = self.entry(body)
         if file.landmarks is None:
             raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
         if file.landmarks not in self._sets:
@@ -163,28 +145,28 @@ class MeshBodies:
         return self._sets[file.landmarks]
 
     def _propagated(self, points: PointLandmarks, source: Path | str) -> LandmarkSet:
-        """Points on the first of the meshes that share them, as vertices of all."""
-        body, file = next(item for item in self._files.items() if item[1].landmarks == source)
+        """Turn points on the first of the meshes that share them into vertices of all of them."""
+        body, file = next(item for item in self._entries.items() if item[1].landmarks == source)
         surface = read_mesh(file.path)
         scale = metres_a_unit(_used(surface), self._units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
-        points, rescued = _in_millimetres(points, mesh)
+        points, unit_notes = _in_millimetres(points, mesh)
         landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
-        self._notes[source] = (*rescued, f"{_farthest(snapped)} on {file.path.name}")
+        self._notes[source] = (*unit_notes, f"{_farthest(snapped)} on {file.path.name}")
         return landmarks
 
-    def _placement_of_group(self, group: str) -> Alignment:
-        """The placement found from the first upright body of a group, or else from the most upright one looked at."""
-        if group not in self._placements:
-            members = [body for body, file in self._files.items() if file.group == group]
-            count = min(len(members), _LOOKED_AT)
+    def _group_alignment(self, group: str) -> Alignment:
+        """Return the alignment found from a group's first upright body, or else from the most upright one tried."""
+        if group not in self._alignments:
+            members = [body for body, file in self._entries.items() if file.group == group]
+            count = min(len(members), _MOST_TRIED)
             found: list[Alignment] = []
             problem: BadMesh | None = None
             for index in range(count):
                 body = members[index * len(members) // count]
-                path = self._files[body].path
+                path = self._entries[body].path
                 try:
-                    found.append(self._placement_by(self._landmarks(body), read_mesh(path), path))
+                    found.append(self._alignment_of(self._landmarks(body), read_mesh(path), path))
                 except BadMesh as error:
                     problem = problem or error
                     continue
@@ -192,10 +174,10 @@ class MeshBodies:
                     break
             if not found:
                 raise problem or BadMesh(f"no mesh of {group} can be placed")
-            self._placements[group] = min(found, key=lambda placement: placement.lean_deg)
-        return self._placements[group]
+            self._alignments[group] = min(found, key=lambda alignment: alignment.lean_deg)
+        return self._alignments[group]
 
-    def _placement_by(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
+    def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
         if isinstance(landmarks, PointLandmarks):
             points = landmarks.points
         else:
@@ -209,7 +191,7 @@ def _load(landmarks: Path | str) -> LandmarkSet | PointLandmarks:
 
 
 def _check_counts(landmarks: LandmarkSet, surface: Surface, path: Path) -> None:
-    """The check of `LandmarkSet.for_mesh`, for a surface that is no mesh yet."""
+    """Check as `LandmarkSet.for_mesh` does, for a surface that is no `Mesh` yet. Raises BadLandmarks."""
     wanted, found = (landmarks.vertex_count, landmarks.face_count), (len(surface[0]), len(surface[1]))
     if found != wanted:
         raise BadLandmarks(
@@ -219,7 +201,7 @@ def _check_counts(landmarks: LandmarkSet, surface: Surface, path: Path) -> None:
 
 
 def _used(surface: Surface) -> NDArray[np.float64]:
-    """The vertices that faces use: what a scan holds beside them may lie anywhere."""
+    """Return the vertices that faces use: others in a scan may lie anywhere."""
     used = np.zeros(len(surface[0]), np.bool_)
     used[surface[1]] = True
     return surface[0][used]
@@ -235,20 +217,20 @@ def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], pa
 def _snapped(
     name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path, landmarks: PointLandmarks
 ) -> Body:
-    """A body with landmarks by coordinate, repaired if it has to be: its vertices may be numbered anew."""
+    """Make a body with landmarks by coordinate, repairing the mesh if need be: its vertices may be renumbered."""
     notes = []
     try:
         mesh = Mesh(name, vertices, faces)
     except BadMesh as error:
         notes.append(f"repaired: {str(error).removeprefix(f'mesh {name}: ')}")
         mesh = _mesh(name, *repair(name, vertices, faces), path)
-    landmarks, rescued = _in_millimetres(landmarks, mesh)
+    landmarks, unit_notes = _in_millimetres(landmarks, mesh)
     snapped = landmarks.for_mesh(mesh)
-    return Body(mesh, snapped.vertices, (*notes, *rescued, _farthest(snapped)))
+    return Body(mesh, snapped.vertices, (*notes, *unit_notes, _farthest(snapped)))
 
 
 def _in_millimetres(landmarks: PointLandmarks, mesh: Mesh) -> tuple[PointLandmarks, tuple[str, ...]]:
-    """Landmarks a thousandth as large as their mesh are metres that were read as millimetres: enlarged, and a note."""
+    """Enlarge landmarks a thousandth as large as their mesh, which are metres read as millimetres, and add a note."""
     ratio = np.ptp(mesh.surface_vertices, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
     if not _IN_METRES[0] < ratio < _IN_METRES[1]:
         return landmarks, ()

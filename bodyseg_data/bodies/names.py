@@ -1,11 +1,11 @@
-"""Names that files have on disk, as sample keys and in messages."""
+"""File names as parts of sample keys, and lists of them in messages."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 from urllib.parse import quote_from_bytes
 
@@ -14,7 +14,7 @@ _HASH_LETTERS: Final = 10
 
 
 def key_name(path: str, longest: int) -> str:
-    """A file's relative path, with / between folders, as part of a sample key: letters, digits, _, + and - only.
+    """Turn a file's relative path, with / between folders, into part of a sample key: letters, digits, _, + and -.
 
     Different paths give different names: "/" becomes "++" and any other byte "+" and two hexadecimal digits. A name
     longer than `longest` ends in ten digits of a hash of the whole in place of the rest.
@@ -27,33 +27,18 @@ def key_name(path: str, longest: int) -> str:
 
 
 def collapsed(names: Sequence[str]) -> list[str]:
-    """Runs of names whose last number counts up by one, as one: "meshes/mesh_0001.obj to mesh_0004.obj"."""
-    return [first if first == last else f"{first} to {last.rpartition('/')[2]}" for first, last in _runs(names)]
-
-
-def _runs(names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """(first, last) of every run."""
-    first = last = None
+    """Join runs of names whose last number counts up by one: "meshes/mesh_0001.obj to mesh_0004.obj"."""
+    runs: list[list[str]] = []
     for name in names:
-        if first is None or last is None:
-            first = last = name
-        elif _follows(name, last):
-            last = name
+        if runs and _follows(name, runs[-1][-1]):
+            runs[-1].append(name)
         else:
-            yield first, last
-            first = last = name
-    if first is not None and last is not None:
-        yield first, last
+            runs.append([name])
+    return [run[0] if len(run) == 1 else f"{run[0]} to {run[-1].rpartition('/')[2]}" for run in runs]
 
 
 def _follows(name: str, before: str) -> bool:
-    this, that = _parts(name), _parts(before)
-    if this is None or that is None or (this[0], this[2]) != (that[0], that[2]) or len(this[1]) != len(that[1]):
+    this, that = _NUMBERED.fullmatch(name), _NUMBERED.fullmatch(before)
+    if this is None or that is None or this[1] != that[1] or this[3] != that[3] or len(this[2]) != len(that[2]):
         return False
-    return int(this[1]) == int(that[1]) + 1
-
-
-def _parts(name: str) -> tuple[str, str, str] | None:
-    """What stands before, in and after the last number of a name."""
-    match = _NUMBERED.fullmatch(name)
-    return (match[1], match[2], match[3]) if match else None
+    return int(this[2]) == int(that[2]) + 1

@@ -1,29 +1,31 @@
-"""Where bodies come from: one file a source, one Protocol.
+"""Protocol of the sources of bodies, and the list of bodies that each of them keeps.
 
-A source lists its bodies cheaply and in a fixed order, and builds each one on demand, the same bits every time. It is
-opened afresh in every process that needs it.
+A source lists its bodies cheaply and in a fixed order, and builds each one on demand, the same bits every time. Every
+process opens its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import Split
 from bodyseg_data.meshes.mesh import Mesh
+
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)
 class BodyRef:
-    """The name of one body within a source. No field may contain a dot or a slash: they become sample keys.
+    """Name of one body within a source. No field may contain a dot or a slash: they become sample keys.
 
-    subset: the group of the paper it belongs or corresponds to ("A", "B", "C", "people"), else the source's name.
-    subject: the person.
-    mesh: unique within the source. pose: what the body does, for people to read. split: train or test.
+    subset: the paper's group that it belongs or corresponds to ("A", "B", "C", "people"), else the source's name.
+    subject: the person. mesh: unique within the source. pose: the posture or motion in words. split: train or test.
     """
 
     subset: str
@@ -37,8 +39,8 @@ class BodyRef:
 class Body:
     """A body ready to be labelled.
 
-    landmarks: int64 [33], the vertex of each landmark in the order of `PARTS`. notes: one line each on what had to be
-    done to the mesh that its owner may want to know.
+    landmarks: int64 [33], the vertex of each landmark in the order of `PARTS`. notes: repairs of the mesh and the like,
+    one line each, for its owner.
     """
 
     mesh: Mesh
@@ -52,16 +54,42 @@ class BodySource(Protocol):
     name: str
 
     def bodies(self) -> Sequence[BodyRef]:
-        """All bodies that are there, in their fixed order."""
+        """Return all bodies found, in their fixed order."""
 
     def missing(self) -> Sequence[str]:
-        """Names of what a complete set has and this one has not, in order; none for sources that make their bodies."""
+        """Return the names of the files that a complete set has and this one lacks, in order."""
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """A digest of all that shapes these bodies beyond their names: files, models, landmarks.
+        """Return a digest of all that shapes these bodies beyond their names: files, models, landmarks.
 
-        Raises BodysegError for bodies that cannot be built, as far as that shows without building them.
+        Raises BodysegError for bodies that cannot be built, as far as that can be told without building them.
         """
 
     def build(self, body: BodyRef) -> Body:
-        """The mesh and landmarks of one of `bodies()`. Raises BadMesh or BadLandmarks."""
+        """Build the mesh and landmarks of one of `bodies()`. Raises BadMesh or BadLandmarks."""
+
+
+class ListedBodies(Generic[Entry]):
+    """Base of sources that keep one entry (a file, a figure ...) for each of their bodies, in a fixed order."""
+
+    name: str
+
+    def __init__(self, entries: Mapping[BodyRef, Entry], missing: Sequence[str] = ()) -> None:
+        self._entries, self._missing = dict(entries), tuple(missing)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(name={self.name!r}, bodies={len(self._entries)}, missing={len(self._missing)})"
+
+    def bodies(self) -> Sequence[BodyRef]:
+        """Return all bodies found, in their fixed order."""
+        return tuple(self._entries)
+
+    def missing(self) -> Sequence[str]:
+        """Return the names of the files that a complete set has and this one lacks, in order."""
+        return self._missing
+
+    def entry(self, body: BodyRef) -> Entry:
+        """Return the entry of one of `bodies()`. Raises BadConfig for a body of another source."""
+        if body not in self._entries:
+            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
+        return self._entries[body]

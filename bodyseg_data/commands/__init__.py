@@ -1,1 +1,1 @@
-"""What `bodyseg <command>` runs: one module a command, each with its options, an example and `run`."""
+"""Commands of `bodyseg`: one module a command, each with its options, an example and `run`."""

@@ -1,4 +1,4 @@
-"""A command line of many commands: one is imported and run, and ends in one line whatever goes wrong.
+"""Command line of several commands: imports and runs one, and reports every failure in one line.
 
 `bodyseg_model.commands.cli` adds the commands on networks to those listed here.
 """
@@ -28,7 +28,7 @@ COMMANDS: Final[Commands] = {
     "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
-"""Name -> (module, one line). Modules are imported when their command runs, so that no command pays for another."""
+"""Name -> (module, summary). A module is imported when its command runs, so that no command loads another's imports."""
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 SHELLS: Final[tuple[Shell, ...]] = get_args(Shell)
@@ -38,7 +38,7 @@ INTERNAL_ERROR: Final = 70  # EX_SOFTWARE of sysexits.h
 
 
 class Command(Protocol):
-    """What a command's module defines. `run` returns the exit status and raises BodysegError for bad input."""
+    """Interface of a command's module. `run` returns the exit status and raises BodysegError for bad input."""
 
     EXAMPLE: str
     Options: type[Any]
@@ -47,21 +47,21 @@ class Command(Protocol):
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM, which ends a command as tidily as Ctrl-C."""
+    """Raised on SIGTERM, which ends a command like Ctrl-C."""
 
 
 def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, program: str = "bodyseg ") -> int:
-    """Run one command and say what goes wrong in one line.
+    """Run one command; print a failure in one line on standard error.
 
-    commands: those to choose from; program: whatever stands before their names on a command line.
+    commands: those to choose from; program: the text before their names on a command line.
 
-    Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 nobody reads the output, 143
-    terminated, 70 a fault of this program.
+    Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 output closed by its reader, 143
+    terminated, 70 a bug in this program.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = words[0] if words else ""
     for stream in ("stdout", "stderr"):
-        if getattr(sys, stream) is None:  # closed by whoever started this process
+        if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
     before = _handle_signals()
     try:
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     except KeyboardInterrupt:
         return _say(f"{program}{name}", "interrupted", 130)
     except BrokenPipeError:
-        # What is left in the buffer has no reader; without a place to go it would raise again at exit.
+        # The buffered rest has no reader; flushing it at exit would raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
@@ -98,17 +98,17 @@ _COMMAND: Final = os.getpid()
 
 
 def _handle_signals() -> dict[signal.Signals, Any]:
-    """Let SIGINT and SIGTERM end the command tidily; returns what they did before, for those that now differ."""
+    """Make SIGINT and SIGTERM end the command in order; returns the former handlers of the signals changed."""
     if threading.current_thread() is not threading.main_thread():
-        return {}  # only the main thread may, and the others get no signals
+        return {}  # only the main thread may set handlers
     numbers = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
     return {number: signal.signal(number, _stop) for number in numbers}
 
 
 def _stop(number: int, frame: Any) -> None:
-    if os.getpid() != _COMMAND:  # a fork, like a loader's worker: not the one that has something to say
+    if os.getpid() != _COMMAND:  # a fork, such as a loader's worker, which prints nothing
         os._exit(128 + number)
-    # Once is enough: people press Ctrl-C again while things are being tidied up.
+    # A second Ctrl-C must not interrupt the cleaning up.
     for again in (signal.SIGINT, signal.SIGTERM):
         signal.signal(again, signal.SIG_IGN)
     raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
@@ -137,7 +137,7 @@ def _load(commands: Commands, name: str) -> tuple[Command, str]:
 
 
 def _completion(program: str, commands: Commands, words: list[str]) -> str:
-    """A script by which a shell completes commands, options, choices and files."""
+    """Return a script with which a shell completes commands, options, choices and files."""
     shell = next((shell for shell in SHELLS if words == [shell]), None)
     if shell is None:
         raise BadConfig(f"--completion needs one of {', '.join(SHELLS)}, found {' '.join(words) or 'nothing'}")
@@ -151,7 +151,7 @@ def _completion(program: str, commands: Commands, words: list[str]) -> str:
 
 
 def _say(command: str, message: str, status: int) -> int:
-    with contextlib.suppress(OSError):  # nobody listens
+    with contextlib.suppress(OSError):  # standard error is closed
         sys.stderr.write(f"{command.strip()}: {' '.join(message.split())}\n")
     return status
 

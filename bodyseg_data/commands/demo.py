@@ -1,4 +1,4 @@
-"""`bodyseg demo`: from bodies to batches in a minute or two, with pictures and figures to show for it."""
+"""`bodyseg demo`: from bodies to batches in a minute or two, with a picture and figures."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ EXAMPLE = "bodyseg demo --out demo"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     out: Path = option("folder for shards, picture and figures", Path("demo"))
-    meshes: int = option("how many bodies", 16)
-    views: int = option("how many views of each, all round the body", 9)
-    workers: int | None = option("processes (default: one a processor)", None)
+    meshes: int = option("number of bodies", 16)
+    views: int = option("number of views of each, all around the body", 9)
+    workers: int | None = option("number of processes (default: one a processor)", None)
 
 
 def run(options: Options) -> int:
@@ -74,7 +74,7 @@ def run(options: Options) -> int:
 
 
 def _stream(shards: Path, variant: str, workers: int) -> dict[str, Any]:
-    """Two passes over the training split: the first starts the workers, the second is timed."""
+    """Make two passes over the training split: the first starts the workers, the second is timed."""
     images = RangeImages(shards, variant=variant, split="train", seed=0)
     batches = loader(images, batch_size=20, num_workers=workers)
     kept = pixels = 0

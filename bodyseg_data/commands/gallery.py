@@ -20,13 +20,13 @@ _VIEWS: Final = 48
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     folders: tuple[str, ...] = option(
         "folders or addresses of sets of shards, all of one rig", positional=True, address=True
     )
     out: Path = option("write the picture to this PNG file")
-    views: int | None = option("how many views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
+    views: int | None = option("number of views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
 
 
 def run(options: Options) -> int:
@@ -37,11 +37,11 @@ def run(options: Options) -> int:
     for images in sets:
         if images.manifest.rig.camera != camera:
             raise BadConfig(f"a gallery shows sets of one rig, found another in {images.path} than in {sets[0].path}")
-    places = [(images, index) for images in sets for index in range(len(images))]
-    count = min(_VIEWS, len(places)) if options.views is None else options.views
+    views = [(images, index) for images in sets for index in range(len(images))]
+    count = min(_VIEWS, len(views)) if options.views is None else options.views
     chosen = choose_views([key for images in sets for key in images.keys], count)
-    samples = [places[place][0].clean(places[place][1]) for place in chosen]
-    title = f"{len(samples)} of {len(places)} views, rig {sets[0].manifest.rig.name}"
+    samples = [images.clean(index) for images, index in (views[number] for number in chosen)]
+    title = f"{len(samples)} of {len(views)} views, rig {sets[0].manifest.rig.name}"
     save_picture(draw_gallery(samples, camera, title), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0

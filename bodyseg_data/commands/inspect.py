@@ -29,7 +29,7 @@ EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
@@ -37,7 +37,7 @@ class Options:
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
     rows: int = option("samples on the sheet, evenly over the set", 6)
-    seed: int = option("of the artifacts' draws", 0)
+    seed: int = option("seed of the artifacts' random draws", 0)
 
 
 def run(options: Options) -> int:
@@ -58,7 +58,7 @@ def run(options: Options) -> int:
 
 
 def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
-    """A sheet of `rows` samples spread over the set, or all of them if there are fewer."""
+    """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer."""
     count = min(rows, len(images))
     augmentations: dict[VariantName, Augmentation] = {
         name: Augmentation(images.manifest.rig, name, images.seed, images.augmentation.artifacts) for name in VARIANTS
@@ -72,13 +72,13 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
 
 
 def _pick(number: int, count: int, length: int) -> int:
-    """A sample from stretch `number` of `count`: drawn within it, since even steps would keep showing the same view."""
+    """Draw a sample from section `number` of `count`, since even steps would always show the same view."""
     first, end = number * length // count, (number + 1) * length // count
     return int(generator(0, 0, f"{number} of {count}", "contact sheet").integers(first, end))
 
 
 def summarise(images: RangeImages) -> dict[str, Any]:
-    """What a set holds and what a variant leaves of it; plain JSON. Shares are of the clean foreground."""
+    """Count a set's samples and pixels and the share that a variant keeps of the clean foreground, as plain JSON."""
     splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
     pixels = np.zeros(len(PARTS), np.int64)
     clean_pixels = kept_pixels = 0

@@ -34,22 +34,22 @@ _UP: Final = {sign + "xyz"[axis]: (1 if not sign else -1) * np.eye(3)[axis] for 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     out: Path = option("write the picture to this PNG file")
-    source: SourceName | None = option("where bodies come from", None)
+    source: SourceName | None = option("source of the bodies", None)
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     mesh: Path | None = option("a mesh file to propose landmarks for, instead of a source", None)
     propose: Path | None = option("lay the open body over the mesh and write its landmarks to this JSON file", None)
-    units: Units = option("what the mesh files are in", "auto")
+    units: Units = option("unit of the mesh files", "auto")
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", "auto")
     meshes: tuple[str, ...] = option("names of the meshes to draw (default: the source's first)", ())
     height: int = option("height of a body in the picture, pixels", 600)
 
 
 def run(options: Options) -> int:
-    """Draw and write the picture; propose landmarks before if asked to."""
+    """Draw and write the picture, after proposing landmarks if `--propose` is given."""
     check_picture(options.out)
     if options.height not in HEIGHTS_PX:
         raise BadConfig(f"--height must be {HEIGHTS_PX.start} to {HEIGHTS_PX.stop - 1} pixels, found {options.height}")
@@ -66,7 +66,7 @@ def run(options: Options) -> int:
 
 
 def _listed(options: Options) -> list[LabelledBody]:
-    """The bodies of a source with their own landmarks."""
+    """List a source's bodies with their own landmarks."""
     source, bodies = _bodies(options)
     labelled = []
     for body in bodies:
@@ -92,7 +92,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
         raise BadConfig(f"--propose must be a .json file, found {out}")
     if out.exists():
         raise BadConfig(f"{out} is there already, perhaps corrected by hand: propose to another file, or delete it")
-    for file in (out, options.out):  # now rather than after the work
+    for file in (out, options.out):  # before the work, not after it
         if not file.parent.is_dir():
             raise BadConfig(f"cannot write {file}: no such folder")
     mesh, title, upward = _to_propose(options)
@@ -109,7 +109,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
 
 
 def _to_propose(options: Options) -> tuple[Mesh, str, list[NDArray[np.float64]]]:
-    """The mesh in metres and in the axes of its file, its name, and what may be up. Sources need no landmarks."""
+    """Return the mesh in metres and its file's axes, its name, and its possible up axes; no landmarks are read."""
     upward = [_UP[options.up]] if options.up != "auto" else list(_UP.values())
     if options.mesh is not None:
         return _read(options.mesh, options), options.mesh.name, upward
@@ -119,7 +119,7 @@ def _to_propose(options: Options) -> tuple[Mesh, str, list[NDArray[np.float64]]]
     from bodyseg_data.bodies.mesh_bodies import MeshBodies
 
     if isinstance(source, MeshBodies):
-        return _read(source.path_of(bodies[0]), options), bodies[0].mesh, upward
+        return _read(source.entry(bodies[0]).path, options), bodies[0].mesh, upward
     return source.build(bodies[0]).mesh, bodies[0].mesh, [_UP["y"]]
 
 
@@ -129,23 +129,23 @@ def _read(path: Path, options: Options) -> Mesh:
 
 
 def _upright(up: NDArray[np.float64], left: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-    """The rotation [3, 3] that takes `up` to y and, as far as it can, `left` to x; without it some axis to x."""
+    """Return the rotation [3, 3] that takes `up` to y and `left`, made perpendicular, to x; by default any axis."""
     leftward = np.roll(up, 1) if left is None else left - up * (left @ up)
     leftward = leftward / np.linalg.norm(leftward)
     return np.stack([leftward, up, np.cross(leftward, up)])
 
 
 def _facing_front(mesh: Mesh, vertices: NDArray[np.int64], upward: list[NDArray[np.float64]]) -> Mesh:
-    """The mesh turned upright, whichever of `upward` the trunk points along most, and to the front by its shoulders."""
-    place = dict(zip(LANDMARKS, mesh.vertices[vertices], strict=True))
-    trunk = place["Cervicale"] - (place["Rt. PSIS"] + place["Lt. PSIS"]) / 2
+    """Rotate the mesh upright, by the axis of `upward` nearest to the trunk, and to the front by its shoulders."""
+    points = dict(zip(LANDMARKS, mesh.vertices[vertices], strict=True))
+    trunk = points["Cervicale"] - (points["Rt. PSIS"] + points["Lt. PSIS"]) / 2
     up = max(upward, key=lambda axis: float(axis @ trunk))
-    rotation = _upright(up, place["Lt. Acromion"] - place["Rt. Acromion"])
+    rotation = _upright(up, points["Lt. Acromion"] - points["Rt. Acromion"])
     return Mesh(mesh.name, mesh.vertices @ rotation.T, mesh.faces)
 
 
 def _table(proposal: Proposal) -> str:
-    """Every landmark and how far from the surface the open body has it."""
+    """Format every landmark and its distance from the fitted open body's."""
     lines = ["     landmark                      from the open body, cm"]
     for part, distance in zip(PARTS, proposal.distance_m, strict=True):
         mark = "   look closely" if distance > _DOUBTFUL_M else ""

@@ -1,4 +1,4 @@
-"""One frozen dataclass a command drives both the command line and code; no default value is written anywhere else."""
+"""Command lines from frozen dataclasses: one a command, which alone holds the defaults, for shell and code."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def option(
     address: bool = False,
     flag: str | None = None,
 ) -> Any:
-    """A field of an options class: its help text, its default (none: required), and whether it has no dashes.
+    """Declare a field of an options class: its help text and its default (none: required).
 
-    address: whether its text is a path or an address. flag: its name on the command line, where the field's own name
-    is another, as `lr` for `learning_rate`.
+    positional: given without a flag. address: its text is a path or an address. flag: its name on the command line if
+    that differs from the field's, as `lr` for `learning_rate`.
     """
     metadata = {"help": text, "positional": positional, "address": address, "flag": flag}
     return dataclasses.field(default=default, metadata=metadata)
@@ -48,7 +48,7 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
     from cyclopts import CycloptsError, MissingArgumentError
 
     parser = command_parser(kind, program, summary, example)
-    page = io.StringIO()  # written below: rich ends a program whose output nobody reads with a status of its own
+    page = io.StringIO()  # written below: rich would end a program whose output is closed with its own exit status
     try:
         with contextlib.redirect_stdout(page):
             options: Options | None = parser(
@@ -64,9 +64,9 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
 
 
 def command_parser(kind: type[Any], program: str, summary: str, example: str) -> App:
-    """The parser of one command: called with words, it returns a `kind`.
+    """Return the parser of one command: called with words, it returns a `kind`.
 
-    cyclopts is imported here and not above: streaming and the list of commands do without, and save its 70 ms.
+    cyclopts is imported here, not above: streaming and the list of commands do not need its 70 ms.
     """
     from cyclopts import App
     from cyclopts.help import DefaultFormatter, PanelSpec
@@ -97,14 +97,14 @@ def command_parser(kind: type[Any], program: str, summary: str, example: str) ->
 
 
 def version_line() -> str:
-    """What `--version` prints."""
+    """Return the line that `--version` prints."""
     return f"bodyseg {bodyseg_data.__version__}"
 
 
 def command_line(program: str, options: Any) -> str:
-    """The command line that gives these options, for what stands beside results.
+    """Return the command line that gives these options, to be stored with results.
 
-    Of paths on this machine it has the names only: where they lie is nobody's business and would help nobody.
+    Paths are shortened to their last names, to keep this machine's folders out of published results.
     """
     hints = typing.get_type_hints(type(options))
     words = [program]
@@ -114,7 +114,7 @@ def command_line(program: str, options: Any) -> str:
             continue
         values = value if isinstance(value, tuple) else (value,)
         named = field.metadata["address"] or _kind(hints[field.name])[0] is Path
-        texts = [place_name(str(each)) if named else str(each) for each in values]
+        texts = [last_name(str(each)) if named else str(each) for each in values]
         if not field.metadata["positional"]:
             words.append(flag_of(field))
         if hints[field.name] is not bool:
@@ -122,13 +122,13 @@ def command_line(program: str, options: Any) -> str:
     return " ".join(words)
 
 
-def place_name(path: str) -> str:
-    """An address, or the last name of a path."""
+def last_name(path: str) -> str:
+    """Return an address as it is, or the last name of a path."""
     return path if "://" in path else Path(path).name
 
 
 def flag_of(field: dataclasses.Field[Any]) -> str:
-    """The option on the command line that gives this field."""
+    """Return the field's flag on the command line."""
     return "--" + (field.metadata["flag"] or field.name.replace("_", "-"))
 
 
@@ -138,7 +138,7 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     kind, many = _kind(hint)
     positional, address, default = field.metadata["positional"], field.metadata["address"], field.default
     if address:
-        kind = Path  # to the shell that completes it, not in what is read
+        kind = Path  # for completion in the shell; the value is read as text
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
     settings = Parameter(
         name=None if positional else flag_of(field),
@@ -158,7 +158,7 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
 
 
 def _value(kind: Any, text: str) -> Any:
-    """One value. By itself cyclopts would round 2.7 to a whole number, and take an empty path for this folder."""
+    """Convert one value. cyclopts alone would round 2.7 to a whole number, and take an empty path for this folder."""
     if kind is Path and not text:
         raise ValueError
     return kind(text)
@@ -169,7 +169,7 @@ def _address(_: Any, text: str) -> str:
 
 
 def _kind(hint: Any) -> tuple[Any, bool]:
-    """The type of one value, and whether there may be several."""
+    """Return the type of one value, and True if several may be given."""
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         (hint,) = (part for part in typing.get_args(hint) if part is not type(None))
     if typing.get_origin(hint) is tuple:

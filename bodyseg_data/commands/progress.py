@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 
 class Progress:
-    """Shows on standard error how much of a known amount is done, also while nothing is reported.
+    """Shows the share of a known amount that is done, on standard error, also between updates.
 
-    before: how much was done at the first update. interval_s: seconds after which a line is due.
+    before: amount done at the first update. interval_s: seconds after which a line is due.
     """
 
     def __init__(self, title: str, unit: str, interval_s: float = 4.5) -> None:
@@ -33,12 +33,12 @@ class Progress:
         return self
 
     def update(self, done: int, total: int, note: str = "") -> None:
-        """Show that `done` of `total` are done. note: what else there is to say."""
+        """Show that `done` of `total` are done. note: text to append."""
         with self._lock:
             self.before = done if self.before is None else self.before
             if sys.stderr.isatty():
                 if self._bar is None:
-                    # What an earlier run finished is no measure of this one's speed.
+                    # The part that an earlier run finished does not count for this run's speed.
                     self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
                 self._bar.set_postfix_str(note, refresh=False)
                 self._bar.update(done - self._bar.n)
@@ -58,7 +58,7 @@ class Progress:
             with self._lock:
                 if self._ended.is_set():
                     return
-                with contextlib.suppress(OSError, ValueError):  # nobody reads any more: the next update says so
+                with contextlib.suppress(OSError, ValueError):  # standard error is closed: the next update raises it
                     if self._bar is not None:
                         self._bar.refresh()
                     elif time.monotonic() - max(self._last, self._start) >= self._interval_s:

@@ -1,4 +1,4 @@
-"""Where figures come from: the command, commit and machine that stand beside every result."""
+"""Provenance of figures: the command, commit and hardware stored with every result."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from bodyseg_data.core.machine import hardware
 
 
 def provenance(command: str) -> dict[str, str]:
-    """Command, commit (of the checkout this package runs from, "unknown" outside one) and hardware of a measurement.
+    """Return command, commit (of the checkout this package runs from, "unknown" outside one) and hardware.
 
-    To be asked before the measurement begins.
+    Call it before the measurement begins.
     """
     return {"command": command, "commit": _commit(), "hardware": hardware()}
 
 
 def check_target(path: Path, option: str) -> None:
-    """Raise BadConfig unless figures can go into the file that `option` gives: to be asked before the measurement."""
+    """Raise BadConfig unless the file that `option` gives can be written; to be called before the measurement."""
     folder = path.absolute().parent
     if path.is_dir() or not folder.is_dir():
         raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
@@ -31,7 +31,7 @@ def check_target(path: Path, option: str) -> None:
 
 
 def write_figures(path: Path, figures: dict[str, Any]) -> None:
-    """Write figures as JSON at once or not at all. Raises BadConfig."""
+    """Write figures as JSON, atomically. Raises BadConfig if the file cannot be written."""
     write_result(path, (json.dumps(figures, indent=1) + "\n").encode())
 
 

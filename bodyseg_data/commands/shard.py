@@ -25,46 +25,46 @@ from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.rendering import RendererName
+from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.sample_codec import CodecName
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
-    source: SourceName = option("where bodies come from")
+    source: SourceName = option("source of the bodies")
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
-    units: Units = option("what the mesh files are in", Packing.units)
+    units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
-    meshes: int | None = option("how many bodies, evenly from every subset (default: all)", None)
-    views: int | None = option("how many views of each body (default: all, distances x azimuths)", None)
+    meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
+    views: int | None = option("number of views of each body (default: all, distances x azimuths)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
-    azimuths: int = option("how many directions round the body", ViewGrid.azimuths)
+    azimuths: int = option("number of directions around the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
     rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
-    geodesics: GeodesicMethod = option("how distances along the surface are measured", Packing.geodesics)
+    geodesics: GeodesicMethod = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
         "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
     )
-    renderer: RendererName = option("what draws", Packing.renderer)
-    codec: CodecName = option("how images are stored", Packing.codec)
+    renderer: RendererName = option("renderer", Packing.renderer)
+    codec: CodecName = option("codec of the stored images", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
-    workers: int | None = option("how many render (default: one a processor, or all that the cluster has)", None)
+    workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
     report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
     def packing(self) -> Packing:
-        """What to pack. Raises BadConfig."""
+        """Return the options as a `Packing`. Raises BadConfig."""
         views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views)
         return Packing(
             source=self.source,
-            path=None if self.path is None else self.path.absolute(),  # workers may be at home elsewhere
+            path=None if self.path is None else self.path.absolute(),  # workers may run in another folder
             landmarks=None if self.landmarks is None else self.landmarks.absolute(),
             units=self.units,
             up=self.up,
@@ -84,14 +84,14 @@ def run(options: Options) -> int:
     check_engine(options.engine)
     packing = options.packing()
     if options.plan:
-        _warn_of_missing(packing)
+        _warn_about_missing(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     if options.report is not None:
         check_target(options.report, "--report")
-    _warn_of_missing(packing)
+    _warn_about_missing(packing)
     origin = {} if options.report is None else provenance(command_line("tools/shard", options))
     start = time.perf_counter()
     with Progress("packing", "views") as progress:
@@ -109,9 +109,7 @@ def run(options: Options) -> int:
 
 
 def _figures(options: Options, manifest: Manifest, made: int, seconds: float) -> dict[str, Any]:
-    """What it took to make `made` of the samples; the others were there. Processor time and memory are known of local
-    workers only.
-    """
+    """Return size, time and memory of a packing that made `made` samples; workers' only if they are local."""
     here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     local = options.engine == PROCESSES
     size = sum(shard.size for shard in manifest.shards)
@@ -134,7 +132,7 @@ def _figures(options: Options, manifest: Manifest, made: int, seconds: float) ->
     }
 
 
-def _warn_of_missing(packing: Packing) -> None:
+def _warn_about_missing(packing: Packing) -> None:
     missing = packing.opened().missing()
     if missing:
         runs = collapsed(missing)
@@ -147,7 +145,7 @@ def _warn_of_missing(packing: Packing) -> None:
 
 def pack_on(engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress) -> Manifest:
     """Pack on an engine, showing progress; see `open_engine` and `pack`."""
-    with open_engine(engine, workers, packing) as on:
-        if on.note is not None:
-            sys.stderr.write(f"{progress.title}: {on.note}\n")
-        return pack(packing, out, on.executor, on.workers, progress.update)
+    with open_engine(engine, workers, packing) as engine_context:
+        if engine_context.note is not None:
+            sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
+        return pack(packing, out, engine_context.executor, engine_context.workers, progress.update)

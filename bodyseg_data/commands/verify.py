@@ -18,13 +18,13 @@ EXAMPLE = "bodyseg verify shards"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
 
 
 def run(options: Options) -> int:
-    """Print one line a fault and return 1, or say that there is none and return 0."""
+    """Print one line a fault and return 1, or a line without faults and return 0."""
     store, pattern = open_store(options.folder)
     if pattern != "*":
         raise BadConfig(f"a whole set is verified, found {pattern!r} at the end of its path")
@@ -56,7 +56,7 @@ def run(options: Options) -> int:
 
 
 def _strays(store: Store, listed: set[str]) -> list[str]:
-    """Shards that the manifest does not name; only a folder of this machine can be listed."""
+    """List shards that the manifest does not name; only a local folder can be listed."""
     if not isinstance(store, LocalFolder):
         return []
     return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)

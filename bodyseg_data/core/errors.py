@@ -1,28 +1,26 @@
-"""The one family of errors that users meet.
+"""Errors that users meet, all derived from `BodysegError`, and the check of whole-number arguments.
 
-Every message is one line and says which rule was broken, what was found, and where. Commands print that line
-and exit with status 2; code that uses the library can catch `BodysegError` or a member of the family.
+Every message is one line: the rule that was broken, the value found, and where. Commands print that line and exit with
+status 2; code that uses the library can catch `BodysegError` or one of its subclasses.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from numbers import Integral
+from typing import Any, Final
 
 _LONGEST: Final = 1000
 
 
 def one_line(text: str) -> str:
-    """`text` with letters that cannot be printed escaped and, if it is very long, without its middle."""
+    """Return `text` with unprintable characters escaped and, beyond 1000 characters, without its middle."""
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 class BodysegError(Exception):
-    """Base of everything this project raises on purpose.
-
-    Its text is one line that can be printed, whatever was found in a file.
-    """
+    """Base of every error that this project raises on purpose; its text is always one printable line."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())
@@ -37,15 +35,15 @@ class BadMesh(BodysegError):
 
 
 class Unanswerable(BadMesh):
-    """A way to measure distances cannot answer on this surface; another one may."""
+    """One method of measuring distances fails on this surface; another may work."""
 
 
 class BadLandmarks(BodysegError):
-    """A landmark set does not name 33 usable places on the mesh it is meant for."""
+    """A landmark set does not give 33 usable points on its mesh."""
 
 
 class BadSample(BodysegError):
-    """One sample's bytes or arrays are not what the format says."""
+    """One sample's bytes or arrays break the format."""
 
 
 class BadShard(BodysegError):
@@ -53,7 +51,7 @@ class BadShard(BodysegError):
 
 
 class Unreachable(BodysegError):
-    """Files of a remote set cannot be had: absent, refused, or too many attempts in a row have failed."""
+    """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
 
 
 class WorkerLost(BodysegError):
@@ -66,3 +64,13 @@ class Diverged(BodysegError):
 
 class MissingLibrary(BodysegError):
     """An optional package or a system library that the chosen feature needs is not installed."""
+
+
+def check_int(name: str, value: Any, least: int) -> int:
+    """Return `value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number of at least `least`.
+
+    A bool is refused; NumPy's integers are accepted.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+        raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
+    return int(value)

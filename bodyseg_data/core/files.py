@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and files of strangers that may be larger than they look."""
+"""Atomic writes, and reads of untrusted files up to a limit of bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CHUNK_BYTES: Final = 1 << 20
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` beside `path`, then rename: whoever sees `path` sees all of it, also after a power cut."""
+    """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut."""
     aside = path.with_name(f".{path.name}.part")
     try:
         with aside.open("wb") as file:
@@ -31,7 +31,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def write_result(path: Path, data: bytes) -> None:
-    """`write_atomically` for a file that a user asked for. Raises BadConfig, naming it, if it cannot be written."""
+    """Write a file that a user requested, atomically. Raises BadConfig, naming it, if it cannot be written."""
     try:
         write_atomically(path, data)
     except OSError as error:
@@ -39,7 +39,7 @@ def write_result(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames within `folder` survive a power cut."""
+    """Flush a folder's entries to disk, so that renames within it survive a power cut."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -48,15 +48,15 @@ def sync_folder(folder: Path) -> None:
 
 
 def refuse_special(path: Path) -> None:
-    """Raise OSError for a pipe, which reading would wait at for ever, a device and the like."""
+    """Raise OSError for a pipe, which a reader would wait for without end, a device and the like."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def contents(path: Path, packed: bool, limit: int) -> bytes | None:
-    """All bytes of a file, unpacked if it is `packed` with gzip; None if there are more than `limit` of them.
+    """Read a file, decompressed if it is `packed` with gzip; None if it holds more than `limit` bytes.
 
-    Raises OSError if it cannot be read, gzip.BadGzipFile, EOFError or zlib.error if it is not a whole gzip file.
+    Raises OSError if it cannot be read, gzip.BadGzipFile, EOFError or zlib.error if it is no complete gzip file.
     """
     refuse_special(path)
     data = bytearray()

@@ -1,4 +1,4 @@
-"""What this process runs on."""
+"""Hardware that this process runs on."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 
 def processors() -> int:
-    """Processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def hardware() -> str:
-    """Processors and memory, in words."""
+    """Describe processors and memory in one line."""
     names = [line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
     kilobytes = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]
     memory = f", {kilobytes[0] / 1024**2:.0f} GiB" if kilobytes else ""

@@ -1,4 +1,4 @@
-"""The paper's train/test protocol (section 3.5): by mesh, so that no mesh has views on both sides.
+"""Train/test protocol of the paper (section 3.5): split by mesh, so that no mesh has views in both.
 
 | subset          | train                           | test               |
 | --------------- | ------------------------------- | ------------------ |
@@ -20,10 +20,10 @@ _MOTION_FOR_TESTING: Final = {"B": "jumping", "C": "squat"}
 
 
 def split_by_order(subset: Literal["A", "people"], index: int) -> Split:
-    """The split of mesh number `index`, counted from 0 over the whole subset."""
+    """Return the split of mesh number `index`, counted from 0 over the whole subset."""
     return "train" if index < _FIRST_FOR_TRAINING[subset] else "test"
 
 
 def split_by_motion(subset: Literal["B", "C"], motion: str) -> Split:
-    """The split of every frame of a motion sequence."""
+    """Return the split of all frames of a motion sequence."""
     return "test" if motion == _MOTION_FOR_TESTING[subset] else "train"

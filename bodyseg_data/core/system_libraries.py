@@ -1,7 +1,7 @@
-"""Which package gives a library that is missing: the one place that turns a failed import into one clear line.
+"""Errors for missing packages and shared libraries that name what to install.
 
-Some optional packages (pyrender, pymeshlab) load libraries that pip does not bring along. What they raise when one is
-absent differs from package to package and rarely names what to install.
+Some optional packages (pyrender, pymeshlab) load shared libraries that pip does not install. The errors they raise
+without them differ from package to package and rarely name the system's package.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ DEBIAN_PACKAGES: Final = {
     "xcb": "libxcb1",
     "z": "zlib1g",
 }
-"""Name of a shared library, without "lib" and ".so", -> the package of Debian and Ubuntu that holds it."""
+"""Name of a shared library, without "lib" and ".so", -> its package in Debian and Ubuntu."""
 
 SOFTWARE_DRIVER: Final = "libgl1-mesa-dri"
-"""The package with a driver that draws without a graphics card."""
+"""Package of a driver that renders without a graphics card."""
 
 _IN_MESSAGE: Final = re.compile(
     r'lib([\w+-]+?)\.so|Library "([\w+-]+)" not found|(?<![\w.+-])([A-Za-z]\w*): cannot open'
@@ -40,11 +40,11 @@ _IN_MESSAGE: Final = re.compile(
 
 
 def missing_library(feature: str, error: BaseException, needs: Iterable[str] = ()) -> MissingLibrary:
-    """The error to raise when `feature` could not be imported because of `error`.
+    """Return the error to raise when `feature` cannot be imported because of `error`.
 
-    error: what the import raised: ImportError, OSError or AttributeError. needs: names of shared libraries that the
-    feature loads. They are tried, because the error itself may not say which one is absent: PyOpenGL answers a missing
-    libGL with an AttributeError of None.
+    error: ImportError, OSError or AttributeError of the import. needs: names of shared libraries that the feature
+    loads. Each is loaded as a test, because the error may not name the missing one: without libGL, PyOpenGL raises an
+    AttributeError of None.
     """
     cause = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, ModuleNotFoundError):
@@ -57,9 +57,9 @@ def missing_library(feature: str, error: BaseException, needs: Iterable[str] = (
 
 
 def require_libraries(feature: str, needs: Iterable[str]) -> None:
-    """Raise MissingLibrary if one of the shared libraries `needs` is absent, on Linux; elsewhere names differ.
+    """Raise MissingLibrary if a shared library of `needs` is absent; on Linux only, since names differ elsewhere.
 
-    For packages that come up half-working without a library instead of refusing to be imported.
+    For packages whose import succeeds without a library that they need later.
     """
     absent = [name for name in needs if not _loads(name)] if sys.platform.startswith("linux") else []
     if absent:
@@ -75,7 +75,7 @@ def _loads(name: str) -> bool:
 
 
 def _named_in(error: BaseException) -> list[str]:
-    """Names of libraries in the messages of an error and of those that led to it."""
+    """List the libraries named in the messages of an error and of its causes."""
     names: dict[str, None] = {}
     link: BaseException | None = error
     while link is not None:

@@ -1,8 +1,8 @@
-"""Which samples make up which batch: a function of set, seed, epoch, ranks and batch size, and of nothing else.
+"""Assignment of samples to batches: a function of set, seed, epoch, world size and batch size, and of nothing else.
 
-One order an epoch is shared by all ranks. It is cut into global batches of ranks x batch_size samples, and each of
-those into one batch a rank, side by side. So putting the ranks' batches together gives what one process gets, and a
-place in an epoch is a number of samples, which means the same for any number of workers, ranks, or batch size.
+All ranks share one order an epoch. It is cut into global batches of world_size x batch_size samples, and each global
+batch into consecutive parts, one a rank. So the ranks' batches put together are the batches of one process, and a
+position in an epoch is a number of samples, valid for any number of workers or ranks and any batch size.
 """
 
 from __future__ import annotations
@@ -10,66 +10,48 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import torch.distributed
 from numpy.typing import NDArray
 from torch.utils.data import Sampler
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.randomness import check_epoch
+
+if TYPE_CHECKING:
+    from bodyseg_data.loading.range_images import RangeImages
 
 STATE_FORMAT: Final = "bodyseg loader 1"
 
 Request = tuple[int, int]
-"""(epoch, index): asked for together, so that workers that outlive an epoch need not be told of the next."""
+"""(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
 
 
-class Ordered(Protocol):
-    """What is put in order; `RangeImages` is. identity: what a state belongs to, as plain JSON."""
-
-    split: Any
-    epoch: int
-    epochs_set: int
-
-    def __len__(self) -> int: ...
-
-    def order(self, epoch: int, shuffle: bool) -> NDArray[np.int64]: ...
-
-    def identity(self) -> dict[str, Any]: ...
-
-
-def whole_number(name: str, value: Any, least: int) -> int:
-    """`value` as an int. Raises BadConfig, calling it `name`, unless it is a whole number of at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
-    return int(value)
-
-
-def flag(name: str, value: Any) -> bool:
-    """`value` as a bool. Raises BadConfig, calling it `name`, unless it is True or False: text would count as True."""
+def check_bool(name: str, value: Any) -> bool:
+    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
     if not isinstance(value, bool | np.bool_):
         raise BadConfig(f"{name} must be True or False, found {value!r}")
     return bool(value)
 
 
 def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:
-    """(rank, world_size): as given, else torch.distributed's, else torchrun's RANK and WORLD_SIZE, else (0, 1).
+    """Return (rank, world_size): as given, else torch.distributed's, else torchrun's variables, else (0, 1).
 
-    Raises BadConfig.
+    torchrun sets RANK and WORLD_SIZE in the environment. Raises BadConfig for values that are no rank.
     """
     if (rank is None) != (world_size is None):
         raise BadConfig(f"rank and world_size are given together or not at all, found {rank!r} of {world_size!r}")
     if rank is None or world_size is None:
-        rank, world_size = _surroundings()
-    whole_number("world_size", world_size, 1)
-    if whole_number("rank", rank, 0) >= world_size:
+        rank, world_size = _distributed_rank()
+    check_int("world_size", world_size, 1)
+    if check_int("rank", rank, 0) >= world_size:
         raise BadConfig(f"rank must be less than world_size, found {rank} of {world_size}")
     return rank, world_size
 
 
-def _surroundings() -> tuple[int, int]:
+def _distributed_rank() -> tuple[int, int]:
     if torch.distributed.is_available() and torch.distributed.is_initialized():
         return torch.distributed.get_rank(), torch.distributed.get_world_size()
     found = os.environ.get("RANK"), os.environ.get("WORLD_SIZE")
@@ -81,11 +63,11 @@ def _surroundings() -> tuple[int, int]:
         raise BadConfig(f"RANK and WORLD_SIZE must be whole numbers, found {found[0]!r} and {found[1]!r}") from None
 
 
-def cuts(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
-    """Where the global batches of an epoch's rest begin, and at the end where the last one ends.
+def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
+    """Positions at which the global batches of an epoch begin, from `start` on, and the end of the last one.
 
-    The last one is shorter if need be, and takes samples from the one before if it has fewer than one a rank; with
-    `drop_last` it is left out. Raises BadConfig where the ranks could not all get equally many batches.
+    The last batch may be shorter; if it has fewer samples than ranks, it takes some from the batch before. `drop_last`
+    leaves it out. Raises BadConfig if the ranks cannot all get the same number of batches.
     """
     whole = world_size * batch_size
     found = list(range(start, samples + 1, whole))
@@ -108,48 +90,48 @@ def cuts(samples: int, start: int, batch_size: int, world_size: int, drop_last: 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass, or the rest of one. order: int64 [samples]; cuts: see `cuts`."""
+    """One pass over an epoch, or the rest of one. order: int64 [samples]; bounds: see `batch_bounds`."""
 
     epoch: int
     order: NDArray[np.int64]
-    cuts: list[int]
+    bounds: list[int]
     rank: int
     world_size: int
 
     def __len__(self) -> int:
-        return len(self.cuts) - 1
+        return len(self.bounds) - 1
 
     def batch(self, number: int) -> list[int]:
         """The indices of this rank's part of a global batch: nearly equal parts, side by side."""
-        first, end = self.cuts[number], self.cuts[number + 1]
+        first, end = self.bounds[number], self.bounds[number + 1]
         share = [first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1)]
         indices: list[int] = self.order[slice(*share)].tolist()
         return indices
 
 
 class BatchOrder(Sampler[list[Request]]):
-    """The batches of pass after pass, each pass another epoch, as lists of (epoch, index).
+    """Batch sampler that yields lists of (epoch, index); every pass is the next epoch.
 
-    `Loader` goes by it, and so can torch's DataLoader and torchdata's StatefulDataLoader over `RangeImages`:
+    `Loader` uses it, and torch's DataLoader and torchdata's StatefulDataLoader over `RangeImages` can:
 
         DataLoader(images, batch_sampler=images.batches(20), num_workers=2, persistent_workers=True)
 
-    Its state is that of the batches asked for, which StatefulDataLoader notes batch by batch. A plain DataLoader with
-    workers asks ahead: say `state_dict(batches=done)` there.
+    Its state counts the batches it has yielded, which StatefulDataLoader records batch by batch. A plain DataLoader
+    with workers draws batches in advance: call `state_dict(batches=done)` there.
     """
 
     def __init__(
         self,
-        images: Ordered,
+        images: RangeImages,
         batch_size: int,
         shuffle: bool | None = None,
         drop_last: bool = False,
         rank: int | None = None,
         world_size: int | None = None,
     ) -> None:
-        self.images, self.drop_last = images, flag("drop_last", drop_last)
-        self.batch_size = whole_number("batch_size", batch_size, 1)
-        self.shuffle = images.split == "train" if shuffle is None else flag("shuffle", shuffle)
+        self.images, self.drop_last = images, check_bool("drop_last", drop_last)
+        self.batch_size = check_int("batch_size", batch_size, 1)
+        self.shuffle = images.split == "train" if shuffle is None else check_bool("shuffle", shuffle)
         self.rank, self.world_size = find_rank(rank, world_size)
         if len(images) < self.world_size:
             raise BadConfig(f"{len(images)} samples are fewer than {self.world_size} ranks: use fewer ranks")
@@ -164,16 +146,22 @@ class BatchOrder(Sampler[list[Request]]):
         self._epochs_set = images.epochs_set
         self._pass: Pass | None = None
 
-    def _cuts(self, start: int) -> list[int]:
-        return cuts(len(self.images), start, self.batch_size, self.world_size, self.drop_last)
+    def __repr__(self) -> str:
+        return (
+            f"BatchOrder({self.images!r}, batch_size={self.batch_size}, shuffle={self.shuffle}, "
+            f"drop_last={self.drop_last}, rank={self.rank}, world_size={self.world_size}, batches={len(self)})"
+        )
+
+    def _bounds(self, start: int) -> list[int]:
+        return batch_bounds(len(self.images), start, self.batch_size, self.world_size, self.drop_last)
 
     def __len__(self) -> int:
-        """Batches of a whole pass, the same for every rank."""
-        return len(self._cuts(0)) - 1
+        """Number of batches in a whole pass, the same for every rank."""
+        return len(self._bounds(0)) - 1
 
     @property
     def largest(self) -> int:
-        """The most samples that a batch of one rank can have."""
+        """Size of the largest batch that one rank can get, in samples."""
         return min(self.batch_size, -(-len(self.images) // self.world_size))
 
     @property
@@ -183,7 +171,7 @@ class BatchOrder(Sampler[list[Request]]):
         return self._next[0]
 
     def set_epoch(self, epoch: int) -> None:
-        """Make the next pass that epoch, from its start; or from where a loaded state stands, if it is that epoch."""
+        """Make `epoch` the next pass: from its start, or from the position of a loaded state of the same epoch."""
         if check_epoch(epoch) != self._next[0]:
             self._next = (int(epoch), 0)
         self._reached = None
@@ -193,50 +181,50 @@ class BatchOrder(Sampler[list[Request]]):
             self._epochs_set = self.images.epochs_set
             self.set_epoch(self.images.epoch)
 
-    def begin(self) -> Pass:
-        """The next pass, which is then under way."""
+    def begin_pass(self) -> Pass:
+        """Start the next pass and return it."""
         self._follow_images()
         epoch, start = self._next
         order = self.images.order(epoch, self.shuffle)
-        self._pass = Pass(epoch, order, self._cuts(start), self.rank, self.world_size)
+        self._pass = Pass(epoch, order, self._bounds(start), self.rank, self.world_size)
         self._reached = self._next
         self._next = (epoch + 1, 0)
         return self._pass
 
-    def reach(self, batches: int) -> None:
-        """Note that so many batches of the pass under way are done."""
+    def mark_delivered(self, batches: int) -> None:
+        """Record that so many batches of the current pass are delivered."""
         if self._pass is not None:
-            self._reached = (self._pass.epoch, self._pass.cuts[batches])
+            self._reached = (self._pass.epoch, self._pass.bounds[batches])
 
-    def end(self) -> None:
-        """Note that the pass under way is over."""
+    def end_pass(self) -> None:
+        """Record that the current pass is complete."""
         self._reached = None
 
     def __iter__(self) -> Iterator[list[Request]]:
-        this = self.begin()
+        this = self.begin_pass()
         for number in range(len(this)):
-            self.reach(number + 1)
+            self.mark_delivered(number + 1)
             yield [(this.epoch, index) for index in this.batch(number)]
-        self.end()
+        self.end_pass()
 
     def state_dict(self, batches: int | None = None) -> dict[str, Any]:
-        """Where the pass under way stands, or after `batches` of its batches: plain JSON, the same on every rank."""
+        """Position in the current pass, or after `batches` of its batches: plain JSON, the same on every rank."""
         self._follow_images()
         epoch, position = self._next if self._reached is None else self._reached
         if batches is not None:
             if self._pass is None or not 0 <= batches <= len(self._pass):
-                raise BadConfig(f"batches must be a number of batches of the pass under way, found {batches!r}")
-            epoch, position = self._pass.epoch, self._pass.cuts[batches]
+                raise BadConfig(f"batches must be a number of batches of the current pass, found {batches!r}")
+            epoch, position = self._pass.epoch, self._pass.bounds[batches]
         return {"format": STATE_FORMAT, "epoch": epoch, "position": position, **self._identity()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Make the next pass go on where `state` stands; one at the end of an epoch means the next epoch.
+        """Make the next pass continue at the position of `state`; the end of an epoch means the next epoch.
 
         Takes the same time for every position. Raises BadConfig for the state of other samples, variant, seed, or
-        order, and where fewer samples are left than there are ranks.
+        order, and if fewer samples are left than there are ranks.
         """
-        epoch, position = _checked(state, self._identity())
-        if len(self._cuts(position)) == 1:
+        epoch, position = _checked_position(state, self._identity())
+        if len(self._bounds(position)) == 1:
             epoch, position = epoch + 1, 0
         self._next, self._reached, self._pass = (epoch, position), None, None
         self._epochs_set = self.images.epochs_set
@@ -245,7 +233,7 @@ class BatchOrder(Sampler[list[Request]]):
         return {"samples": len(self.images), **self.images.identity(), "shuffle": self.shuffle}
 
 
-def _checked(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
+def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
     found = state.get("format") if isinstance(state, dict) else type(state).__name__
     if found != STATE_FORMAT:
         raise BadConfig(f"a state's 'format' must be {STATE_FORMAT!r}, found {found!r}")

@@ -13,22 +13,22 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.core.errors import BadConfig, BodysegError
-from bodyseg_data.loading.batch_order import BatchOrder, Pass, flag, whole_number
+from bodyseg_data.core.errors import BadConfig, BodysegError, check_int
+from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
 from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import InlineWorkers, StartMethod, Workers
 
 Fault = tuple[int, BodysegError]
-"""(place in the batch, why it could not be filled): raised where the user is, not in a worker."""
+"""(index in the batch, error): returned by a worker and raised in the user's process."""
 
 _START_METHODS: Final = (None, "fork", "spawn", "forkserver")
 
 
 @dataclass(frozen=True)
 class LoaderOptions:
-    """How batches are made, which changes none of their bits; see `loader`."""
+    """Options of a loader that change none of its batches' bits; see `loader`."""
 
     num_workers: int
     prefetch_factor: int
@@ -37,28 +37,34 @@ class LoaderOptions:
     start_method: StartMethod | None
 
     def __post_init__(self) -> None:
-        whole_number("num_workers", self.num_workers, 0)
-        whole_number("prefetch_factor", self.prefetch_factor, 1)
-        flag("metres", self.metres)
-        flag("pin_memory", self.pin_memory)
+        check_int("num_workers", self.num_workers, 0)
+        check_int("prefetch_factor", self.prefetch_factor, 1)
+        check_bool("metres", self.metres)
+        check_bool("pin_memory", self.pin_memory)
         if self.start_method not in _START_METHODS:
             raise BadConfig(f"start_method must be fork, spawn, forkserver or None, found {self.start_method!r}")
 
 
 @dataclass(frozen=True)
 class _WorkerState:
-    """Who makes batches, and where they put them. in_flight: the slots of what was asked for. owner: whose they are."""
+    """Workers and the memory that they fill. in_flight: slots of the batches requested so far, oldest first.
 
-    makers: InlineWorkers | Workers
+    close: ends the workers. owner: id of the process that started them.
+    """
+
+    workers: InlineWorkers | Workers
     slots: Slots
-    end: Callable[[], Any]
+    close: Callable[[], Any]
     owner: int
     in_flight: deque[int] = field(default_factory=deque)
 
 
 @dataclass(frozen=True)
 class _BatchMaker:
-    """What runs in a worker: fills a slot. The images that could be made come first in it, in the order asked for."""
+    """Function that a worker runs: fills a slot with the images requested, in their order, and returns the faults.
+
+    A sample that cannot be read leaves no gap: the next one takes its row.
+    """
 
     images: RangeImages
     slots: Slots
@@ -70,41 +76,47 @@ class _BatchMaker:
         ranges, labels = self.slots.arrays(slot)
         steps = np.empty(ranges.shape[2:], np.uint16)
         faults: list[Fault] = []
-        for place, index in enumerate(indices):
-            at = place - len(faults)
+        for number, index in enumerate(indices):
+            row = number - len(faults)
             try:
-                self.images.write(index, epoch, steps if self.metres else ranges[at, 0], labels[at])
+                self.images.write(index, epoch, steps if self.metres else ranges[row, 0], labels[row])
             except BodysegError as error:
-                faults.append((place, type(error)(str(error))))
+                faults.append((number, type(error)(str(error))))
                 if self.strict or not isinstance(error, SKIPPABLE):
-                    break  # it ends the run, and every further sample might take as long to fail
+                    break  # this error ends the run, and every further sample might take as long to fail
             else:
                 if self.metres:
-                    metres(steps, ranges[at, 0])
+                    metres(steps, ranges[row, 0])
         return faults
 
 
 class Loader:
     """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
 
-    The first pass is the images' `epoch`. `images.set_epoch(n)` makes the next pass epoch n. Make one loader and use it
-    for all epochs: a new one starts where `images.epoch` says, and starts its workers anew. One pass runs at a time.
-    A batch belongs to whoever holds it and does not change, except in forks of his process. Workers end with the
-    loader, or after an error.
+    The first pass is the images' `epoch`; `images.set_epoch(n)` makes the next pass epoch n. Use one loader for all
+    epochs: a new one starts at `images.epoch` and starts new workers. One pass runs at a time. A batch never changes
+    while a reference to it is held, except in a fork of this process. Workers end with the loader, or after an error.
 
-    order: which samples make up which batch; see `BatchOrder`.
+    order: assignment of samples to batches; see `BatchOrder`.
     """
 
     def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
         self.images, self.order = images, order
         self._ledger, self._options = ledger, options
         self._workers = min(options.num_workers, len(order))
-        self._ahead = max(1, min(self._workers * options.prefetch_factor, len(order)))
+        self._prefetched = max(1, min(self._workers * options.prefetch_factor, len(order)))
         self._passes = 0
         self._state: _WorkerState | None = None
 
+    def __repr__(self) -> str:
+        order, workers = self.order, self._options.num_workers
+        return (
+            f"Loader({self.images!r}, batch_size={order.batch_size}, shuffle={order.shuffle}, num_workers={workers}, "
+            f"batches={len(self)})"
+        )
+
     def __len__(self) -> int:
-        """Batches of a whole pass, the same for every rank."""
+        """Number of batches in a whole pass, the same for every rank."""
         return len(self.order)
 
     @property
@@ -114,83 +126,84 @@ class Loader:
 
     @property
     def skipped(self) -> list[Skipped]:
-        """The samples left out so far, in the order in which they were missed."""
+        """Samples left out so far, in the order of their batches."""
         return self._ledger.skipped
 
     def state_dict(self) -> dict[str, Any]:
-        """What has been delivered, as plain JSON: epoch, position, skipped samples, and what they belong to."""
+        """Progress so far as plain JSON: epoch, position, skipped samples, and the identity of the images."""
         return {**self.order.state_dict(), "skipped": self._ledger.state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Make the next pass go on after what had been delivered, for any number of workers and ranks, any batch size.
+        """Make the next pass continue behind the last batch that `state` counts as delivered.
 
-        Raises BadConfig for a state of other images.
+        Workers, world size and batch size may differ from the earlier run's. Raises BadConfig for a state of other
+        images.
         """
         self.order.load_state_dict(state)
         self._ledger.load_state(state.get("skipped", []))
 
     def __iter__(self) -> Iterator[Batch]:
-        plan = self.order.begin()
+        plan = self.order.begin_pass()
         self._passes += 1
         this = self._passes
         try:
-            state = self._ready()
-            for number in range(min(self._ahead, len(plan))):
-                _ask(state, plan, number)
+            state = self._idle_workers()
+            for number in range(min(self._prefetched, len(plan))):
+                _submit(state, plan, number)
             for number in range(len(plan)):
                 batch = self._deliver(state, plan, number)
-                if number + self._ahead < len(plan):
-                    _ask(state, plan, number + self._ahead)
-                self.order.reach(number + 1)
+                if number + self._prefetched < len(plan):
+                    _submit(state, plan, number + self._prefetched)
+                self.order.mark_delivered(number + 1)
                 yield batch
-                del batch  # or its slot would stay lent while the next batch is waited for
+                del batch  # otherwise its slot would stay lent while the next batch is waited for
                 if self._passes != this:
                     raise BadConfig("a loader gives one pass at a time, and a newer one has begun: make another loader")
-            self.order.end()
+            self.order.end_pass()
         except GeneratorExit:
-            raise  # what the workers are at is thrown away when the next pass begins
+            raise  # the next pass discards the batches in flight
         except BaseException:
             if self._passes == this and self._state is not None:
-                ending, self._state = self._state, None  # first, for ending it may be interrupted, too
-                ending.end()
+                ending, self._state = self._state, None  # before closing, which may be interrupted, too
+                ending.close()
             raise
 
-    def _ready(self) -> _WorkerState:
-        """Makers with nothing to do."""
+    def _idle_workers(self) -> _WorkerState:
+        """Return workers with no request pending, starting them if need be."""
         if self._state is None or self._state.owner != os.getpid():
             self._state = self._new_state()
         in_flight = self._state.in_flight
-        while in_flight:  # asked for by a pass that was left early
-            self._state.makers.drop()
-            self._state.slots.give_back(in_flight.popleft())
+        while in_flight:  # requested by a pass that was left early
+            self._state.workers.discard()
+            self._state.slots.release(in_flight.popleft())
         return self._state
 
     def _new_state(self) -> _WorkerState:
         camera, options = self.images.manifest.rig.camera, self._options
-        slots = Slots(self._ahead, self.order.largest, camera.rows, camera.columns, options.metres)
+        slots = Slots(self._prefetched, self.order.largest, camera.rows, camera.columns, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         self.images.augmentation.prepare()
-        makers = Workers(maker, self._workers, options.start_method) if self._workers else InlineWorkers(maker)
-        return _WorkerState(makers, slots, weakref.finalize(self, makers.close), os.getpid())
+        workers = Workers(maker, self._workers, options.start_method) if self._workers else InlineWorkers(maker)
+        return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
-        faults: list[Fault] = state.makers.answer()
+        faults: list[Fault] = state.workers.result()
         slot = state.in_flight.popleft()
-        places = [self.images.place(index) for index in plan.batch(number)]
-        for at, error in faults:
-            shard, key, offset = places[at]
+        locations = [self.images.location(index) for index in plan.batch(number)]
+        for index, error in faults:
+            shard, key, offset = locations[index]
             self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
-        missing = {at for at, _ in faults}
-        keys = [key for at, (_, key, _) in enumerate(places) if at not in missing]
+        missing = {index for index, _ in faults}
+        keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
         pin = self._options.pin_memory and torch.cuda.is_available()
-        ranges, labels = state.slots.hand_over(slot, len(keys), pin)
+        ranges, labels = state.slots.lend(slot, len(keys), pin)
         return {"range": ranges, "labels": labels, "key": keys}
 
 
-def _ask(state: _WorkerState, plan: Pass, number: int) -> None:
-    slot = state.slots.take()
+def _submit(state: _WorkerState, plan: Pass, number: int) -> None:
+    slot = state.slots.acquire()
     state.in_flight.append(slot)
-    state.makers.ask((slot, plan.epoch, plan.batch(number)))
+    state.workers.submit((slot, plan.epoch, plan.batch(number)))
 
 
 def loader(
@@ -210,23 +223,23 @@ def loader(
     prefetch_factor: int = 2,
     start_method: StartMethod | None = None,
 ) -> Loader:
-    """Batches of `images`, made in `num_workers` processes (0: in this one); see `Batch` for what a batch holds.
+    """Return a loader of batches of `images`, made in `num_workers` processes (0: in this one); see `Batch`.
 
-    shuffle: None shuffles the train split and nothing else. drop_last: leave out the last batch if it is not full.
+    shuffle: None shuffles the train split only. drop_last: leave out the last batch if it is not full.
 
-    rank, world_size: which of how many processes this is, each of which gets batches of `batch_size`, and equally many;
-    None asks torch.distributed, then torchrun's RANK and WORLD_SIZE.
+    rank, world_size: number of this process and of all processes; each gets the same number of batches of
+    `batch_size`. None takes them from torch.distributed, then from torchrun's RANK and WORLD_SIZE.
 
-    on_error: "stop" raises for a bad sample. "skip" leaves it out, which makes its batch shorter and maybe empty, never
-    one batch less. skip_budget: how many samples a pass of this rank may lose so, or which share of the set (a float
-    below 1). skip_log: a file to which each is appended as a line of JSON.
+    on_error: "stop" raises for a bad sample. "skip" leaves it out: its batch gets shorter, possibly empty; the number
+    of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
+    set (a float below 1). skip_log: a file to which each skipped sample is appended as a line of JSON.
 
     metres: False leaves ranges as uint16 in steps of 0.1 mm, half the bytes, for a GPU to convert. pin_memory: deliver
-    in page-locked memory, if CUDA is there. prefetch_factor: batches that each worker makes in advance, as in PyTorch:
-    `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where each is made when it is asked for.
-    start_method: "fork", "spawn" or "forkserver"; None is Python's choice.
+    in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as in
+    PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
+    requested. start_method: "fork", "spawn" or "forkserver"; None is Python's default.
 
-    Raises BadConfig.
+    Raises BadConfig for an option out of its range.
     """
     if not isinstance(images, RangeImages):
         raise BadConfig(f"images must be RangeImages, found {type(images).__name__}")

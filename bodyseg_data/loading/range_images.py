@@ -1,7 +1,8 @@
-"""Shards and a variant's name -> a PyTorch dataset.
+"""PyTorch dataset over a set of shards, seen as one of the five variants.
 
-Nothing depends on position: the order of an epoch is a permutation of the samples' place in the manifest, and every
-draw belongs to a sample's key. So batches are the same bits for any number of workers and any shard size.
+Nothing depends on a position in a stream: the order of an epoch is a permutation of the samples' indices in the
+manifest, and every draw belongs to a sample's key. So batches are the same bits for any number of workers and any
+shard size.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
+from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import OutputArrays
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
 
 class Batch(TypedDict):
-    """range: float32 [B, 1, H, W], metres, 0 background; labels: uint8 [B, H, W], 0..32 or 255; key: B names.
+    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in 0.1 mm.
 
-    Where 16 bits were asked for, range is uint16 in steps of 0.1 mm.
+    labels: uint8 [B, H, W], parts 0 to 32, 255 is background. key: the B samples' keys.
     """
 
     range: torch.Tensor
@@ -48,20 +49,20 @@ class Batch(TypedDict):
 
 
 class RangeImages(Dataset[dict[str, Any]]):
-    """A set of shards seen as one of the five variants, made on the fly. Random access; `len()` is exact.
+    """Dataset over a set of shards with the artifacts of one of the five variants. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
-    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first one. artifacts: how strong
-    they are; the paper's by default. only: patterns as in file names ("open-A-*", "*-d255-*"), of which a sample's key
-    must match one.
+    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first epoch. artifacts: their
+    strengths; the paper's by default. only: patterns as for file names ("open-A-*", "*-d255-*"); a sample's key must
+    match one of them.
 
-    Of remote sets (docs/remote.md): cache: the folder that keeps fetched shards, None for `bodyseg` in the user's cache
+    For remote sets (docs/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
-    retry_policy: how much trouble is borne.
+    retry_policy: limits of retries and of waiting.
 
     Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished,
-    Unreachable for a remote one that cannot be had, MissingLibrary for a package that its address needs.
+    Unreachable for a remote set that cannot be fetched, MissingLibrary for a package that its address needs.
     """
 
     def __init__(
@@ -100,13 +101,13 @@ class RangeImages(Dataset[dict[str, Any]]):
         if self.only:
             fits = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
             keys = (self.manifest.shards[number].keys[index] for number, index in chosen)
-            chosen = [place for place, key in zip(chosen, keys, strict=True) if any(fit(key) for fit in fits)]
+            chosen = [sample for sample, key in zip(chosen, keys, strict=True) if any(fit(key) for fit in fits)]
         if not chosen:
             held = ", ".join(f"{self.manifest.samples(name)} {name}" for name in SPLITS)
             wanted = " ".join((pattern, *self.only))
             raise BadConfig(f"{path} has no sample of split {split!r} that matches {wanted!r}; the set holds {held}")
-        self._places: NDArray[np.int64] = np.asarray(chosen, np.int64)
-        records = [self.manifest.shards[number] for number in np.unique(self._places[:, 0])]
+        self._samples: NDArray[np.int64] = np.asarray(chosen, np.int64)  # [N, 2]: shard, index within it
+        records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
         self.epochs_set = 0
@@ -114,66 +115,73 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     @property
     def variant(self) -> str:
-        """The variant's name."""
+        """Name of the variant."""
         return self.augmentation.variant
 
     @property
     def keys(self) -> list[str]:
-        """The keys of all samples, in stored order."""
-        return [self.manifest.shards[shard].keys[index] for shard, index in self._places.tolist()]
+        """Keys of all samples, in stored order."""
+        return [self.manifest.shards[shard].keys[index] for shard, index in self._samples.tolist()]
 
     def set_epoch(self, epoch: int) -> None:
-        """The epoch that indexing draws for, and that a loader's next pass is."""
+        """Set the epoch of the draws for indexing, and of a loader's next pass."""
         self.epoch = check_epoch(epoch)
         self.epochs_set += 1
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._samples)
+
+    def __repr__(self) -> str:
+        only = f", only={list(self.only)}" if self.only else ""
+        return (
+            f"RangeImages({self.path!r}, variant={self.variant!r}, split={self.split!r}, seed={self.seed}, "
+            f"epoch={self.epoch}{only}, samples={len(self)})"
+        )
 
     def clean(self, index: int) -> Sample:
-        """The stored sample, without artifacts."""
+        """Return the stored sample, without artifacts."""
         shard, within = self._where(index)
         return self._reader.read(shard, within)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
-        """The sample as the variant shows it in `epoch`, as 16-bit arrays."""
+        """Return the sample with the variant's artifacts as drawn in `epoch`, as 16-bit arrays."""
         return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
-        """What the variant needs of a stored sample; into: see `decode_sample`."""
+        """Read the parts of a stored sample that the variant uses; into: see `decode_sample`."""
         shard, within = self._where(index)
         return self._reader.read(shard, within, self.augmentation.needs_projector, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        """Put what `image` gives into given arrays [H, W], whatever they hold. Raises BadShard if they do not fit."""
+        """Write the arrays of `image` into given ones [H, W], replacing their content. Raises BadShard for others."""
         try:
             self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
         except BadSample as error:
-            shard, _, offset = self.place(index)
+            shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
-        """One sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
+        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
 
-        index: the sample's place, or (epoch, place) as `batches` gives; a place alone means the epoch last set here,
-        of which workers that are running already do not hear.
+        index: the sample's index, or (epoch, index) as `batches` yields. An index alone takes the epoch last set in
+        this process; `set_epoch` does not reach workers that are already running.
         """
         epoch, index = index if isinstance(index, tuple) else (None, index)
         return _single(self.image(index, epoch))
 
     def _where(self, index: int) -> tuple[int, int]:
-        """(number of the shard, place in it) of a sample. Raises BadConfig for what is no index, or IndexError."""
+        """Return (shard number, index within the shard) of a sample. Raises BadConfig for no integer, or IndexError."""
         try:
-            place = operator.index(index)
+            number = operator.index(index)
         except TypeError:
             raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
-        if not -len(self) <= place < len(self):
-            raise IndexError(f"index {place} of {len(self)} samples")
-        shard, within = self._places[place].tolist()
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"index {number} of {len(self)} samples")
+        shard, within = self._samples[number].tolist()
         return shard, within
 
-    def place(self, index: int) -> tuple[str, str, int]:
-        """(shard's name, key, offset in the shard) of a sample."""
+    def location(self, index: int) -> tuple[str, str, int]:
+        """Return (shard name, key, byte offset in the shard) of a sample."""
         number, within = self._where(index)
         shard = self.manifest.shards[number]
         return shard.name, shard.keys[within], shard.offsets[within]
@@ -186,11 +194,11 @@ class RangeImages(Dataset[dict[str, Any]]):
         rank: int | None = None,
         world_size: int | None = None,
     ) -> BatchOrder:
-        """A `batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as of `loader`."""
+        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
         return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
     def identity(self) -> dict[str, Any]:
-        """What the batches of a run depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
+        """Return all that batches depend on besides their order, as plain JSON; set: digest of all samples' bytes."""
         return {
             "set": self._digest,
             "split": self.split,
@@ -201,30 +209,30 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     @cached_property
     def _digest(self) -> str:
-        """Of the chosen samples' keys and bytes, in stored order, however they are cut into shards."""
+        """Digest of the chosen samples' keys and bytes, in stored order, independent of the cut into shards."""
         digest = hashlib.blake2b(digest_size=16)
-        for number, within in self._places.tolist():
+        for number, within in self._samples.tolist():
             shard = self.manifest.shards[number]
             digest.update(f"{shard.keys[within]} {shard.crc32[within]}\n".encode())
         return digest.hexdigest()
 
     def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
-        """The order in which a pass visits the samples, int64 [len(self)]; a function of seed and epoch alone."""
+        """Return the sample indices in the order of a pass, int64 [len(self)]: a function of seed and epoch alone."""
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def webdataset(self, epoch: int | None = None) -> Any:
-        """A pipeline of `webdataset` over the chosen shards that gives this variant's images, in stored order.
+        """Return a `webdataset` pipeline over the chosen shards that yields this variant's images, in stored order.
 
-        For a pipeline of your own: chain `.shuffle(1000)` and so on; workers share the shards out. Each sample is read
-        by its place in the manifest, as by index: to a reader of streams, a tar that is cut or has an altered header
-        may look as if it just ended. Raises BadShard for a sample that is altered or missing.
+        Chain `.shuffle(1000)` and other steps to it; workers divide the shards among them. Each sample is read by its
+        offset in the manifest, as by index: to a reader of streams, a tar that is cut or has an altered header may look
+        complete. Raises BadShard for a sample that is altered or missing.
         """
         import webdataset
 
         chosen = self.epoch if epoch is None else check_epoch(epoch)
         held: dict[str, list[int]] = {url: [] for url in self.urls()}
         for index in range(len(self)):
-            held[f"{self.path}/{self.place(index)[0]}"].append(index)
+            held[f"{self.path}/{self.location(index)[0]}"].append(index)
 
         def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
             for shard in shards:
@@ -235,16 +243,16 @@ class RangeImages(Dataset[dict[str, Any]]):
         return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)
 
     def stored_bytes(self) -> int:
-        """Bytes that the chosen samples take in their shards, headers included."""
-        return sum(self.manifest.shards[shard].lengths[index] for shard, index in self._places.tolist())
+        """Return the bytes that the chosen samples take in their shards, headers included."""
+        return sum(self.manifest.shards[shard].lengths[index] for shard, index in self._samples.tolist())
 
     def urls(self) -> list[str]:
-        """The paths of the shards that hold the chosen samples, in stored order."""
-        return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._places[:, 0])]
+        """Return the paths of the shards that hold the chosen samples, in stored order."""
+        return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._samples[:, 0])]
 
 
 def metres(steps: NDArray[np.uint16], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Range in steps as metres, rounded once."""
+    """Convert stored steps of 0.1 mm to metres, rounded once; out: float32 array to write into."""
     found: NDArray[np.float32] = np.multiply(steps, np.float32(RANGE_STEP_M), out=out)
     return found
 

@@ -1,4 +1,4 @@
-"""What a loader leaves out: bad samples, up to a budget, every one on record."""
+"""Bad samples that a loader skips: up to a budget, every one recorded."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 OnError = Literal["stop", "skip"]
 
 SKIPPABLE = (BadShard, BadSample)
-"""The errors that are about one sample's bytes."""
+"""Errors in one sample's bytes; all others end the run."""
 
 
 @dataclass(frozen=True)
 class Skipped:
-    """A sample that was left out. offset: where it starts in its shard, bytes; why: the error that reading it gave."""
+    """Record of a skipped sample. offset: its first byte in the shard; why: message of the error that was raised."""
 
     epoch: int
     key: str
@@ -27,7 +27,7 @@ class Skipped:
 
 
 class SkipLedger:
-    """Counts and records what is skipped. budget: None skips nothing; else the most samples that one epoch may lose.
+    """Counts and records skipped samples. budget: None skips nothing; else the most samples that one epoch may lose.
 
     path: a file to which each record is appended as a line of JSON.
     """
@@ -38,15 +38,15 @@ class SkipLedger:
 
     @property
     def strict(self) -> bool:
-        """Whether nothing may be skipped."""
+        """True if no sample may be skipped."""
         return self._budget is None
 
     def add(self, record: Skipped, error: Exception) -> None:
-        """Put one more on record. Raises `error` if nothing may be skipped, BadShard if this is one too many."""
+        """Record one more sample. Raises `error` if nothing may be skipped, BadShard beyond the budget."""
         if self._budget is None or not isinstance(error, SKIPPABLE):
-            # Another object than `error`, which would tie itself and a traceback's frames into a cycle.
+            # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
             raise type(error)(str(error))
-        # By key: an epoch that is gone through again loses the same samples again.
+        # By key: repeating an epoch loses the same samples again.
         lost = {earlier.key for earlier in self.skipped if earlier.epoch == record.epoch}
         if len(lost | {record.key}) > self._budget:
             raise BadShard(
@@ -62,11 +62,11 @@ class SkipLedger:
                 raise BadConfig(f"{self._path} cannot be written: {problem.strerror or problem}") from problem
 
     def state(self) -> list[dict[str, Any]]:
-        """All records as plain JSON."""
+        """Return all records as plain JSON."""
         return [asdict(record) for record in self.skipped]
 
     def load_state(self, state: Any) -> None:
-        """Take over the records of an earlier run. Raises BadConfig."""
+        """Replace the records by those of an earlier run. Raises BadConfig for anything but a list of records."""
         try:
             records = [Skipped(**record) for record in state]
         except TypeError:
@@ -79,9 +79,9 @@ class SkipLedger:
 
 
 def checked_log(on_error: str, path: str | Path | None) -> Path | None:
-    """`path` as one that can be appended to, which is tried: or a run would find out at its first bad sample.
+    """Return the absolute path of the log after opening it once, so that no run fails at its first bad sample.
 
-    Raises BadConfig.
+    Raises BadConfig for a path that cannot be appended to.
     """
     if path is None:
         return None
@@ -97,7 +97,7 @@ def checked_log(on_error: str, path: str | Path | None) -> Path | None:
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:
-    """The most samples a pass may lose: `budget` itself if whole, else that share of `samples`. Raises BadConfig."""
+    """Return the most samples a pass may skip: `budget` if whole, else that share of `samples`. Raises BadConfig."""
     if on_error not in ("stop", "skip"):
         raise BadConfig(f"on_error must be stop or skip, found {on_error!r}")
     if (on_error == "skip") != (budget is not None):

@@ -1,4 +1,4 @@
-"""Processes that answer requests in turn, over a pipe each: no semaphore, no thread, nothing with a name."""
+"""Worker processes that handle requests in turn, each over its own pipe: no semaphore, thread or named resource."""
 
 from __future__ import annotations
 
@@ -20,53 +20,53 @@ from bodyseg_data.core.errors import BadConfig, WorkerLost
 
 StartMethod = Literal["fork", "spawn", "forkserver"]
 
-_PATIENCE_S: Final = 5.0
-"""How long a worker that was told to end may take over what it is doing."""
+_JOIN_TIMEOUT_S: Final = 5.0
+"""Time for a worker to finish its request after it was told to end, seconds; then it is killed."""
 
 _END: Final = "end"
-"""The last request."""
+"""Last request: ends the worker."""
 
-_GLANCE_S: Final = 1.0
-"""How often one looks whether the other is still there, should the pipe not tell."""
+_POLL_S: Final = 1.0
+"""Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
 
 class InlineWorkers:
-    """No workers: requests are answered in this process, when the answer is wanted."""
+    """Same interface without processes: a request is handled in this process when its result is fetched."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
         self._work = work
         self._requests: deque[Any] = deque()
 
-    def ask(self, request: Any) -> None:
-        """Have a request answered."""
+    def submit(self, request: Any) -> None:
+        """Queue a request."""
         self._requests.append(request)
 
-    def answer(self) -> Any:
-        """The answer to the oldest request."""
+    def result(self) -> Any:
+        """Handle the oldest request and return its result."""
         return self._work(self._requests.popleft())
 
-    def drop(self) -> None:
-        """Forget the oldest request."""
+    def discard(self) -> None:
+        """Remove the oldest request."""
         self._requests.popleft()
 
     def close(self) -> None:
-        """Forget what was asked."""
+        """Remove all requests."""
         self._requests.clear()
 
 
 @dataclass(frozen=True)
 class _Failure:
-    """An error that is no part of the work: what it says, and where it came from."""
+    """Unexpected error in a worker: its message in one line, and its traceback."""
 
     line: str
     trace: str
 
 
 class Workers:
-    """`count` processes, started at once. Request n goes to worker n modulo `count`, and answers come in that order.
+    """`count` processes, started at once. Request n goes to worker n modulo `count`; results come in the same order.
 
     work: called in the workers, with a request; must be picklable unless processes are forked. A worker ends when its
-    pipe closes, so also when this process is gone, however it went. Ctrl-C does not reach workers.
+    pipe closes, hence also when this process ends in any way. Ctrl-C does not reach workers.
     """
 
     def __init__(self, work: Callable[[Any], Any], count: int, start_method: StartMethod | None) -> None:
@@ -75,13 +75,13 @@ class Workers:
         context: Any = multiprocessing.get_context(start_method)
         forked = context.get_start_method() == "fork"
         if context.get_start_method() == "forkserver":
-            multiprocessing.forkserver.ensure_running()  # not below, or all it ever starts would have SIGINT blocked
+            multiprocessing.forkserver.ensure_running()  # here, or every process it starts would have SIGINT blocked
         self._owner = os.getpid()
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
-        self._asked = self._answered = 0
+        self._submitted = self._received = 0
         self._forked = forked
-        # Processes start with the signals blocked that are blocked now, and these never unblock SIGINT.
+        # A process starts with the signals blocked that its parent blocks; workers never unblock SIGINT.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             for _ in range(count):
@@ -102,67 +102,67 @@ class Workers:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
-    def ask(self, request: Any) -> None:
-        """Have a request answered. Raises WorkerLost."""
-        worker = self._asked % len(self._pipes)
+    def submit(self, request: Any) -> None:
+        """Send a request to the next worker. Raises WorkerLost if that worker has ended."""
+        worker = self._submitted % len(self._pipes)
         try:
             self._pipes[worker].send(request)
         except OSError:
             raise self._lost(worker) from None
-        self._asked += 1
+        self._submitted += 1
 
-    def answer(self) -> Any:
-        """The answer to the oldest request. Raises WorkerLost if its worker has ended, or failed."""
-        worker = self._answered % len(self._pipes)
+    def result(self) -> Any:
+        """Wait for and return the result of the oldest request. Raises WorkerLost if its worker has ended or failed."""
+        worker = self._received % len(self._pipes)
         pipe, process = self._pipes[worker], self._processes[worker]
         try:
-            while not pipe.poll(_GLANCE_S):
+            while not pipe.poll(_POLL_S):
                 if not process.is_alive() and not pipe.poll():
                     raise EOFError
             found = pipe.recv()
         except (EOFError, OSError):
             raise self._lost(worker) from None
-        self._answered += 1
+        self._received += 1
         if isinstance(found, _Failure):
             error = WorkerLost(f"{self._name(worker)} failed: {found.line}")
             error.add_note(found.trace)
             raise error
         return found
 
-    def drop(self) -> None:
-        """Throw away the answer to the oldest request, once it is there. Raises as `answer`."""
-        self.answer()
+    def discard(self) -> None:
+        """Wait for the result of the oldest request and drop it. Raises as `result`."""
+        self.result()
 
     def _name(self, worker: int) -> str:
         return f"worker {worker} of {len(self._pipes)} (process {self._processes[worker].pid})"
 
     def _lost(self, worker: int) -> WorkerLost:
         process = self._processes[worker]
-        process.join(_GLANCE_S)
+        process.join(_POLL_S)
         status = process.exitcode
         how = "closed its pipe" if status is None else f"ended with status {status}"
         if status is not None and status < 0:
             how = f"was ended by signal {-status} ({signal.strsignal(-status)})"
         if status == -signal.SIGKILL:
-            how += ", as a system does that is short of memory,"
+            how += ", as by a system that is short of memory,"
         hint = ""
-        if status == 1 and not self._forked and not self._answered:
+        if status == 1 and not self._forked and not self._received:
             hint = (
                 '; a script that starts workers needs `if __name__ == "__main__":` with this start method '
-                "(what went wrong stands above)"
+                "(its traceback is printed above)"
             )
         return WorkerLost(f"{self._name(worker)} {how} before its batch was made{hint}")
 
     def close(self) -> None:
-        """End the processes: at once if they are idle, else when they are done with what they are at, or are killed."""
+        """End the processes: idle ones at once, others after their current request or, if it takes long, by a kill."""
         if os.getpid() != self._owner:
-            return  # a fork of the process whose workers these are
+            return  # this is a fork of the process that started the workers
         for pipe in self._pipes:
-            with contextlib.suppress(OSError):  # it has ended already
-                pipe.send(_END)  # closing does not tell: workers forked later than this one have the pipe open too
+            with contextlib.suppress(OSError):  # the worker has ended already
+                pipe.send(_END)  # closing is not enough: workers forked later have the pipe open too
             pipe.close()
         for process in self._processes:
-            process.join(_PATIENCE_S)
+            process.join(_JOIN_TIMEOUT_S)
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -171,24 +171,24 @@ class Workers:
 
 
 def _serve(work: Callable[[Any], Any], pipe: Connection, inherited: Sequence[Connection]) -> None:
-    """A worker's life."""
+    """Handle requests in a worker process until it is told to end, or its parent is gone."""
     for other in inherited:
-        other.close()  # or siblings would keep each other's pipes open
+        other.close()  # otherwise sibling workers would keep each other's pipes open
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
     parent = os.getppid()
-    with contextlib.suppress(EOFError, OSError):  # nobody is left to ask or to answer
+    with contextlib.suppress(EOFError, OSError):  # the parent is gone
         while True:
-            while not pipe.poll(_GLANCE_S):
+            while not pipe.poll(_POLL_S):
                 if os.getppid() != parent:
                     return
             request = pipe.recv()
             if request == _END:
                 return
-            pipe.send(_answer(work, request))
+            pipe.send(_run(work, request))
 
 
-def _answer(work: Callable[[Any], Any], request: Any) -> Any:
+def _run(work: Callable[[Any], Any], request: Any) -> Any:
     try:
         return work(request)
     except Exception as error:

@@ -35,8 +35,9 @@ from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.state import claimed, finished_shards, record_shard
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
+from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
-from bodyseg_data.shards.sample_codec import CodecName, check_codec, encode_sample
+from bodyseg_data.shards.sample_codec import check_codec, encode_sample
 from bodyseg_data.shards.tar import ShardWriter
 
 PACKING_VERSION: Final = 3

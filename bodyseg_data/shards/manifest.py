@@ -15,7 +15,7 @@ from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.rig import Rig, rig_from_json
 from bodyseg_data.core.sample import RANGE_STEP_M, check_key
 from bodyseg_data.core.splits import SPLITS, Split
-from bodyseg_data.shards.sample_codec import CODECS
+from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"

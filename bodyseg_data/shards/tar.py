@@ -17,8 +17,9 @@ from bodyseg_data.core.errors import BadSample, BadShard, Unreachable, one_line
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.sample import Sample, check_key
 from bodyseg_data.core.splits import Split
+from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
-from bodyseg_data.shards.sample_codec import OutputArrays, decode_sample
+from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, open_file, store_at
 
 _BLOCK: Final = 512

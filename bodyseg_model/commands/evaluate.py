@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.strengths import parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.commands.options import command_line, option, place_name
+from bodyseg_data.commands.options import command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
@@ -160,7 +160,7 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
 def _describe(images: RangeImages, count: int | None) -> dict[str, Any]:
     manifest, identity = images.manifest, images.identity()
     return {
-        "name": place_name(images.path),
+        "name": last_name(images.path),
         "source": manifest.source,
         "renderer": manifest.renderer,
         "rig": manifest.rig.name,

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.commands.options import command_line, option, place_name
+from bodyseg_data.commands.options import command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
@@ -146,7 +146,7 @@ def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
 
 def _describe(images: RangeImages) -> dict[str, Any]:
     return {
-        "name": place_name(images.path),
+        "name": last_name(images.path),
         "source": images.manifest.source,
         "rig": images.manifest.rig.name,
         "samples_of_split": len(images),

@@ -14,11 +14,10 @@ from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.variants import artifacts_for
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
@@ -187,7 +186,7 @@ def evaluate(
     Raises BadConfig for an invalid count, an unknown score, or a network that predicts labels above 32 or confidences
     outside 0 to 1; otherwise as `loader`.
     """
-    total = len(images) if count is None else min(whole_number("the number of images", count, 1), len(images))
+    total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     for name in extras:
         if name not in EXTRAS:
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
@@ -62,7 +61,7 @@ def numerical(
     if network.training:
         raise BadConfig("comparing labels needs a network in evaluation mode: call network.eval() first")
     device = device_of(network)
-    order = images.order(images.epoch)[: whole_number("the number of images", count, 1)]
+    order = images.order(images.epoch)[: check_int("the number of images", count, 1)]
     chosen = [images[int(index)] for index in order]
     range_m = torch.stack([image["range"] for image in chosen]).to(device)
     truth = torch.stack([image["labels"] for image in chosen]).to(device)

@@ -21,10 +21,9 @@ from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
 from bodyseg_data.bodies.source import BodySource
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
@@ -152,9 +151,9 @@ def temporal(
     Raises BadConfig for counts that are too small, a window longer than a shot or no variant; otherwise as
     `choose_shots`, `render_shot` and `predict`.
     """
-    shots = whole_number("the number of shots", shots, 1)
-    window = whole_number("the frames of a window", window, 2)
-    if whole_number("the frames of a shot", frames, 2) < window:
+    shots = check_int("the number of shots", shots, 1)
+    window = check_int("the frames of a window", window, 2)
+    if check_int("the frames of a shot", frames, 2) < window:
         raise BadConfig(f"a shot must be at least as long as a window, found {frames} frames and a window of {window}")
     if not variants:
         raise BadConfig("temporal consistency needs at least one variant, found none")

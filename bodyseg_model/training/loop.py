@@ -18,10 +18,9 @@ import torch
 from torch import nn
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, Diverged
+from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -72,9 +71,9 @@ class RunOptions:
     compile: bool = False
 
     def __post_init__(self) -> None:
-        whole_number("log_every", self.log_every, 1)
-        whole_number("checkpoint_every", self.checkpoint_every, 1)
-        whole_number("num_workers", self.num_workers, 0)
+        check_int("log_every", self.log_every, 1)
+        check_int("checkpoint_every", self.checkpoint_every, 1)
+        check_int("num_workers", self.num_workers, 0)
 
 
 class Training:

@@ -23,3 +23,19 @@ def test_figures_that_do_not_fit_on_the_disk_are_one_line_and_leave_nothing(
     lines = [line for line in capsys.readouterr().err.splitlines() if " steps, " not in line]
     assert lines == [f"tools/bench: cannot write {target}: File too large"]
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["variants", "--runs", "x"], "bench variants needs --data"),
+        (["variants", "--data", "x"], "bench variants needs --runs"),
+        (["codec", "--alone"], "--alone is for bench variants, found it with bench codec"),
+        (["render", "--num-workers", "2"], "--num-workers is for bench loader, found it with bench render"),
+        (["partition", "--views", "3"], "bench partition measures whole bodies: leave --views out"),
+        (["clothes", "--figure", "x.png"], "bench clothes draws no figure: leave --figure out"),
+    ],
+)
+def test_options_go_with_their_bench(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", *words]) == 2
+    assert message in capsys.readouterr().err

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.clothes.wardrobe import FINE_M, OUTFITS, Outfit, Refinement, Wardrobe
+from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.clothes.refining import Refinement
+from bodyseg_data.bodies.clothes.wardrobe import FINE_M, Wardrobe
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.parts import LANDMARKS

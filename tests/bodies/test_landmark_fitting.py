@@ -20,9 +20,16 @@ from benches.data.surface.proposal import measure, shuffled  # noqa: E402
 from bodyseg_data.bodies.anny.people import SUBJECT_A  # noqa: E402
 from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting import search as proposal_module  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fit import Fit, Matcher, apart, laid, lay, refine  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
+    Fit,
+    Matcher,
+    fitted_points,
+    fitted_surface,
+    refine,
+    surface_distance,
+)
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, remoteness, spread_over  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.bodies.source import Body  # noqa: E402
 from bodyseg_data.bodies.sources import open_source  # noqa: E402
@@ -59,7 +66,7 @@ def about_y(angle: float) -> np.ndarray:
 
 
 def fit_of(body: FittingBody, pose: str, **changes: torch.Tensor) -> Fit:
-    zeros = {"move": 3, "bends": len(body.joints.spread), "shape": len(body.head_shapes)}
+    zeros = {"move": 3, "angles": len(body.joints.deviation), "shape": len(body.head_shapes)}
     values = {name: torch.zeros(count).double() for name, count in zeros.items()} | {
         "scale": torch.tensor(1.0).double()
     }
@@ -73,11 +80,11 @@ def test_the_fitting_body_moves_as_the_open_body_does(body: FittingBody) -> None
     for pose in ("t_pose", "deep_squat", "fencing"):
         built = source.build(refs[pose])
         wanted = built.mesh.vertices[built.landmarks]
-        places, normals = lay(body, fit_of(body, pose), body.landmarks)
-        wanted, places = wanted - wanted.mean(axis=0), places - places.mean(axis=0)
-        scale = np.linalg.norm(wanted) / np.linalg.norm(places)
+        positions, normals = fitted_points(body, fit_of(body, pose), body.landmarks)
+        wanted, positions = wanted - wanted.mean(axis=0), positions - positions.mean(axis=0)
+        scale = np.linalg.norm(wanted) / np.linalg.norm(positions)
         assert abs(scale * 1.7 / SUBJECT_A.stature_m - 1) < 0.1
-        error = np.linalg.norm(wanted - scale * places, axis=1)
+        error = np.linalg.norm(wanted - scale * positions, axis=1)
         assert np.median(error) < 0.03 and error.max() < 0.06, pose  # the mean person is of another build
         facing = built.mesh.vertex_normals[built.landmarks]
         assert np.median((facing * normals).sum(axis=1)) > 0.97
@@ -85,38 +92,42 @@ def test_the_fitting_body_moves_as_the_open_body_does(body: FittingBody) -> None
 
 def test_refining_finds_a_pose_that_was_changed_a_little(body: FittingBody) -> None:
     wanted = fit_of(body, "a_pose", shape=torch.linspace(1, -1, len(body.head_shapes)).double())
-    bends = (
+    angles = (
         0.3
-        * body.joints.spread
-        * torch.tensor([1.0, -1.0]).double().repeat(len(body.joints.spread))[: len(body.joints.spread)]
+        * body.joints.deviation
+        * torch.tensor([1.0, -1.0]).double().repeat(len(body.joints.deviation))[: len(body.joints.deviation)]
     )
-    bends[:3] = torch.tensor([0.1, 0.2, 0.0])
-    begun = fit_of(body, "a_pose", bends=bends, move=torch.tensor([0.03, -0.02, 0.04]).double())
-    target = laid(body, wanted)
+    angles[:3] = torch.tensor([0.1, 0.2, 0.0])
+    begun = fit_of(body, "a_pose", angles=angles, move=torch.tensor([0.03, -0.02, 0.04]).double())
+    target = fitted_surface(body, wanted)
     stages = ((60, 0.1, 0.02), (40, 0.05, 0.01))
     found, other = refine(body, target, [begun, wanted], stages, 1000)
     before, after = (
-        np.linalg.norm(lay(body, fit, body.landmarks)[0] - lay(body, wanted, body.landmarks)[0], axis=1)
+        np.linalg.norm(
+            fitted_points(body, fit, body.landmarks)[0] - fitted_points(body, wanted, body.landmarks)[0], axis=1
+        )
         for fit in (begun, found)
     )
     assert np.median(before) > 0.04
     assert np.median(after) < 0.01 and after.max() < 0.04
-    assert apart(target, laid(body, found)) < 0.3 * apart(target, laid(body, begun))
-    assert apart(target, laid(body, other)) < 0.01  # each fit by itself
+    assert surface_distance(target, fitted_surface(body, found)) < 0.3 * surface_distance(
+        target, fitted_surface(body, begun)
+    )
+    assert surface_distance(target, fitted_surface(body, other)) < 0.01  # each fit by itself
     again = refine(body, target, [begun, wanted], stages, 1000)[0]
-    assert torch.equal(found.bends, again.bends) and torch.equal(found.move, again.move)
+    assert torch.equal(found.angles, again.angles) and torch.equal(found.move, again.move)
 
 
 def test_matches_are_alike_in_place_direction_and_remoteness() -> None:
     def points(*rows: tuple[float, float, float]) -> Points:
-        places, normals, remote = zip(*rows, strict=True)
+        positions, normals, remote = zip(*rows, strict=True)
         return Points(
-            np.array([(x, 0, 0) for x in places], float),
+            np.array([(x, 0, 0) for x in positions], float),
             np.array([(0, 0, z) for z in normals], float),
             np.array(remote),
         )
 
-    # x, normal along z, remoteness
+    # x, normal along z, mean_geodesic
     surface = points((0.0, 1, 1.0), (0.1, -1, 1.0), (0.15, 1, 1.8))
     asked = points((0.09, 1, 1.0), (0.01, -1, 1.0), (0.02, 1, 1.8))
     assert Matcher(surface).match(asked).tolist() == [0, 1, 2]
@@ -128,32 +139,32 @@ def test_points_are_spread_evenly_by_area() -> None:
     whole = ball(subdivisions=4)
     fine = whole.vertices[whole.faces[:, 0], 0] > 0.25  # one side in triangles a quarter the size
     mesh = Mesh("uneven", whole.vertices, np.concatenate([whole.faces[fine], whole.faces[~fine]]))
-    points = spread_over(mesh, 3000)
-    np.testing.assert_allclose(np.linalg.norm(points.places - whole.centre, axis=1), 0.5, atol=0.002)
-    np.testing.assert_allclose(points.normals, (points.places - whole.centre) / 0.5, atol=0.08)
+    points = sample_surface(mesh, 3000)
+    np.testing.assert_allclose(np.linalg.norm(points.positions - whole.centre, axis=1), 0.5, atol=0.002)
+    np.testing.assert_allclose(points.normals, (points.positions - whole.centre) / 0.5, atol=0.08)
     for axis in range(3):
-        assert (points.places[:, axis] > whole.centre[axis]).mean() == pytest.approx(0.5, abs=0.02)
-    assert len(points.thinned(100).places) == 100
+        assert (points.positions[:, axis] > whole.centre[axis]).mean() == pytest.approx(0.5, abs=0.02)
+    assert len(points.thinned(100).positions) == 100
 
 
 def test_hands_and_feet_are_remote_in_every_posture(standing: Body) -> None:
-    away = dict(zip(LANDMARKS, remoteness(standing.mesh)[standing.landmarks], strict=True))
+    away = dict(zip(LANDMARKS, mean_geodesic(standing.mesh)[standing.landmarks], strict=True))
     assert away["Substernale"] < 0.9 < away["Rt. Olecranon"] < away["Rt. Radial Styloid"] < away["Rt. Dactylion"]
     assert away["Lt. Knee Crease"] < away["Lt. Digit II"]
     assert away["Rt. Dactylion"] == pytest.approx(away["Lt. Dactylion"], rel=0.05)
     source = open_source("open")
     squat = next(ref for ref in source.bodies() if ref.pose == "deep_squat")
     other = source.build(squat)
-    np.testing.assert_allclose(remoteness(other.mesh)[other.landmarks], list(away.values()), rtol=0.12)
+    np.testing.assert_allclose(mean_geodesic(other.mesh)[other.landmarks], list(away.values()), rtol=0.12)
 
 
 def test_stray_pieces_and_doubled_vertices_leave_remoteness_as_it_is() -> None:
     whole = figure()  # five separate parts
-    away = remoteness(whole)
+    away = mean_geodesic(whole)
     assert np.isfinite(away).all()
     loose = whole.vertices[whole.faces].reshape(-1, 3)  # every triangle by itself
     np.testing.assert_allclose(
-        remoteness(Mesh("soup", loose, np.arange(len(loose)).reshape(-1, 3))), away[whole.faces].ravel(), rtol=0.05
+        mean_geodesic(Mesh("soup", loose, np.arange(len(loose)).reshape(-1, 3))), away[whole.faces].ravel(), rtol=0.05
     )
 
 
@@ -175,8 +186,8 @@ def person() -> tuple[Mesh, np.ndarray, Proposal]:
 
 
 def test_a_person_of_the_open_set_is_found_whatever_the_numbering(person: tuple[Mesh, np.ndarray, Proposal]) -> None:
-    mesh, places, proposal = person
-    figures = measure(mesh, places, proposal)
+    mesh, positions, proposal = person
+    figures = measure(mesh, positions, proposal)
     assert figures["swapped"] == 0
     assert figures["median_cm"] < 1 and figures["worst_cm"] < 5, figures
     assert figures["wrong_surface"] < 0.05
@@ -334,12 +345,12 @@ def test_the_bench_refuses_what_it_has_no_use_for(
 def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
     counts = len(standing.mesh.vertices), len(standing.mesh.faces)
     right = standing.landmarks.copy()
-    places = standing.mesh.vertices[right]
+    positions = standing.mesh.vertices[right]
     swapped = right.copy()
     swapped[[15, 16]] = right[[16, 15]]
     for vertices, wrong in ((right, 0), (swapped, 2)):
         landmarks = LandmarkSet("x", "x", *counts, tuple(vertices.tolist()))
-        figures = measure(standing.mesh, places, Proposal(landmarks, np.zeros(33)))
+        figures = measure(standing.mesh, positions, Proposal(landmarks, np.zeros(33)))
         assert figures["swapped"] == figures["beyond_8_cm"] == wrong
         assert figures["median_cm"] == 0
         assert (figures["worst_cm"] > 30 and figures["wrong_surface"] > 0.03) == bool(wrong)

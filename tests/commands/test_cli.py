@@ -367,11 +367,11 @@ def test_a_picture_that_cannot_be_written_is_one_line(
 def test_every_bench_has_its_module_and_its_figure() -> None:
     assert typing.get_args(typing.get_type_hints(bench.Options)["what"]) == tuple(bench.BENCHES)
     for name, takes in bench.BENCHES.items():
-        home = f"benches.{takes.home}"
+        home = f"benches.{takes.module}"
         measure = getattr(importlib.import_module(home), f"bench_{name}")
         parameters = inspect.signature(measure).parameters
-        assert {"progress", *takes.takes} == set(parameters)
-        assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.needs)
+        assert {"progress", *takes.accepted} == set(parameters)
+        assert {name for name, found in parameters.items() if found.default is found.empty} == set(takes.required)
         if takes.figure is not None:
             figure = importlib.import_module(f"{home.rpartition('.')[0]}.{takes.figure}")
             assert callable(getattr(figure, f"draw_{name}"))

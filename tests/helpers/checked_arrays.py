@@ -1,9 +1,10 @@
 """Arrays are checked against the docstrings while tests run: importing this module checks all that is imported later.
 
 A public docstring of the project promises "NAME: uint16 [H, W]" for a parameter or a field of a dataclass, and
-"... uint16 [H, W]" in its first paragraph for what a function returns. A letter stands for one length in all promises
-of a docstring; a number, or the name of a parameter that is one, for itself. A call that breaks a promise raises
-`BrokenPromise`. Promises of another form ("[N]" without a type, "[3 * count]") are for people.
+"... uint16 [H, W]" in its first paragraph for what a function returns; "uint8 or uint16 [H, W]" allows both. A letter
+stands for one length in all promises of a docstring; a number, or the name of a parameter that is one, for itself. A
+call that breaks a promise raises `BrokenPromise`. Promises of another form ("[N]" without a type, "[3 * count]") are
+for people.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from typing import Any
 
-_KIND = r"(?P<kind>bool|u?int(?:8|16|32|64)|float(?:32|64)) \[(?P<lengths>[^\]]+)\]"
+_TYPE = r"(?:bool|u?int(?:8|16|32|64)|float(?:32|64))"
+_KIND = rf"(?P<kind>{_TYPE}(?: or {_TYPE})*) \[(?P<lengths>[^\]]+)\]"
 _NAMED = re.compile(rf"(?P<names>\w+(?:, \w+)*): {_KIND}")
 _RETURNED = re.compile(_KIND)
 _PROJECT = ("bodyseg_data.", "bodyseg_model.")
@@ -40,7 +42,7 @@ class Promise:
     def check(self, what: str, array: Any, known: dict[str, int]) -> None:
         """Compare an array with the promise; known: the lengths seen so far, which this one's are added to."""
         kind, shape = str(array.dtype).removeprefix("torch."), tuple(array.shape)
-        fits = kind == self.kind and len(shape) == len(self.lengths)
+        fits = kind in self.kind.split(" or ") and len(shape) == len(self.lengths)
         if fits:
             for length, found in zip(self.lengths, shape, strict=True):
                 fits &= found == (int(length) if length.isdigit() else known.setdefault(length, found))
@@ -107,12 +109,15 @@ def _made_by_the_project() -> bool:
 
 
 def check_class(kind: type, what: str) -> None:
-    """Check the public methods of a class and, if it is a dataclass, its fields once it is made."""
+    """Check the public methods of a class and, if it is a dataclass, its fields once it is made.
+
+    Objects with a method `check` of their own are left out: they may be made of input that it is to refuse.
+    """
     for name, member in list(vars(kind).items()):
         if isinstance(member, types.FunctionType) and not name.startswith("_"):
             setattr(kind, name, checked(member, f"{what}.{name}"))
     named, _ = promises(kind.__doc__)
-    if not named or not is_dataclass(kind):
+    if not named or not is_dataclass(kind) or hasattr(kind, "check"):
         return
     plain: Callable[..., None] = vars(kind)["__init__"]
 

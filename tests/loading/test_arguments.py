@@ -89,7 +89,7 @@ def test_a_loader_needs_images(value: Any) -> None:
 
 
 def test_an_index_is_a_whole_number_within_the_set(images: RangeImages) -> None:
-    ways: tuple[Callable[[Any], Any], ...] = (images.__getitem__, images.image, images.clean, images.place)
+    ways: tuple[Callable[[Any], Any], ...] = (images.__getitem__, images.image, images.clean, images.location)
     for way in ways:
         for value in (None, "0", 1.0, [0], slice(0, 2)):
             with pytest.raises(BadConfig, match=r"^a sample's index must be a whole number, found "):
@@ -97,7 +97,11 @@ def test_an_index_is_a_whole_number_within_the_set(images: RangeImages) -> None:
         for value in (len(images), -len(images) - 1, 10**30):
             with pytest.raises(IndexError, match=rf"^index {value} of {len(images)} samples$"):
                 way(value)
-    assert images.place(-1) == images.place(np.int64(len(images) - 1)) == images.place(torch.tensor(len(images) - 1))
+    assert (
+        images.location(-1)
+        == images.location(np.int64(len(images) - 1))
+        == images.location(torch.tensor(len(images) - 1))
+    )
 
 
 @pytest.mark.parametrize("epoch", [-1, True, "1", 1.0])
@@ -138,13 +142,13 @@ def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> 
     passed = list(batches)
     assert [len(batch["key"]) for batch in passed] == [len(images)]
     state = batches._state
-    assert state is not None and isinstance(state.makers, processes.Workers) and len(state.makers._processes) == 1
+    assert state is not None and isinstance(state.workers, processes.Workers) and len(state.workers._processes) == 1
     assert state.slots.arrays(0)[0].shape[0] == len(images) and state.slots._count == 4
 
 
 @pytest.mark.parametrize(("samples", "size", "ranks"), [(7, 3, 2), (7, 10, 2), (5, 5, 5), (9, 2, 4)])
 def test_the_largest_batch(samples: int, size: int, ranks: int, images: RangeImages) -> None:
-    images._places = images._places[:samples]
+    images._samples = images._samples[:samples]
     orders = [BatchOrder(images, size, rank=rank, world_size=ranks) for rank in range(ranks)]
     assert max(len(batch) for order in orders for batch in order) <= orders[0].largest <= size
 
@@ -178,8 +182,8 @@ def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.Monk
     def full(size: int) -> int:
         raise OSError(12, "Cannot allocate memory")
 
-    monkeypatch.setattr("bodyseg_data.loading.slots._nameless_file", full)
-    with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be had: Cannot"):
+    monkeypatch.setattr("bodyseg_data.loading.slots._anonymous_file", full)
+    with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be allocated: Cannot"):
         list(loader(images, 3))
 
 

@@ -82,30 +82,30 @@ def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int) -> No
 
 def test_slots_come_back_when_nobody_holds_them() -> None:
     slots = Slots(2, 4, 5, 3, True)
-    taken = [slots.take() for _ in range(2)]
+    taken = [slots.acquire() for _ in range(2)]
     ranges, labels = slots.arrays(taken[0])
     assert (ranges.shape, ranges.dtype, labels.shape, labels.dtype) == ((4, 1, 5, 3), np.float32, (4, 5, 3), np.uint8)
     ranges[:], labels[:] = 7, 8
-    lent = slots.hand_over(taken[0], 3)
+    lent = slots.lend(taken[0], 3)
     assert lent[0].shape == (3, 1, 5, 3)
     assert lent[0].data_ptr() == ranges.ctypes.data, "without a copy"
     seen: list[Any] = [lent]
     for _ in range(20):  # never out of slots, whatever is held; and what is held is never given to another
-        slot = slots.take()
+        slot = slots.acquire()
         others = slots.arrays(slot)[0]
         assert not np.shares_memory(others, ranges)
         others[:] = -1
-        seen.append(slots.hand_over(slot, 4))
+        seen.append(slots.lend(slot, 4))
     assert (lent[0] == 7).all()
     assert (lent[1] == 8).all()
     pointers = {tensor.data_ptr() for tensor, _ in seen}
     assert len(pointers) == 21
     part = lent[1][1]
     del lent, seen
-    free = {slots.take() for _ in range(2 + SPARE - 2)}
+    free = {slots.acquire() for _ in range(2 + SPARE - 2)}
     assert taken[0] not in free, "a label is still held"
     del part
-    assert slots.take() == taken[0]
+    assert slots.acquire() == taken[0]
 
 
 def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
@@ -140,7 +140,7 @@ def test_a_state_knows_what_it_belongs_to(figures_set: Path) -> None:
     columns = ("keys", "offsets", "lengths", "crc32")
     joined = {column: getattr(first, column) + getattr(second, column) for column in columns}
     recut.images.manifest = replace(recut.images.manifest, shards=(replace(first, **joined), *others))
-    recut.images._places = np.asarray([(0, n) for n in range(10)] + [(1, n) for n in range(5)] + [(2, 0)])
+    recut.images._samples = np.asarray([(0, n) for n in range(10)] + [(1, n) for n in range(5)] + [(2, 0)])
     recut.load_state_dict(state)  # the same samples in other shards
     altered = fresh()
     record = altered.images.manifest.shards[0]

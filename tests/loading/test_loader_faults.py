@@ -29,7 +29,7 @@ WITHIN_S = 60
 
 def worker_ids(batches: Loader) -> list[int]:
     assert batches._state is not None
-    return [process.pid for process in batches._state.makers._processes]  # type: ignore[union-attr]  # not Here
+    return [process.pid for process in batches._state.workers._processes]  # type: ignore[union-attr]  # not InlineWorkers
 
 
 def alive(process: int) -> bool:
@@ -119,7 +119,7 @@ def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(batches._state.makers, "answer", interrupted)
+        patch.setattr(batches._state.workers, "result", interrupted)
         list(delivered)
     await_end(processes)
     assert len(keys(batches)) == 24
@@ -132,17 +132,17 @@ def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
     delivered = iter(batches)
     next(delivered)
     assert batches._state is not None
-    makers: Any = batches._state.makers
+    workers: Any = batches._state.workers
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(makers, "answer", interrupted)
-        patch.setattr(makers._processes[0], "join", interrupted)
+        patch.setattr(workers, "result", interrupted)
+        patch.setattr(workers._processes[0], "join", interrupted)
         list(delivered)
     assert len(keys(batches)) == 24, "the next pass has workers of its own"
-    makers.close()
+    workers.close()
 
 
 def test_a_pass_left_early_makes_no_batch_in_vain(figures_set: Path) -> None:

@@ -48,6 +48,22 @@ def test_a_batch_is_what_the_documentation_says(figures_set: Path) -> None:
     assert torch.equal(foreground[:, 0], batch["labels"] != 255)
 
 
+def test_the_public_classes_print_in_one_readable_line(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "noise", split="test", seed=3, only=["*"])
+    count = len(images)
+    where = f"{str(figures_set)!r}, variant='noise', split='test', seed=3"
+    shown = f"RangeImages({where}, epoch=0, only=['*'], samples={count})"
+    assert repr(images) == shown
+    images.set_epoch(2)
+    later = shown.replace("epoch=0", "epoch=2")
+    batches = loader(images, 4, num_workers=2)
+    assert repr(batches) == f"Loader({later}, batch_size=4, shuffle=False, num_workers=2, batches={-(-count // 4)})"
+    assert repr(batches.order) == (
+        f"BatchOrder({later}, batch_size=4, shuffle=False, drop_last=False, rank=0, world_size=1, "
+        f"batches={-(-count // 4)})"
+    )
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_bits_do_not_depend_on_the_number_of_workers(figures_set: Path, variant: str) -> None:
     one, two = (

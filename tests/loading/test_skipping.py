@@ -38,7 +38,7 @@ def test_skipping_keeps_a_ledger(spoil: Callable[..., RangeImages], tmp_path: Pa
     batches = loader(images, 3, workers, on_error="skip", skip_budget=2, skip_log=log)
     good = loader(images, 3).order
     for epoch in range(2):
-        orders = [[images.place(index)[1] for _, index in batch] for batch in good]
+        orders = [[images.location(index)[1] for _, index in batch] for batch in good]
         passed = list(batches)
         assert len(passed) == len(batches) == 6, "no batch is left out"
         for batch, wanted in zip(passed, orders, strict=True):
@@ -53,7 +53,7 @@ def test_skipping_keeps_a_ledger(spoil: Callable[..., RangeImages], tmp_path: Pa
         (epoch, key) for epoch in range(2) for key in bad
     )
     for record in records:
-        shard, key, offset = images.place(images.keys.index(record.key))
+        shard, key, offset = images.location(images.keys.index(record.key))
         assert (record.shard, record.key, record.offset) == (shard, key, offset)
         assert record.why.startswith(f"{shard}: {key}: offset {offset}: altered: CRC-32 ")
     assert [json.loads(line) for line in log.read_text().splitlines()] == batches.state_dict()["skipped"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import permutation
-from bodyseg_data.loading.batch_order import BatchOrder, cuts, find_rank
+from bodyseg_data.loading.batch_order import BatchOrder, batch_bounds, find_rank
 
 
 class Numbers:
@@ -139,12 +139,12 @@ def test_a_pass_goes_on_with_other_ranks_and_batch_sizes(data: st.DataObject) ->
 
 
 def test_cuts_cost_no_more_in_the_middle() -> None:
-    assert cuts(100, 0, 5, 4, False) == [0, 20, 40, 60, 80, 100]
-    assert cuts(100, 40, 5, 4, False) == [40, 60, 80, 100]
-    assert cuts(102, 0, 5, 4, False) == [0, 20, 40, 60, 80, 98, 102], "one a rank, borrowed from the batch before"
-    assert cuts(102, 0, 5, 4, True) == [0, 20, 40, 60, 80, 100]
-    assert cuts(3, 0, 5, 4, True) == [0]
-    assert cuts(7, 7, 5, 4, False) == [7]
+    assert batch_bounds(100, 0, 5, 4, False) == [0, 20, 40, 60, 80, 100]
+    assert batch_bounds(100, 40, 5, 4, False) == [40, 60, 80, 100]
+    assert batch_bounds(102, 0, 5, 4, False) == [0, 20, 40, 60, 80, 98, 102], "one a rank, from the batch before"
+    assert batch_bounds(102, 0, 5, 4, True) == [0, 20, 40, 60, 80, 100]
+    assert batch_bounds(3, 0, 5, 4, True) == [0]
+    assert batch_bounds(7, 7, 5, 4, False) == [7]
 
 
 def test_an_epoch_asked_for_again_keeps_the_place_of_a_loaded_state() -> None:
@@ -178,11 +178,11 @@ def test_states_of_something_else_are_refused() -> None:
     for wrong, message in cases:
         with pytest.raises(BadConfig, match=message):
             order.load_state_dict(wrong)
-    with pytest.raises(BadConfig, match="batches must be a number of batches of the pass under way, found 2"):
+    with pytest.raises(BadConfig, match="batches must be a number of batches of the current pass, found 2"):
         order.state_dict(batches=2)
 
 
-def test_ranks_come_from_arguments_or_surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ranks_come_from_arguments_or_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RANK", raising=False)
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     assert find_rank() == (0, 1)

@@ -20,52 +20,54 @@ EXAMPLE = "tools/bench occlusion --json occlusion.json"
 
 @dataclass(frozen=True)
 class Bench:
-    """A bench: its home, and what it takes.
+    """A bench and its options.
 
-    home: the module below `benches` whose `bench_NAME` measures. figure: the module beside it whose `draw_NAME` draws
-    the answer, if there is one. views: what --views counts, and its default; None if it measures whole bodies.
-    needs, also: further options that it must and may be given.
+    module: the one below `benches` whose `bench_NAME` measures. figure: the module beside it whose `draw_NAME` draws
+    the results, if there is one. views: meaning of --views, and its default; None if the option is not taken.
+    required, optional: names of further options.
     """
 
-    home: str
+    module: str
     figure: str | None = None
     views: str | None = None
-    needs: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
+    required: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
 
     @property
-    def takes(self) -> tuple[str, ...]:
-        """The options that it is called with, where they are given."""
-        return (*(("views",) if self.views else ()), *self.needs, *self.also)
+    def accepted(self) -> tuple[str, ...]:
+        """Names of all options that it accepts."""
+        return (*(("views",) if self.views else ()), *self.required, *self.optional)
 
 
 BENCHES: Final = {
     "occlusion": Bench("data.occlusion.bench", "figure", "views in all, 60"),
     "borders": Bench("data.surface.borders", "borders_figure", "views of each body, 12"),
-    "partition": Bench("data.surface.partition", "partition_figure", also=("mit",)),
-    "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", also=("mit",)),
+    "partition": Bench("data.surface.partition", "partition_figure", optional=("mit",)),
+    "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
-    "clothes": Bench("data.surface.clothes", also=("mit",)),
-    "proposal": Bench("data.surface.proposal", also=("mit",)),
+    "clothes": Bench("data.surface.clothes", optional=("mit",)),
+    "proposal": Bench("data.surface.proposal", optional=("mit",)),
     "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),
     "codec": Bench("data.codec.bench", "figure", "samples in all, 60"),
-    "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", also=("num_workers",)),
+    "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", optional=("num_workers",)),
     "variants": Bench(
-        "model.variants.bench", "figure", needs=("data", "runs"), also=("seeds", "steps", "images", "alone")
+        "model.variants.bench", "figure", required=("data", "runs"), optional=("seeds", "steps", "images", "alone")
     ),
-    "network": Bench("model.networks.network", "network_figure", "typical frames, 12", also=("runs", "scores")),
-    "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", also=("runs",)),
+    "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
+    "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "architectures": Bench(
         "model.networks.architectures",
         None,
         "typical frames, 12",
-        needs=("data", "runs"),
-        also=("images", "forest"),
+        required=("data", "runs"),
+        optional=("images", "forest"),
     ),
-    "ablation": Bench("model.ablation.bench", "figure", needs=("data", "runs"), also=("images", "hard", "clothes")),
-    "failures": Bench("model.failures.bench", "figure", needs=("data",), also=("runs", "images", "hard")),
+    "ablation": Bench(
+        "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
+    ),
+    "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
 }
 """Name -> bench. Modules are imported when their bench runs."""
 
@@ -78,36 +80,50 @@ _COUNTS: Final = "; ".join(f"{name}: {bench.views}" for name, bench in BENCHES.i
 
 
 def _takers(name: str) -> str:
-    """The benches that take an option."""
-    return ", ".join(bench for bench, takes in BENCHES.items() if name in takes.takes)
+    """Names of the benches that accept an option, for its help text."""
+    return ", ".join(bench for bench, facts in BENCHES.items() if name in facts.accepted)
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     what: BenchName = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
-    views: int | None = option(f"how much to measure on ({_COUNTS})", None)
+    views: int | None = option(f"size of the measurement (with its default: {_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
-    num_workers: tuple[int, ...] | None = option("for loader: numbers of worker processes to measure with (0 2)", None)
+    num_workers: tuple[int, ...] | None = option(
+        "for loader: numbers of loader processes to measure with (default 0 2)", None
+    )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
-        "for variants: folder of the trainings, VARIANT-SEED each, where missing ones are made; for architectures and "
-        "ablation: folder of the trainings, NAME-SEED each; for the others: trained networks",
+        "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
+        "folders of runs NAME-SEED; for network, sensors and failures: runs",
         None,
     )
-    seeds: int | None = option("for variants: trainings of each variant (3)", None)
-    steps: int | None = option("for variants: steps of each training (those there, else the recipe's)", None)
-    images: int | None = option("test images (variants 500, architectures and ablation 200, failures 1000)", None)
-    hard: str | None = option(f"for {_takers('hard')}: a set of the source hard to test on as well", None, address=True)
-    clothes: tuple[str, ...] | None = option(
-        "for ablation: two sets alike, of dressed bodies and of bare ones", None, address=True
+    seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
+    steps: int | None = option(
+        "for variants: steps of each training (default: that of the runs that exist, else the recipe's)", None
     )
-    forest: int | None = option("for architectures: training images of a forest to compare with (0: none)", None)
+    images: int | None = option(
+        "number of test images (default: variants 500, architectures and ablation 200, failures 1000)", None
+    )
+    hard: str | None = option(
+        f"for {_takers('hard')}: folder or address of a set of the source `hard`, to test on as well",
+        None,
+        address=True,
+    )
+    clothes: tuple[str, ...] | None = option(
+        "for ablation: two sets of the same views, of dressed bodies and of bare ones", None, address=True
+    )
+    forest: int | None = option(
+        "for architectures: number of training images of a random forest (default 2000; 0: no forest)", None
+    )
     alone: bool = option("for variants: also sweep noise and missing data without the other artifacts", False)
-    scores: tuple[Path, ...] | None = option("for network: results of bodyseg evaluate on `all` to take over", None)
+    scores: tuple[Path, ...] | None = option(
+        "for network: JSON files of `bodyseg evaluate` on `all`, for the accuracies", None
+    )
 
 
 _FLAGS: Final = {field.name: flag_of(field) for field in fields(Options)}
@@ -117,21 +133,21 @@ def run(options: Options) -> int:
     """Measure, and write or print the figures."""
     _check(options)
     bench = BENCHES[options.what]
-    given = {name: value for name in bench.takes if _is_given(value := getattr(options, name))}
+    given = {name: value for name in bench.accepted if _is_given(value := getattr(options, name))}
     shown = [f"{_FLAGS[name]} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
     shown += [f"{_FLAGS[name]} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
-    module = importlib.import_module(f"benches.{bench.home}")
+    measuring = importlib.import_module(f"benches.{bench.module}")
     with Progress("measuring", "steps") as progress:
-        figures: dict[str, Any] = getattr(module, f"bench_{options.what}")(progress=progress.update, **given)
+        figures: dict[str, Any] = getattr(measuring, f"bench_{options.what}")(progress=progress.update, **given)
     if options.json is None:
         sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
     else:
         write_figures(options.json, origin | figures)
         sys.stderr.write(f"wrote {options.json}\n")
     if options.figure is not None:
-        module = importlib.import_module(f"benches.{bench.home.rpartition('.')[0]}.{bench.figure}")
-        getattr(module, f"draw_{options.what}")(figures, options.figure)
+        drawing = importlib.import_module(f"benches.{bench.module.rpartition('.')[0]}.{bench.figure}")
+        getattr(drawing, f"draw_{options.what}")(figures, options.figure)
         sys.stderr.write(f"wrote {options.figure}\n")
     return 0
 
@@ -160,11 +176,11 @@ def _check(options: Options) -> None:
     if options.json is not None:
         check_target(options.json, "--json")
     for name in (field.name for field in fields(options)):
-        if name in ("what", "json", "figure") or not _is_given(getattr(options, name)) or name in bench.takes:
+        if name in ("what", "json", "figure") or not _is_given(getattr(options, name)) or name in bench.accepted:
             continue
-        if name == "views" and not bench.home.startswith("model."):
+        if name == "views" and not bench.module.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")
         raise BadConfig(f"{_FLAGS[name]} is for bench {_takers(name)}, found it with bench {options.what}")
-    for name in bench.needs:
+    for name in bench.required:
         if not _is_given(getattr(options, name)):
             raise BadConfig(f"bench {options.what} needs {_FLAGS[name]}")

@@ -24,7 +24,7 @@ _ALL = "charts.json"
 
 @dataclass(frozen=True)
 class Options:
-    """What the command takes."""
+    """Options of the command."""
 
     in_: Path = option("folder of the benches' figures, BENCH.json each", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
@@ -38,7 +38,7 @@ def run(options: Options) -> int:
     if options.out.resolve() == options.in_.resolve():
         raise BadConfig(f"--out must be another folder than --in, where pictures have the same names: {options.out}")
     drawn: dict[str, Picture] = {}
-    told: dict[str, Any] = {}
+    descriptions: dict[str, Any] = {}
     left_out: dict[str, str] = {}
     for choice in CHOICES:
         file = options.in_ / f"{choice.bench}.json"
@@ -52,12 +52,12 @@ def run(options: Options) -> int:
             continue
         source = {name: fields[name].text() for name in ("command", "commit", "hardware")}
         drawn[choice.name] = draw(choice, panels, source)
-        told[choice.name] = described(choice, panels, {"file": file.name, **source})
+        descriptions[choice.name] = described(choice, panels, {"file": file.name, **source})
     for name, why in left_out.items():
         sys.stderr.write(f"chart {name} is left out: {why}\n")
     if not drawn:
         return 2
-    summary = {"charts": told, "left_out": sorted(left_out)}
+    summary = {"charts": descriptions, "left_out": sorted(left_out)}
     _write(options.out, drawn, summary)
     sys.stderr.write(f"wrote {len(drawn)} charts into {options.out}\n")
     if options.page is not None:
@@ -75,7 +75,7 @@ def _fill_page(page: Path, figures: Path, summary: dict[str, Any]) -> None:
     write_result(page, render_page(text, figures, {"charts": summary}).encode())
 
 
-def _write(out: Path, drawn: dict[str, Picture], told: dict[str, Any]) -> None:
+def _write(out: Path, drawn: dict[str, Picture], descriptions: dict[str, Any]) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -83,4 +83,4 @@ def _write(out: Path, drawn: dict[str, Picture], told: dict[str, Any]) -> None:
     for name, picture in drawn.items():
         write_result(out / f"{name}.svg", picture.svg)
         write_result(out / f"{name}.png", picture.png)
-    write_figures(out / _ALL, told)
+    write_figures(out / _ALL, descriptions)

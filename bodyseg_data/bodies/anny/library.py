@@ -1,4 +1,4 @@
-"""The body model Anny as a library: its axes, loading it, and what can go wrong with its cache."""
+"""Access to the body model Anny: its axes, loading, and errors of its cache."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 def no_anny(error: Exception) -> MissingLibrary:
-    """What to raise where Anny cannot be imported."""
+    """Return the error to raise where Anny cannot be imported."""
     return MissingLibrary(f"making bodies needs the package 'anny': pip install 'bodyseg[render]' ({error})")
 
 
 def fill_cache(progress: Callable[[int, int], None]) -> None:
-    """Fill Anny's cache if nothing is in it, with progress as of `load_anny`. Raises as that."""
+    """Fill Anny's cache if nothing is in it, calling `progress` as `load_anny` does. Raises the same errors."""
     try:
         from anny.paths import get_anny_cache_path
     except ImportError as error:
@@ -82,7 +82,7 @@ def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]
 
 
 def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:
-    """Offsets of vertices in a gzipped target file of MakeHuman, [vertices, 3], decimetres; 0 where it names none.
+    """Read the vertices' offsets from a gzipped MakeHuman target file, [vertices, 3], decimetres; 0 if not listed.
 
     A line is a vertex's index and its offset. Raises ValueError for other content.
     """
@@ -104,7 +104,7 @@ def _tensor(array: NDArray[np.float64], dtype: Any) -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch's sums depend on how many threads share them, so one thread makes each body."""
+    """Run torch on one thread: its sums depend on the number of threads."""
     import torch
 
     before = torch.get_num_threads()
@@ -117,13 +117,13 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def _one_process() -> Iterator[None]:
-    """Anny writes its cache in place: of several processes on a fresh machine, one fills it while the others wait."""
+    """Lock Anny's cache, which it writes in place: one process fills it while the others wait."""
     from anny.paths import get_anny_cache_path
 
     try:
         get_anny_cache_path().mkdir(parents=True, exist_ok=True)
         lock = (get_anny_cache_path() / "bodyseg.lock").open("w")
-    except OSError:  # a cache that cannot be written to needs no lock: it is full, or Anny will say what is wrong
+    except OSError:  # no lock for a cache that cannot be written: it is complete, or loading Anny will fail
         yield
         return
     with lock:
@@ -133,7 +133,7 @@ def _one_process() -> Iterator[None]:
 
 @contextmanager
 def _cache_faults() -> Iterator[None]:
-    """Anny's cache is the one part of it that can be at fault on a user's machine."""
+    """Turn errors of Anny's cache into BadConfig that names its folder."""
     from anny.paths import get_anny_cache_path
     from safetensors import SafetensorError
 

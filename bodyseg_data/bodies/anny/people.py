@@ -1,4 +1,4 @@
-"""583 different people: what each one's body is like, worked out from the person's number alone."""
+"""583 different people: the body parameters of each, computed from the person's number alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PEOPLE: Final = 583
 
 @dataclass(frozen=True)
 class Person:
-    """What a body is like.
+    """Parameters of a person's body.
 
     female: 0 or 1, or between for neither. years: age. stature_m: height. The rest are 0 to 1, least to most:
     muscle, weight, proportions (1 the least usual), cupsize, firmness, african, asian, caucasian (mixed by their
@@ -37,21 +37,11 @@ class Person:
     caucasian: float = 1.0
 
     def phenotype(self) -> dict[str, float]:
-        """Anny's parameters, all but the height, which depends on the others and on stature."""
+        """Return Anny's parameters, all but the height, which depends on the others and on stature."""
         # Anny's anchors: 1/3 is a child of about ten, 2/3 an adult of 25, 1 one of 90.
         age = np.interp(self.years, (10, 25, 90), (1 / 3, 2 / 3, 1))
-        return {
-            "gender": self.female,
-            "age": float(age),
-            "muscle": self.muscle,
-            "weight": self.weight,
-            "proportions": self.proportions,
-            "cupsize": self.cupsize,
-            "firmness": self.firmness,
-            "african": self.african,
-            "asian": self.asian,
-            "caucasian": self.caucasian,
-        }
+        same = ("muscle", "weight", "proportions", "cupsize", "firmness", "african", "asian", "caucasian")
+        return {"gender": self.female, "age": float(age)} | {name: getattr(self, name) for name in same}
 
 
 SUBJECT_A: Final = Person(female=0.0, years=30, stature_m=1.78, muscle=0.62, weight=0.48, proportions=0.4)
@@ -70,7 +60,7 @@ SUBJECT_C: Final = Person(
 
 
 def person(index: int) -> Person:
-    """Person number `index`, 0 to 582: men and women in turn, 18 to 80 years old, 1.46 to 1.95 m tall."""
+    """Return person number `index`: men and women in turn, 18 to 80 years old, 1.46 to 1.95 m tall."""
     draws = _draws(index, "shape", 10)
     female = float(index % 2)
     # Statures as in Europe, all but the outermost half per cent. Anny's women are slight for their weight parameter.
@@ -93,7 +83,7 @@ def person(index: int) -> Person:
 
 
 def standing_pose(index: int) -> Pose:
-    """How person number `index` stands: arms a little off the body, with the small differences between people."""
+    """Return the standing pose of person number `index`: arms a little off the body, with individual differences."""
     draws = 2 * _draws(index, "posture", 14) - 1
     openness, gap, spread = draws[:3]
     arms = [
@@ -111,5 +101,5 @@ def standing_pose(index: int) -> Pose:
 
 
 def _draws(index: int, purpose: str, count: int) -> NDArray[np.float64]:
-    """Numbers in [0, 1) that belong to one person, whoever else is built."""
+    """Draw numbers in [0, 1) that depend on this person and the purpose alone."""
     return generator(0, 0, f"open/person-{index:03d}", purpose).random(count)

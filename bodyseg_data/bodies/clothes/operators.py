@@ -1,4 +1,4 @@
-"""Sparse matrices on the triangles of a piece of surface: what cloth is made with."""
+"""Sparse linear operators on a triangle mesh, used to compute cloth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Faces = NDArray[np.int64]
 
 
 class Smoother:
-    """Smooths positions over a given length, whatever the triangles; those that are not free stay and hold the rest.
+    """Smooths positions over a given length, for triangles of any size; vertices that are not free stay fixed.
 
     Solves (M + t^4 L M^-1 L) x = M x0, with L the cotangent Laplacian at rest: implicit fairing (Desbrun et al. 1999)
     of second order, which shrinks limbs far less than the first order.
@@ -29,14 +29,14 @@ class Smoother:
         self._held = system[free][:, ~free]
 
     def __call__(self, points: Floats) -> Floats:
-        """Positions [N, 3], smoothed."""
+        """Return positions [N, 3], smoothed."""
         smooth = points.copy()
         smooth[self._free] = self._solver.solve(self._mass * points[self._free] - self._held @ points[~self._free])
         return smooth
 
 
-def spread(values: Floats, points: Floats, faces: Faces, group: NDArray[np.int64], length_m: float) -> Floats:
-    """Values [N] evened out over a length within each group of vertices, as heat spreads: (M + t^2 L) x = M x0."""
+def diffused(values: Floats, points: Floats, faces: Faces, group: NDArray[np.int64], length_m: float) -> Floats:
+    """Diffuse values [N] over a length within each group of vertices, by one step of heat: (M + t^2 L) x = M x0."""
     from scipy.sparse import diags
     from scipy.sparse.linalg import splu
 
@@ -45,7 +45,7 @@ def spread(values: Floats, points: Floats, faces: Faces, group: NDArray[np.int64
 
 
 def cotangent_laplacian(points: Floats, faces: Faces, group: NDArray[np.int64]) -> tuple[Any, Floats]:
-    """Laplacian [N, N], sparse, linking vertices of the same group only, and the area [N] of surface at each vertex.
+    """Return the sparse Laplacian [N, N], linking vertices of one group only, and the surface area [N] at each vertex.
 
     Weights of obtuse corners are lifted to a small positive one, so that no value leaves the range of its neighbours.
     """
@@ -69,7 +69,7 @@ def cotangent_laplacian(points: Floats, faces: Faces, group: NDArray[np.int64]) 
 
 
 def patch(faces: NDArray[np.int32], covered: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Faces]:
-    """The covered vertices and two rings around them [N], and the faces among them [F, 3] in that numbering."""
+    """Return the covered vertices and two rings around them [N], and their faces [F, 3] in that numbering."""
     wide = covered
     for _ in range(2):
         touched = faces[wide[faces].any(axis=1)]
@@ -80,7 +80,7 @@ def patch(faces: NDArray[np.int32], covered: NDArray[np.bool_]) -> tuple[NDArray
 
 
 def gathering(faces: Faces, count: int) -> Any:
-    """Sparse [N, F]: sums over the faces around each vertex."""
+    """Return the sparse matrix [N, F] that sums over the faces around each vertex."""
     from scipy.sparse import csr_matrix
 
     columns = np.repeat(np.arange(len(faces)), 3)
@@ -88,7 +88,7 @@ def gathering(faces: Faces, count: int) -> Any:
 
 
 def averaging(faces: Faces, group: NDArray[np.int64]) -> Any:
-    """Sparse [N, N]: the mean of each vertex and its neighbours in the same group."""
+    """Return the sparse matrix [N, N] that averages each vertex and its neighbours in the same group."""
     from scipy.sparse import csr_matrix, diags, identity
 
     count = len(group)
@@ -100,7 +100,7 @@ def averaging(faces: Faces, group: NDArray[np.int64]) -> Any:
 
 
 def sliding(partner: NDArray[np.int64], share: Floats, vertices: NDArray[np.int64]) -> Any:
-    """Sparse [N, N] on the vertices [N] of a patch: moves each its share of the way to its partner ([V], [V])."""
+    """Return the sparse matrix [N, N] that moves each vertex of a patch its share ([V]) towards its partner ([V])."""
     from scipy.sparse import csr_matrix
 
     numbers = np.zeros(len(partner), np.int64)

@@ -1,4 +1,4 @@
-"""What people wear: how far each garment reaches, how loose it is and how it folds."""
+"""Outfits: the extent, looseness and folds of each garment."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from bodyseg_data.core.randomness import check_seed
 class Outfit:
     """A top and trousers. Raises BadConfig for a number that is out of its range.
 
-    sleeve: where the sleeves end, 0 shoulder to 1 wrist. hem: where the top ends, 0 hip bones (ASIS) to 1 crotch.
-    leg: where the trousers end, 0 crotch to 1 ankle bone.
-    top_loose_m, leg_loose_m: how far the cloth stands off the body on average, beyond the tube it falls in.
-    top_taper, sleeve_taper, leg_taper: metres by which the cloth comes in for every metre it falls below whatever
-    carries it (chest, shoulder, seat, thigh); 0 falls straight, large numbers follow the body.
+    sleeve: end of the sleeves, 0 shoulder to 1 wrist. hem: end of the top, 0 hip bones (ASIS) to 1 crotch.
+    leg: end of the trousers, 0 crotch to 1 ankle bone.
+    top_loose_m, leg_loose_m: mean distance of the cloth from the body, beyond that of a straight fall, metres.
+    top_taper, sleeve_taper, leg_taper: metres by which the cloth narrows for every metre below the part that carries it
+    (chest, shoulder, seat, thigh); 0 falls straight, large numbers follow the body.
     gathered: the top ends in a band at hem and wrists, and blouses above it, instead of hanging open.
-    fold_m: wavelength of the folds. slack: share of length that the cloth has too much, at rest; it makes the folds
-    that are there in every pose. crumple: the same at the ends of sleeves and trousers, where cloth gathers.
-    seed: which folds.
+    fold_m: wavelength of the folds. slack: excess length of the cloth at rest, as a share; it makes the folds of every
+    pose. crumple: the same at the ends of sleeves and trousers, where cloth gathers. seed: of the fold patterns.
     """
 
     sleeve: float
@@ -79,4 +78,4 @@ OUTFITS: Final[dict[str, Outfit]] = {
         leg_taper=0.3, gathered=False, fold_m=0.095, slack=0.09, crumple=0.12, seed=5,
     ),
 }  # fmt: skip
-"""By name. "B" and "C" are for the subjects of those names."""
+"""Outfits by name. "B" and "C" are for the subjects of those names."""

@@ -1,4 +1,4 @@
-"""Smaller triangles where a mesh is coarser than what is to be made of it."""
+"""Subdivision of long edges where a mesh is too coarse for the folds of cloth."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from bodyseg_data.meshes.topology import find_edges
 
 
 class Refinement:
-    """Splits long edges of one topology in the middle; faces stay on the surface and keep their orientation.
+    """Splits long edges of one topology at their middles; faces stay on the surface and keep their orientation.
 
-    faces: int32 [F', 3]. Old vertices keep their numbers, new ones follow, so landmarks given by vertex keep fitting.
+    faces: int32 [F', 3]. Old vertices keep their numbers and new ones follow, so landmarks by vertex stay valid.
     """
 
     def __init__(self, rest: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float, rounds: int = 2) -> None:
@@ -25,7 +25,7 @@ class Refinement:
             points = np.concatenate([points, points[ends].mean(axis=1)])
 
     def __call__(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Vertices [V', 3] of the refined mesh for those [V, 3] of the coarse one in any pose. Raises BadMesh."""
+        """Refine vertices [V, 3] of the coarse mesh in any pose to [V', 3]. Raises BadMesh for another number."""
         if vertices.shape != (self._count, 3):
             raise BadMesh(f"a refinement of {self._count} vertices was given vertices of shape {vertices.shape}")
         for ends in self._ends:
@@ -36,7 +36,7 @@ class Refinement:
 def _split(
     points: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Ends [N, 2] of the edges split, whose middles are numbered on from the last vertex, and the new faces."""
+    """Return the ends [N, 2] of split edges, whose middles are numbered after the last vertex, and the new faces."""
     edges = find_edges(faces)
     long = edges.lengths(points) > longest_m
     number = np.where(long, len(points) + np.cumsum(long) - 1, -1)

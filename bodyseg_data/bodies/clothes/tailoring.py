@@ -1,4 +1,4 @@
-"""Cutting an outfit to a person: which vertices each garment covers and how far from them the cloth hangs."""
+"""Fitting an outfit to a person: the vertices that each garment covers and the distance of the cloth from them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a 
 _SLICE_M: Final = 0.025
 _SECTORS: Final = 20
 _NEIGHBOURS: Final = 6
-_TUCK_M: Final = 0.006  # how far below a hem the cloth beneath it begins
+_TUCK_M: Final = 0.006  # distance below a hem at which the cloth beneath it begins
 _MOST_TUCKED: Final = 0.75
 _SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
 
 
 @dataclass(frozen=True)
 class Cut:
-    """For every vertex of a person at rest. top, trousers: bool [V], covered by that garment (never by both).
+    """Outfit on every vertex of a person at rest. top, trousers: bool [V], covered by that garment (never by both).
 
     axis: float64 [V, 3], the direction in which the garment hangs. stand_off: [V], metres from the body.
-    crumple: [V], share of length in excess. partner: int64 [V], another vertex. slide: float64 [V], the share of the
-    way to its partner at which the cloth of a vertex lies, so that hems are straight whatever the triangles.
+    crumple: [V], share of length in excess. partner, slide: int64 [V], float64 [V]: the cloth of a vertex lies that
+    share of the way to its partner, another vertex, so that hems are straight for any triangles.
     """
 
     top: NDArray[np.bool_]
@@ -44,7 +44,7 @@ class Cut:
 
 
 def cut(rest: Floats, faces: NDArray[np.int32], outfit: Outfit) -> Cut:
-    """Cut `outfit` to the person who stands at rest, vertices [V, 3] in the numbering of the open body."""
+    """Cut `outfit` to a person at rest, vertices [V, 3] in metres, in the numbering of the open body."""
     at = dict(zip(LANDMARKS, rest[list(load_landmarks("open").vertices)], strict=True))
     arms = [_Arm(rest, faces, side, at) for side in ("Lt.", "Rt.")]
     armless = ~(arms[0].vertices | arms[1].vertices) & _same_piece(rest, faces, load_landmarks("open").vertices[0])
@@ -97,12 +97,12 @@ class _Snap:
     def __init__(self, rest: Floats, edges: NDArray[np.int32]) -> None:
         self.partner = np.arange(len(rest))
         self.slide = np.zeros(len(rest))
-        self._ways = np.concatenate([edges, edges[:, ::-1]])
-        self._lengths = np.linalg.norm(rest[self._ways[:, 0]] - rest[self._ways[:, 1]], axis=1)
+        self._edges = np.concatenate([edges, edges[:, ::-1]])
+        self._lengths = np.linalg.norm(rest[self._edges[:, 0]] - rest[self._edges[:, 1]], axis=1)
 
     def __call__(self, level: Floats, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the vertices `among` lie inside, where `level` [V] (metres) is positive, or move onto its zero."""
-        here, there = self._ways.T
+        """Return bool [V]: vertices of `among` where `level` [V] (metres) is positive, or that move onto its zero."""
+        here, there = self._edges.T
         drop = level[here] - level[there]
         share = level[here] / np.where(drop == 0, 1, drop)
         crossing = (level[here] > 0) != (level[there] > 0)
@@ -114,8 +114,8 @@ class _Snap:
         return inside
 
     def tuck(self, level: Floats, outside: NDArray[np.bool_]) -> None:
-        """Moves the vertices of the first ring outside a line up to just below it, so that its hem falls steeply."""
-        here, there = self._ways.T
+        """Move the first ring of vertices outside a line up to just below it, so that its hem falls steeply."""
+        here, there = self._edges.T
         share = (level[here] + _TUCK_M) / np.where(level[here] == level[there], 1, level[here] - level[there])
         fit = np.flatnonzero(outside[here] & ~outside[there] & (share > 0) & (share < _MOST_TUCKED))
         fit = fit[np.lexsort((-share[fit], here[fit]))]
@@ -141,7 +141,7 @@ class _Arm:
 
 
 def _tube(depth: Floats, across: Floats, taper: float) -> Floats:
-    """How far off the body cloth hangs that falls straight from whatever sticks out above it, metres [N].
+    """Distance from the body of cloth that falls straight from the widest part above it, metres [N].
 
     depth: distance below the top of the garment, [N]. across: the other two coordinates, [N, 2].
     """
@@ -156,18 +156,18 @@ def _tube(depth: Floats, across: Floats, taper: float) -> Floats:
     widest = body.copy()
     for index in range(1, len(widest)):
         widest[index] = np.maximum(widest[index], widest[index - 1] - taper * _SLICE_M)
-    places = [depth / _SLICE_M, (angle + np.pi) * _SECTORS / (2 * np.pi)]
-    return np.asarray(map_coordinates(widest - body, places, order=1, mode="nearest"), np.float64)
+    coordinates = [depth / _SLICE_M, (angle + np.pi) * _SECTORS / (2 * np.pi)]
+    return np.asarray(map_coordinates(widest - body, coordinates, order=1, mode="nearest"), np.float64)
 
 
 def _unrolled(depth: Floats, angle: Floats, radius: Floats, slices: Floats, sectors: Floats) -> Floats:
-    """The radius [slices, sectors] of a limb's surface: a mean of the nearest vertices', weighted by closeness."""
+    """Return a limb's radius [slices, sectors]: the mean of the nearest vertices, weighted by closeness."""
     from scipy.spatial import cKDTree
 
     scale = np.array([_SLICE_M, 2 * np.pi / _SECTORS])
-    places = np.stack([depth, angle], axis=1) / scale
+    coordinates = np.stack([depth, angle], axis=1) / scale
     turn = np.array([0.0, _SECTORS])
-    tree = cKDTree(np.concatenate([places, places - turn, places + turn]))
+    tree = cKDTree(np.concatenate([coordinates, coordinates - turn, coordinates + turn]))
     grid = np.stack(np.meshgrid(slices, sectors, indexing="ij"), axis=2) / scale
     distances, nearest = tree.query(grid, _NEIGHBOURS)
     weights = 1 / (distances**2 + 0.1)
@@ -185,7 +185,7 @@ def _smooth_step(x: Floats) -> Floats:
 
 
 def _below_neck(rest: Floats, at: dict[str, Floats]) -> Floats:
-    """How far below a cone around the neck, metres [V]; it passes near the nape and the notch of the breastbone."""
+    """Depth below a cone around the neck, metres [V]; the cone passes near the nape and the notch of the breastbone."""
     front, nape = at["Suprasternale"], at["Cervicale"]
     slope = (nape[1] - front[1]) / (nape[2] - front[2])
     height = rest[:, 1] - front[1] - slope * (rest[:, 2] - front[2])

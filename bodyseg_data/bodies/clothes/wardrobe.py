@@ -1,8 +1,8 @@
 """Clothes over the open body: the surface of a dressed person in any pose, on the body's own vertices.
 
-A wardrobe cuts an outfit to a person once. Worn in a pose, the cloth is the body's surface, smoothed so that what lies
-beneath does not show, held off it by as much as the garment is wide there, more below a limb than above, and folded:
-deepest where the pose shortens the surface. `docs/clothes.md` says what is modelled and what is not.
+A wardrobe cuts an outfit to a person once. Worn in a pose, the cloth is the body's surface, smoothed so that details of
+the body do not show, moved outwards by the width of the garment, more below a limb than above, and folded: deepest
+where the pose shortens the surface. `docs/clothes.md` lists what is modelled and what is not.
 """
 
 from __future__ import annotations
@@ -14,23 +14,20 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.clothes import operators
 from bodyseg_data.bodies.clothes.folds import DIRECTIONS, fold_patterns
-from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.clothes.refining import Refinement
+from bodyseg_data.bodies.clothes.outfits import Outfit
 from bodyseg_data.bodies.clothes.tailoring import cut
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-
-__all__ = ["FINE_M", "OUTFITS", "Outfit", "Refinement", "Wardrobe"]
 
 Floats = NDArray[np.float64]
 
 FINE_M: Final = 0.022
 """Longest edge that still carries the folds: half the shortest wavelength. Finer meshes come from `Refinement`."""
 
-_THICKNESS_M: Final = 0.004  # of cloth: nowhere closer to the skin
+_THICKNESS_M: Final = 0.004  # of cloth: its smallest distance from the skin
 _SMOOTH_M: Final = 0.03  # detail of the body much smaller than this does not show through
-_SPREAD_M: Final = 0.035  # over which the width of a garment is evened out
-_HANG: Final = 0.9  # how much farther cloth stands off below than above a level limb
+_DIFFUSION_M: Final = 0.035  # over which the width of a garment is evened out
+_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
 _MOST_SHORTENED: Final = 0.25  # beyond, cloth slides along the body instead of folding deeper
 _DEEPEST_M: Final = 0.022
 _AT_REST: Final = np.array([0.1, 0.6, 1.0, 0.6])  # share of an outfit's slack that folds across each of DIRECTIONS
@@ -67,7 +64,9 @@ class Wardrobe:
         self._average = operators.averaging(self._faces, garment)
         self._slide = operators.sliding(pieces.partner, pieces.slide, self._vertices)
         self._smoother = operators.Smoother(points, self._faces, self._free, _SMOOTH_M)
-        self._stand_off = operators.spread(pieces.stand_off[self._vertices], points, self._faces, garment, _SPREAD_M)
+        self._stand_off = operators.diffused(
+            pieces.stand_off[self._vertices], points, self._faces, garment, _DIFFUSION_M
+        )
         self._slack = outfit.slack * _AT_REST + pieces.crumple[self._vertices, None] * _AT_ENDS
         normals = self._normals(points)
         axes = _tangent(pieces.axis[self._vertices], normals)
@@ -77,7 +76,7 @@ class Wardrobe:
         self._rest_areas, self._frames = self._rest_frames(points, axes)
 
     def worn(self, vertices: Floats) -> Floats:
-        """The dressed surface [V, 3] of the posed body `vertices` [V, 3], metres, body frame.
+        """Return the dressed surface [V, 3] of the posed body `vertices` [V, 3], metres, body frame.
 
         Vertices that no garment covers come back as they are, bit for bit. The cloth changes smoothly with the pose.
         Raises BadMesh for another number of vertices or for coordinates that are not finite.
@@ -91,7 +90,7 @@ class Wardrobe:
             out = self._average @ out
         out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
         width = self._stand_off * (1 - _HANG * out[:, 1])
-        # A strip that has the share s of its length too much lies in waves of amplitude wavelength / pi * sqrt(s).
+        # A strip with an excess length of share s has waves of amplitude wavelength / pi * sqrt(s).
         depths = self._wave / np.pi * np.sqrt(self._slack + shortened)
         folds = _DEEPEST_M * np.tanh((depths * self._patterns).sum(axis=1) / _DEEPEST_M)
         cloth = self._outside(calm + self._cover * (_THICKNESS_M + width + folds)[:, None] * out, body, out)
@@ -102,7 +101,7 @@ class Wardrobe:
         return dressed
 
     def _outside(self, cloth: Floats, body: Floats, out: Floats) -> Floats:
-        """Cloth, pushed along `out` wherever it is closer to the body than it is thick."""
+        """Push cloth along `out` where it is closer to the body than its thickness."""
         gap = np.einsum("ij,ij->i", cloth - body, out)[:, None]
         return np.asarray(cloth + self._cover * np.maximum(_THICKNESS_M - gap, 0) * out, np.float64)
 
@@ -115,7 +114,7 @@ class Wardrobe:
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12), np.float64)
 
     def _rest_frames(self, points: Floats, axes: Floats) -> tuple[Floats, Floats]:
-        """Twice the areas [F] at rest, and the inverse [F, 2, 2] of each triangle's edges in (axis, around it)."""
+        """Return double areas [F] at rest, and the inverse [F, 2, 2] of each triangle's edges in (axis, around it)."""
         across = self._face_normals(points)
         areas = np.linalg.norm(across, axis=1)
         across /= np.maximum(areas, 1e-15)[:, None]
@@ -131,7 +130,7 @@ class Wardrobe:
         return np.stack([b - a, c - a], axis=2)
 
     def _shortened(self, points: Floats) -> Floats:
-        """By what share the surface is shorter than at rest in each of DIRECTIONS, [N, 4]; 0 where it is longer."""
+        """Return the share by which the surface is shorter than at rest in each of DIRECTIONS, [N, 4]; 0 if longer."""
         b, c = np.moveaxis(self._edges(points), 2, 0)
         x, y = (b * self._frames[:, 0, way, None] + c * self._frames[:, 1, way, None] for way in (0, 1))
         metric = np.stack([np.einsum("fi,fi->f", u, v) for u, v in ((x, x), (x, y), (y, y))], axis=1)
@@ -144,7 +143,7 @@ class Wardrobe:
 
 
 def _tangent(ways: Floats, normals: Floats) -> Floats:
-    """Unit vectors along the parts of `ways` [N, 3] that are square to `normals` [N, 3]."""
+    """Return unit vectors along the components of `ways` [N, 3] perpendicular to `normals` [N, 3]."""
     ways = ways - np.einsum("ij,ij->i", ways, normals)[:, None] * normals
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12), np.float64)
 

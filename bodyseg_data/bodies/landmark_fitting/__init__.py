@@ -1,1 +1,1 @@
-"""Proposed landmarks for a mesh that has none, from the open body fitted to it."""
+"""Landmark proposals for a mesh that has none, from the open body fitted to it."""

@@ -1,7 +1,8 @@
-"""Proposing the 33 landmarks of a new body, by laying the open body over it.
+"""Search for the 33 landmarks of a new body, by fitting the open body to it.
 
-Every posture, facing every way, is laid over the surface by centre and size; the best of each way of facing close in on
-it, then try other arms and legs; the best of all closes in for good and hands over its landmarks. No random numbers.
+Every posture, turned to face every direction, is placed on the surface by centre and size; the best starts of each
+direction are refined, then tried with other arms and legs; the best fit is refined once more and its landmarks are
+returned. No random numbers.
 """
 
 from __future__ import annotations
@@ -18,26 +19,36 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.bodies.anny.postures import POSTURES
-from bodyseg_data.bodies.landmark_fitting.fit import FINE_REACH_M, Fit, Matcher, Stage, apart, laid, lay, refine
-from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points, spread_over
+from bodyseg_data.bodies.landmark_fitting.fit import (
+    FINE_REACH_M,
+    Fit,
+    Matcher,
+    Stage,
+    fitted_points,
+    fitted_surface,
+    refine,
+    surface_distance,
+)
+from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points, sample_surface
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
+from bodyseg_data.bodies.motions.legs import about_y
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
 UPRIGHT: Final = (np.eye(3),)
-"""How the body's frame may be tilted in a mesh that is upright: not at all."""
+"""Tilts of the body's frame to try for a mesh that is upright: none."""
 
-_TURNS: Final = 12  # ways to face that are tried, all round
+_TURNS: Final = 12  # directions to face that are tried, evenly around
 _STARTS: Final = 16
-_STARTS_FACING: Final = 2  # at most so many that face one way
-_RIVALS: Final = 3
-_RIVAL_SHARE: Final = 1.5  # of the best one's distance, within which another still may win
+_STARTS_FACING: Final = 2  # at most so many that face one direction
+_CANDIDATES: Final = 3
+_CANDIDATE_SHARE: Final = 1.5  # of the best one's distance: worse candidates are dropped
 _FINALISTS: Final = 2
-_APART_DEG: Final = 60.0  # rivals face ways at least so far from each other
+_APART_DEG: Final = 60.0  # smallest angle between the trunks of two candidates
 _LIMB_TRIES: Final = 2
-_OTHER_PLACE_M: Final = 0.15  # a hand or foot at least so far from that of another try
+_LIMB_APART_M: Final = 0.15  # smallest distance between the hands or feet of two tries
 _FINE_POINTS: Final = 4000
 _POINTS: Final = 1000
 _ROUGH_POINTS: Final = 500
@@ -56,84 +67,84 @@ _BONES: Final = {
 
 @dataclass(frozen=True)
 class Proposal:
-    """Landmarks for a person to check. distance_m: float64 [33], from the laid body's landmark to the vertex chosen."""
+    """Landmarks for a person to check. distance_m: float64 [33], from the fitted body's landmark to the vertex."""
 
     landmarks: LandmarkSet
     distance_m: NDArray[np.float64]
 
 
 def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Proposal:
-    """Landmarks of `mesh`, a whole body in metres, standing or in any of many postures, facing any way.
+    """Propose landmarks for `mesh`, a whole body in metres, standing or in any of many postures, facing any direction.
 
-    tilts: rotations [3, 3] that may take the upright body frame to the mesh's axes; the best is found. Takes about
+    tilts: rotations [3, 3] that may take the upright body frame to the mesh's axes; the best one is chosen. Takes about
     ten seconds of one processor. The same mesh gets the same landmarks. Raises BadMesh for a surface whose largest
     piece has fewer than 33 vertices, MissingLibrary without Anny or scipy, BadConfig if Anny's cache cannot be used.
     """
     whole = _largest_piece(mesh)
     with one_thread():
         body = fitting_body()
-        fit = _laid_over(body, spread_over(mesh, _FINE_POINTS), tilts)
-        places, normals = lay(body, fit, body.landmarks)
-    vertices, distance = _on_surface(mesh, whole, places, normals)
+        fit = _fit_to(body, sample_surface(mesh, _FINE_POINTS), tilts)
+        positions, normals = fitted_points(body, fit, body.landmarks)
+    vertices, distance = _on_surface(mesh, whole, positions, normals)
     topology = f"meshes numbered like {mesh.name}; proposed, to be checked"
     counts = len(mesh.vertices), len(mesh.faces)
     return Proposal(LandmarkSet("proposed", topology, *counts, tuple(vertices.tolist())), distance)
 
 
-def _laid_over(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float64]]) -> Fit:
+def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float64]]) -> Fit:
     poses = [body.start(pose) for _, pose in POSTURES]
     some, few = target.thinned(_POINTS), target.thinned(_ROUGH_POINTS)
 
-    def badness(fit: Fit) -> float:
-        return apart(target, laid(body, fit))
+    def distance(fit: Fit) -> float:
+        return surface_distance(target, fitted_surface(body, fit))
 
     def closer(fits: Sequence[Fit], stages: Sequence[Stage]) -> list[Fit]:
-        return sorted(refine(body, some, fits, stages, _POINTS), key=badness)
+        return sorted(refine(body, some, fits, stages, _POINTS), key=distance)
 
-    begun = list(_facing_ways(_starts(body, few, poses, tilts)))
-    rivals = closer(_rivals(body, closer(begun, _CLOSE_IN)), _SETTLE)
-    rivals = [fit for fit in rivals if badness(fit) <= _RIVAL_SHARE * badness(rivals[0])]
+    begun = list(_best_starts(_starts(body, few, poses, tilts)))
+    candidates = closer(_candidates(body, closer(begun, _CLOSE_IN)), _SETTLE)
+    candidates = [fit for fit in candidates if distance(fit) <= _CANDIDATE_SHARE * distance(candidates[0])]
     for limb in _LIMBS:
-        others = [_other_limbs(body, few, fit, limb, poses) for fit in rivals]
+        others = [_other_limbs(body, few, fit, limb, poses) for fit in candidates]
         tried = iter(refine(body, some, [other for each in others for other in each], _TRY, _POINTS))
-        rivals = [
-            min([fit, *itertools.islice(tried, len(each))], key=badness)
-            for fit, each in zip(rivals, others, strict=True)
+        candidates = [
+            min([fit, *itertools.islice(tried, len(each))], key=distance)
+            for fit, each in zip(candidates, others, strict=True)
         ]
-    best = sorted(rivals, key=badness)[:_FINALISTS]
-    return min(refine(body, target, best, _FINISH, len(body.remoteness), FINE_REACH_M), key=badness)
+    best = sorted(candidates, key=distance)[:_FINALISTS]
+    return min(refine(body, target, best, _FINISH, len(body.mean_geodesic), FINE_REACH_M), key=distance)
 
 
 def _starts(
     body: FittingBody, target: Points, poses: Sequence[Tensor], tilts: Sequence[NDArray[np.float64]]
 ) -> list[tuple[float, int, Fit]]:
-    """(how far apart, which way it faces, fit) of every pose, tilted and turned every way, by centre and size."""
-    centre, size = _centre_and_size(target.places)
+    """List (distance, direction number, fit) of every pose, tilted and turned every way, by centre and size."""
+    centre, size = _centre_and_size(target.positions)
     matcher = Matcher(target)
-    shape, bends = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.joints.spread)).double()
+    shape, angles = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.joints.deviation)).double()
     root = body.heads[0].numpy()
     found = []
     for pose in poses:
-        own = laid(body, Fit(pose, torch.zeros(3).double(), torch.tensor(1.0).double(), bends, shape))
-        middle, own_size = _centre_and_size(own.places)
+        own = fitted_surface(body, Fit(pose, torch.zeros(3).double(), torch.tensor(1.0).double(), angles, shape))
+        middle, own_size = _centre_and_size(own.positions)
         scale = size / own_size
-        own = Points((own.places - middle) * scale, own.normals, own.remoteness).first(_ROUGH_POINTS)
+        own = Points((own.positions - middle) * scale, own.normals, own.mean_geodesic).first(_ROUGH_POINTS)
         own_matcher = Matcher(own)
         for way, (tilt, turn) in enumerate((tilt, turn) for tilt in tilts for turn in range(_TURNS)):
-            rotation = tilt @ _about_y(2 * math.pi * turn / _TURNS)
-            turned = Points(own.places @ rotation.T + centre, own.normals @ rotation.T, own.remoteness)
-            back = Points((target.places - centre) @ rotation, target.normals @ rotation, target.remoteness)
+            rotation = tilt @ about_y(360 * turn / _TURNS)
+            turned = Points(own.positions @ rotation.T + centre, own.normals @ rotation.T, own.mean_geodesic)
+            back = Points((target.positions - centre) @ rotation, target.normals @ rotation, target.mean_geodesic)
             start = pose.clone()
             start[0] = torch.from_numpy(rotation) @ start[0]
-            # Turning the root leaves its own place where it is.
+            # Turning the root does not move the root itself.
             move = torch.from_numpy(centre - scale * (rotation @ (middle - root) + root))
-            fit = Fit(start, move, torch.tensor(scale).double(), bends, shape)
+            fit = Fit(start, move, torch.tensor(scale).double(), angles, shape)
             found.append((matcher.distance(turned) + own_matcher.distance(back), way, fit))
     return found
 
 
-def _facing_ways(starts: Sequence[tuple[float, int, Fit]]) -> Iterator[Fit]:
-    """The best starts, not too many of them facing one way."""
+def _best_starts(starts: Sequence[tuple[float, int, Fit]]) -> Iterator[Fit]:
+    """Yield the best starts, not too many of them facing one direction."""
     count = 0
     facing: dict[int, int] = {}
     for _, way, fit in sorted(starts, key=lambda start: start[0]):
@@ -143,13 +154,13 @@ def _facing_ways(starts: Sequence[tuple[float, int, Fit]]) -> Iterator[Fit]:
             yield fit
 
 
-def _rivals(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
-    """The first few of `fits` whose trunks are turned differently."""
+def _candidates(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
+    """Return the first few of `fits` whose trunks are turned differently."""
     chosen: list[tuple[Tensor, Fit]] = []
     for fit in fits:
         turn = fit.turns(body)[0]
         angles = [_angle_deg(turn @ other.T) for other, _ in chosen]
-        if len(chosen) < _RIVALS and all(angle > _APART_DEG for angle in angles):
+        if len(chosen) < _CANDIDATES and all(angle > _APART_DEG for angle in angles):
             chosen.append((turn, fit))
     return [fit for _, fit in chosen]
 
@@ -157,31 +168,31 @@ def _rivals(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
 def _other_limbs(
     body: FittingBody, target: Points, fit: Fit, limb: tuple[str, str], poses: Sequence[Tensor]
 ) -> list[Fit]:
-    """The fit with one arm or leg as in other poses: those that come nearest to the target and differ in its end."""
+    """List fits with one arm or leg of another pose: the nearest to the target, with hand or foot elsewhere."""
     kind, side = limb
     own = [bone for bone in body.bones if bone.endswith(f".{side}") and bone.startswith(_BONES[kind])]
     bones = torch.tensor([body.bones[bone] for bone in own])
     still = 1 - body.joints.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
-    farthest_out = body.surface.weights[:, bones].sum(dim=1).numpy() * body.remoteness
+    farthest_out = body.surface.weights[:, bones].sum(dim=1).numpy() * body.mean_geodesic
     end = int(farthest_out[:_POINTS].argmax())
     matcher = Matcher(target)
     found = []
     for pose in poses:
         start = fit.start.clone()
         start[bones] = pose[bones]
-        other = replace(fit, start=start, bends=fit.bends * still)
-        points = laid(body, other, _POINTS)
-        found.append((matcher.distance(points) + Matcher(points).distance(target), points.places[end], other))
+        other = replace(fit, start=start, angles=fit.angles * still)
+        points = fitted_surface(body, other, _POINTS)
+        found.append((matcher.distance(points) + Matcher(points).distance(target), points.positions[end], other))
     chosen: list[tuple[NDArray[np.float64], Fit]] = []
-    for _, place, other in sorted(found, key=lambda one: one[0]):
-        apart_m = [float(np.linalg.norm(place - before)) for before, _ in chosen]
-        if len(chosen) < _LIMB_TRIES and all(distance > _OTHER_PLACE_M for distance in apart_m):
-            chosen.append((place, other))
+    for _, position, other in sorted(found, key=lambda one: one[0]):
+        apart_m = [float(np.linalg.norm(position - before)) for before, _ in chosen]
+        if len(chosen) < _LIMB_TRIES and all(distance > _LIMB_APART_M for distance in apart_m):
+            chosen.append((position, other))
     return [other for _, other in chosen]
 
 
 def _largest_piece(mesh: Mesh) -> NDArray[np.int64]:
-    """The vertices of the piece with the largest surface."""
+    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33, MissingLibrary."""
     piece = mesh.pieces(FEATURE)
     area = np.bincount(piece[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1))
     used = np.unique(mesh.faces).astype(np.int64)
@@ -195,30 +206,25 @@ def _largest_piece(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _on_surface(
-    mesh: Mesh, among: NDArray[np.int64], places: NDArray[np.float64], normals: NDArray[np.float64]
+    mesh: Mesh, among: NDArray[np.int64], positions: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each of 33 places and normals [33, 3] another one of the vertices `among`, and how far it is, metres."""
+    """Return for each of 33 positions and normals [33, 3] a different vertex of `among`, and its distance, metres."""
     from scipy.spatial import KDTree
 
     facing = mesh.vertex_normals[among]
     tree = KDTree(np.concatenate([mesh.vertices[among], _NORMAL_REACH_M * facing], axis=1))
     # As many candidates as there are landmarks: one is always left.
-    nearest = tree.query(np.concatenate([places, _NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]
+    nearest = tree.query(np.concatenate([positions, _NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]
     chosen: list[int] = []
     for candidates in among[nearest].tolist():
         chosen.append(next(vertex for vertex in candidates if vertex not in chosen))
     vertices = np.array(chosen, np.int64)
-    return vertices, np.linalg.norm(mesh.vertices[vertices] - places, axis=1)
+    return vertices, np.linalg.norm(mesh.vertices[vertices] - positions, axis=1)
 
 
-def _centre_and_size(places: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    centre = places.mean(axis=0)
-    return centre, float(np.sqrt(((places - centre) ** 2).sum(axis=1).mean()))
-
-
-def _about_y(angle: float) -> NDArray[np.float64]:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+def _centre_and_size(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    centre = positions.mean(axis=0)
+    return centre, float(np.sqrt(((positions - centre) ** 2).sum(axis=1).mean()))
 
 
 def _angle_deg(rotation: Tensor) -> float:

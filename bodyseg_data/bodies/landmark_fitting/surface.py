@@ -1,4 +1,4 @@
-"""A surface as the proposal of landmarks sees it: points spread evenly, where they face, and how far out they lie."""
+"""Points of a surface with their normals and mean geodesic distances, as landmark fitting matches them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system_libraries import missing_library
 from bodyseg_data.meshes.mesh import Mesh
 
 FEATURE: Final = "proposing landmarks"
@@ -19,71 +18,69 @@ _SOURCES: Final = 24
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a surface. places: float64 [N, 3], metres; normals: [N, 3], outwards; remoteness: [N]."""
+    """Points of a surface. positions: float64 [N, 3], metres; normals: [N, 3], outwards; mean_geodesic: [N]."""
 
-    places: NDArray[np.float64]
+    positions: NDArray[np.float64]
     normals: NDArray[np.float64]
-    remoteness: NDArray[np.float64]
+    mean_geodesic: NDArray[np.float64]
 
     def thinned(self, count: int) -> Points:
-        """Every so many-th, at least `count` of them if there are as many."""
-        step = max(1, len(self.places) // count)
-        return Points(self.places[::step], self.normals[::step], self.remoteness[::step])
+        """Return every n-th point, at least `count` of them if there are as many."""
+        step = max(1, len(self.positions) // count)
+        return Points(self.positions[::step], self.normals[::step], self.mean_geodesic[::step])
 
     def first(self, count: int) -> Points:
-        """The first `count` of them."""
-        return Points(self.places[:count], self.normals[:count], self.remoteness[:count])
+        """Return the first `count` points."""
+        return Points(self.positions[:count], self.normals[:count], self.mean_geodesic[:count])
 
 
-def spread_over(mesh: Mesh, count: int) -> Points:
-    """`count` points spread over a surface evenly by area, the same ones for the same mesh."""
+def sample_surface(mesh: Mesh, count: int) -> Points:
+    """Sample `count` points evenly by area, the same ones for the same mesh."""
     double_areas = np.linalg.norm(mesh.normals, axis=1)
     filled = np.cumsum(double_areas)
     faces = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
-    # Places within the triangles from a sequence that fills the square evenly (Roberts 2018), folded into a triangle.
+    # Positions within the triangles: a sequence that fills the square evenly (Roberts 2018), folded into a triangle.
     u, v = (np.arange(count)[:, None] * (0.7548776662466927, 0.5698402909980532) % 1).T
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[faces]], 1, 0)
-    places = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    positions = a + u[:, None] * (b - a) + v[:, None] * (c - a)
     normals = mesh.normals[faces] / double_areas[faces, None]
-    return Points(places, normals, remoteness(mesh)[mesh.faces[faces, 0]])
+    return Points(positions, normals, mean_geodesic(mesh)[mesh.faces[faces, 0]])
 
 
-def remoteness(mesh: Mesh) -> NDArray[np.float64]:
-    """How far out on the body every vertex lies: distance along the surface from all over it, its mean as 1, [V].
+def mean_geodesic(mesh: Mesh) -> NDArray[np.float64]:
+    """Mean geodesic distance of every vertex to points all over the body, divided by its mean, float64 [V].
 
-    About 0.8 on the trunk and 1.7 at hands and feet, in whatever posture (Hilaga et al., Topology matching for fully
+    About 0.8 on the trunk and 1.7 at hands and feet, in any posture (Hilaga et al., Topology matching for fully
     automatic similarity estimation of 3D shapes, SIGGRAPH 2001). Distances run along the edges between cells of a
-    centimetre; pieces beside the largest take the value of the place next to them. Raises MissingLibrary without scipy.
+    centimetre; pieces other than the largest take the value of its nearest point.
     """
-    try:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components, dijkstra
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(FEATURE, error) from error
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components, dijkstra
+    from scipy.spatial import KDTree
+
     cells = np.floor(mesh.vertices / _CELL_M).astype(np.int64)
     cell = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-    places = np.stack([np.bincount(cell, axis) for axis in mesh.vertices.T], axis=1) / np.bincount(cell)[:, None]
+    positions = np.stack([np.bincount(cell, axis) for axis in mesh.vertices.T], axis=1) / np.bincount(cell)[:, None]
     ends = cell[mesh.faces[:, [0, 1, 1, 2, 2, 0]]].reshape(-1, 2)
     ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
-    lengths = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
-    graph = coo_array((lengths, ends.T), shape=(len(places), len(places))).tocsr()
+    lengths = np.linalg.norm(positions[ends[:, 0]] - positions[ends[:, 1]], axis=1)
+    graph = coo_array((lengths, ends.T), shape=(len(positions), len(positions))).tocsr()
     piece = connected_components(graph, directed=False)[1]
-    area = np.bincount(cell[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1), len(places))
+    area = np.bincount(cell[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1), len(positions))
     main = np.flatnonzero(piece == np.bincount(piece, area).argmax())
-    away = np.zeros(len(places))
-    away[main] = dijkstra(graph, directed=False, indices=main[farthest(places[main], _SOURCES)]).mean(axis=0)[main]
+    away = np.zeros(len(positions))
+    away[main] = dijkstra(graph, directed=False, indices=main[farthest(positions[main], _SOURCES)]).mean(axis=0)[main]
     away /= np.average(away[main], weights=area[main])
-    nearest: NDArray[np.int64] = main[KDTree(places[main]).query(places)[1]]
+    nearest: NDArray[np.int64] = main[KDTree(positions[main]).query(positions)[1]]
     return away[nearest[cell]]
 
 
 def farthest(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Indices of at most `count` of `points` [N, 3], each the farthest from those before it (Gonzalez 1985)."""
+    """Return indices of at most `count` of `points` [N, 3], each farthest from those before it (Gonzalez 1985)."""
     chosen = np.zeros(min(count, len(points)), np.int64)
     away = np.full(len(points), np.inf)
-    for place in range(1, len(chosen)):
-        away = np.minimum(away, ((points - points[chosen[place - 1]]) ** 2).sum(axis=1))
-        chosen[place] = away.argmax()
+    for number in range(1, len(chosen)):
+        away = np.minimum(away, ((points - points[chosen[number - 1]]) ** 2).sum(axis=1))
+        chosen[number] = away.argmax()
     return chosen

@@ -1,8 +1,8 @@
-"""The open body as something that can be fitted: few numbers in, points, normals and landmarks out, with gradients.
+"""Differentiable model of the open body: a few parameters to points, normals and landmarks, with gradients.
 
-Anny's own forward pass would take a hundred times as long. Here shapes are the main ways in which people differ, linear
-and with a spread of 1 each; joints turn as in `bodies.posing`; skin follows bones as in Anny (linear blend skinning).
-All in the body frame, metres, float64.
+Anny's own forward pass would take a hundred times as long. Here shapes are principal components of people, with a
+standard deviation of 1 each; joints turn as in `bodies.anny.skeleton`; skin follows bones as in Anny (linear blend
+skinning). All in the body frame, metres, float64.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.anny.people import person
 from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
-from bodyseg_data.bodies.landmark_fitting.surface import farthest, remoteness
+from bodyseg_data.bodies.landmark_fitting.surface import farthest, mean_geodesic
 from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
 
@@ -33,7 +33,7 @@ Tensor = torch.Tensor
 class Skin:
     """Points of the body that follow the bones. weights: [N, bones]; rest, normals: [N, 3] of the mean person.
 
-    shapes: [shapes, N, 3], how each shape parameter moves the points at rest.
+    shapes: [shapes, N, 3], shift of the points at rest for one unit of each shape parameter.
     """
 
     weights: Tensor
@@ -42,29 +42,29 @@ class Skin:
     shapes: Tensor
 
     def first(self, count: int) -> Skin:
-        """Its first `count` points."""
+        """Return the first `count` points."""
         return Skin(self.weights[:count], self.rest[:count], self.normals[:count], self.shapes[:, :count])
 
 
 @dataclass(frozen=True)
 class Joints:
-    """What bends. turns: [movements, bones, 3], radians about each axis for one unit of a movement.
+    """Movements of the joints. turns: [movements, bones, 3], rotation about each axis for one unit, radians.
 
-    spread: [movements], how many units are usual.
+    deviation: [movements], standard deviation of each movement, in units.
     """
 
     turns: Tensor
-    spread: Tensor
+    deviation: Tensor
 
 
 @dataclass(frozen=True)
 class FittingBody:
     """Bones, joints, points spread over the surface, and the landmarks in the order of `parts.LANDMARKS`.
 
-    bones: number of each by name, the root first and then by depth. levels: for each depth below the root, which bones
-    are one above it, and which of those is the parent of each of its own. heads: [bones, 3], where bones begin;
-    head_shapes: [shapes, bones, 3]. surface: the first few of its points are spread over the body too.
-    remoteness: [N], of the surface's points.
+    bones: index of each by name, the root first and then by depth. levels: for each depth below the root, the slice of
+    the bones one level above, and for each bone of that depth the index of its parent within the slice. heads:
+    [bones, 3], positions at which bones begin; head_shapes: [shapes, bones, 3]. surface: ordered so that its first
+    points, however many, cover the body too. mean_geodesic: [N], of the surface's points.
     """
 
     bones: Mapping[str, int]
@@ -74,36 +74,36 @@ class FittingBody:
     joints: Joints
     surface: Skin
     landmarks: Skin
-    remoteness: NDArray[np.float64]
+    mean_geodesic: NDArray[np.float64]
 
     def start(self, pose: Pose) -> Tensor:
-        """Rotations [bones, 3, 3] of a pose."""
+        """Return the rotations [bones, 3, 3] of a pose."""
         turns = torch.eye(3, dtype=torch.float64).repeat(len(self.bones), 1, 1)
         for bone, rotation in bone_rotations(pose).items():
             turns[self.bones[bone]] = torch.from_numpy(np.ascontiguousarray(rotation))
         return turns
 
     def bone_motions(self, turns: Tensor, shape: Tensor) -> Tensor:
-        """How each bone moves points at rest, for P poses: [P, bones, 3, 4].
+        """Return each bone's transform of points at rest for P poses, [P, bones, 3, 4].
 
         turns: [P, bones, 3, 3]. shape: [P, shapes].
         """
         heads = self.heads + torch.einsum("ps,sbd->pbd", shape, self.head_shapes)
-        whole, places = [turns[:, :1]], [heads[:, :1]]
+        whole, positions = [turns[:, :1]], [heads[:, :1]]
         first = 1
         for above, parents in self.levels:
             own = slice(first, first + len(parents))
             lever = heads[:, own] - heads[:, above][:, parents]
             turned = whole[-1][:, parents]
-            places.append(places[-1][:, parents] + (turned @ lever[..., None])[..., 0])
+            positions.append(positions[-1][:, parents] + (turned @ lever[..., None])[..., 0])
             whole.append(turned @ turns[:, own])
             first = own.stop
         rotations = torch.cat(whole, dim=1)
-        shift = torch.cat(places, dim=1)[..., None] - rotations @ heads[..., None]
+        shift = torch.cat(positions, dim=1)[..., None] - rotations @ heads[..., None]
         return torch.cat([rotations, shift], dim=3)
 
     def posed(self, skin: Skin, motions: Tensor, shape: Tensor) -> tuple[Tensor, Tensor]:
-        """Points and normals [P, N, 3] of `skin`, moved by `bone_motions`; shape: [P, shapes]."""
+        """Return points and normals [P, N, 3] of `skin`, moved by `bone_motions`; shape: [P, shapes]."""
         rest = skin.rest + torch.einsum("ps,snd->pnd", shape, skin.shapes)
         blend = (skin.weights @ motions.flatten(2)).reshape(len(motions), -1, 3, 4)
         points = (blend[..., :3] @ rest[..., None])[..., 0] + blend[..., 3]
@@ -112,7 +112,7 @@ class FittingBody:
 
 
 def fitting_body() -> FittingBody:
-    """Build it: some seconds. Raises MissingLibrary without Anny, BadConfig if its cache cannot be used."""
+    """Build the model in some seconds. Raises MissingLibrary without Anny, BadConfig if its cache cannot be used."""
     with torch.inference_mode():
         anny = load_anny()
         who = [person(index).phenotype() for index in range(_PEOPLE)]
@@ -125,7 +125,7 @@ def fitting_body() -> FittingBody:
         weights, faces = anny.dense_vertex_bone_weights.clone(), anny.faces.numpy().astype(np.int32)
         parents = [int(parent) for parent in anny.bone_parents]
     order, levels = _by_depth(parents)
-    bones = {anny.bone_labels[bone]: place for place, bone in enumerate(order)}
+    bones = {anny.bone_labels[bone]: index for index, bone in enumerate(order)}
     mesh = Mesh("the open body", mean[0].numpy(), faces)
     normals = torch.from_numpy(mesh.vertex_normals)
 
@@ -137,21 +137,21 @@ def fitting_body() -> FittingBody:
     landmarks = load_landmarks("open").for_mesh(mesh)
     body = mesh.pieces("fitting the open body")
     skin_vertices = np.flatnonzero(body == np.bincount(body[landmarks]).argmax())
-    spread = skin_vertices[farthest(mesh.vertices[skin_vertices], _POINTS)]
+    sampled = skin_vertices[farthest(mesh.vertices[skin_vertices], _POINTS)]
     return FittingBody(
         bones,
         levels,
         mean_heads,
         shape_heads[:, order].contiguous(),
         _joints(bones, mean_heads),
-        skin(spread),
+        skin(sampled),
         skin(landmarks),
-        remoteness(mesh)[spread],
+        mean_geodesic(mesh)[sampled],
     )
 
 
 def _by_depth(parents: Sequence[int]) -> tuple[list[int], list[tuple[slice, Tensor]]]:
-    """Bones by their depth below the root, which is the only one without a parent (-1), and `FittingBody.levels`."""
+    """Sort bones by depth below the root, the only one without a parent (-1); returns also `FittingBody.levels`."""
     depth: list[int] = []
     for parent in parents:  # which comes before its children
         depth.append(0 if parent < 0 else depth[parent] + 1)
@@ -161,19 +161,19 @@ def _by_depth(parents: Sequence[int]) -> tuple[list[int], list[tuple[slice, Tens
     for level in range(1, max(depth) + 1):
         above = [bone for bone in order if depth[bone] == level - 1]
         own = [bone for bone in order if depth[bone] == level]
-        place = torch.tensor([above.index(parents[bone]) for bone in own])
-        levels.append((slice(first, first + len(above)), place))
+        indices = torch.tensor([above.index(parents[bone]) for bone in own])
+        levels.append((slice(first, first + len(above)), indices))
         first += len(above)
     return order, levels
 
 
 def _people(template: Tensor, shapes: Tensor, coefficients: Tensor) -> Tensor:
-    """[people, N, 3] in the body frame."""
+    """Return points [people, N, 3] in the body frame, metres."""
     return (template + torch.einsum("ps,snd->pnd", coefficients, shapes)) @ torch.from_numpy(BODY_FROM_ANNY.T)
 
 
 def _main_shapes(vertices: Tensor, heads: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
-    """Mean person (vertices, bone heads) and the principal components of how people differ, a standard deviation each.
+    """Compute the mean person and the principal components of people, scaled to a standard deviation each.
 
     Returns (mean vertices [V, 3], mean heads [B, 3]), components [shapes, V, 3] and [shapes, B, 3].
     """
@@ -187,9 +187,9 @@ def _main_shapes(vertices: Tensor, heads: Tensor) -> tuple[tuple[Tensor, Tensor]
 
 
 def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
-    """Movements: for each some bones that turn together about one axis, and how far people usually bend there."""
+    """List the movements: for each, bones that turn together about one axis, and its standard deviation."""
     turns: list[Tensor] = []
-    spread: list[float] = []
+    deviation: list[float] = []
     eye = torch.eye(3, dtype=torch.float64)
 
     def movement(shares: Mapping[str, float], axis: Tensor, usual: float) -> None:
@@ -197,7 +197,7 @@ def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
         for bone, share in shares.items():
             turn[bones[bone]] = axis * share
         turns.append(turn)
-        spread.append(usual)
+        deviation.append(usual)
 
     def free(shares: Mapping[str, float], usual: float, axes: Iterable[Tensor] = eye) -> None:
         for axis in axes:
@@ -227,7 +227,7 @@ def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
         movement({f"lowerleg01.{side}": 1}, eye[0], 0.6)
         free({f"lowerleg01.{side}": 1}, 0.06, eye[1:])
         free({f"foot.{side}": 1}, 0.25)
-    return Joints(torch.stack(turns), torch.tensor(spread, dtype=torch.float64))
+    return Joints(torch.stack(turns), torch.tensor(deviation, dtype=torch.float64))
 
 
 _CURL: Final = ((1, 1.08), (2, 1.31), (3, 0.79))  # as in a fist, radians

@@ -1,4 +1,4 @@
-"""The motions of subjects B and C: for every frame a pose and a height above the floor.
+"""Catalogue of the motions of subjects B and C: for every frame a pose and a height above the floor.
 
 Each subject's four motions and their numbers of frames are those of the paper's two MIT subjects.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Final, Literal
 
 from bodyseg_data.bodies.anny.people import SUBJECT_B, SUBJECT_C, Person
@@ -34,13 +33,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion of so many frames; `at` gives pose and height at a time in seconds."""
+    """A motion of `frames` frames; at(seconds) returns pose and height above the floor, metres."""
 
     frames: int
     at: Callable[[float], tuple[Pose, float]]
 
     def frame(self, number: int) -> Frame:
-        """Frame `number`, from 0, to four decimals of a degree and six of a metre."""
+        """Return frame `number`, from 0, rounded to four decimals of a degree and six of a metre."""
         pose, height = self.at(number / FRAMES_PER_SECOND)
         return Frame(from_angles(angles(pose), _DECIMALS), round(height, 6))
 
@@ -74,25 +73,15 @@ def _standing(motion: Callable[[float], Pose]) -> Callable[[float], tuple[Pose, 
     return lambda time: (motion(time), 0.0)
 
 
-@cache
-def _jumps() -> Jumps:
-    return Jumps(BUILD_B)
-
-
-@cache
-def _bounces() -> Bounces:
-    return Bounces(BUILD_C)
-
-
 MOTIONS: Final[Mapping[Literal["B", "C"], Mapping[str, Motion]]] = {
     "B": {
         "crane": Motion(175, _standing(lambda time: crane(BUILD_B, time))),
-        "jumping": Motion(150, lambda time: _jumps().at(time)),
+        "jumping": Motion(150, Jumps(BUILD_B).at),
         "march": Motion(250, _standing(lambda time: walking(BUILD_B, STRIDES_B, time))),
         "squat": Motion(250, _standing(lambda time: SQUATS_B.at(BUILD_B, time))),
     },
     "C": {
-        "bouncing": Motion(175, lambda time: _bounces().at(time)),
+        "bouncing": Motion(175, Bounces(BUILD_C).at),
         "handstand": Motion(175, _standing(lambda time: handstand(BUILD_C, time))),
         "march": Motion(250, _standing(lambda time: walking(BUILD_C, STRIDES_C, time))),
         "squat": Motion(250, _standing(lambda time: SQUATS_C.at(BUILD_C, time))),

@@ -1,4 +1,4 @@
-"""Smooth curves through key values in time, of which every motion is made."""
+"""Smooth curves through key values in time, the basis of every motion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Track:
     """Key values in time, joined smoothly and never overshooting: each value stays between its neighbouring keys.
 
     Monotone cubics (Fritsch and Butland 1984), averaged over `blur` seconds to both sides, so that acceleration hardly
-    jumps at a key. Before the first key and after the last one the values stand still.
+    jumps at a key. Before the first key and after the last one the values are constant.
     """
 
     def __init__(self, times: Sequence[float], values: Sequence[Any], blur: float = 0.09) -> None:
@@ -31,18 +31,18 @@ class Track:
         steps = np.diff(self._times)[:, None]
         slopes = np.diff(self._values, axis=0) / steps
         before, after = slopes[:-1], slopes[1:]
-        # The weighted harmonic mean, or none where the values turn round.
+        # The weighted harmonic mean, or 0 at an extreme.
         share = (1 + steps[1:] / (steps[:-1] + steps[1:])) / 3
         same = before * after > 0
         mean = np.where(same, before * after / np.where(same, share * after + (1 - share) * before, 1), 0)
         self._slopes = np.concatenate([np.zeros((1, mean.shape[1])), mean, np.zeros((1, mean.shape[1]))])
 
     def at(self, time: float) -> Vector:
-        """Values [N] at a time in seconds."""
+        """Return the values [N] at a time in seconds."""
         return np.asarray(_SPREAD @ self._cubic(time + self._around))
 
     def one(self, time: float) -> float:
-        """The value of a track that has a single one."""
+        """Return the value of a track of single values at a time in seconds."""
         return float(self.at(time)[0])
 
     def _cubic(self, times: Vector) -> Vector:
@@ -66,17 +66,17 @@ class PoseTrack:
         self._track = Track([time for time, _ in keys], [angles(pose) for _, pose in keys], blur)
 
     def at(self, time: float) -> Pose:
-        """The pose at a time in seconds."""
+        """Return the pose at a time in seconds."""
         return from_angles(self._track.at(time))
 
 
 def angles(pose: Pose) -> Vector:
-    """All joint angles [37] of a pose: trunk, left and right arm, left and right leg."""
+    """Return all joint angles [37] of a pose: trunk, left and right arm, left and right leg."""
     return np.concatenate([astuple(getattr(pose, field.name)) for field in fields(pose)])
 
 
 def from_angles(values: Vector, decimals: int | None = None) -> Pose:
-    """The pose of joint angles [37], rounded to so many decimals if given."""
+    """Return the pose of joint angles [37], rounded to `decimals` if given."""
     numbers = [float(value) if decimals is None else round(float(value), decimals) + 0.0 for value in values]
     parts: list[Any] = []
     for kind in (Trunk, Arm, Arm, Leg, Leg):
@@ -87,6 +87,6 @@ def from_angles(values: Vector, decimals: int | None = None) -> Pose:
 
 
 def wander(time: float, number: int, seconds: float) -> float:
-    """A slow to and fro between -1 and 1 that never repeats; other numbers give other ones."""
+    """Return a slow oscillation between -1 and 1 that does not repeat; `number` selects its phases."""
     first, second = 2 * math.pi * time / seconds, 2 * math.pi * time / (seconds * 0.618)
     return 0.6 * math.sin(first + 2.4 * number) + 0.4 * math.sin(second + 1.1 * number * number)

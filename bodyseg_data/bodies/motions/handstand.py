@@ -1,4 +1,4 @@
-"""A handstand: down to the floor, one leg kicked up and the other after it, a while upside down, and back again."""
+"""A handstand: hands to the floor, one leg kicked up and then the other, a few seconds upside down, and back."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ ARM_C: Final[tuple[tuple[str, Triple], ...]] = (
     ("lowerarm02.L", (0.0535, -0.0626, 0.0621)),
     ("wrist.L", (0.0583, -0.0589, 0.0724)),
 )
-"""Subject C's bones from the pelvis to the left hand, each with its place in its parent's frame, metres."""
+"""Subject C's bones from the pelvis to the left hand, each with its offset in its parent's frame, metres."""
 
 _HAND: Final = np.array([0.0425, -0.0539, 0.0736])
 """From her left wrist to her middle knuckle in the wrist's frame, metres."""
 
 _WRIST_M: Final = 0.068
-"""How high her wrists are above the floor when the hands lie on it."""
+"""Height of the wrists above the floor when the hands are on it, metres."""
 
 _SOLES: Final = (Sole(0.18, 0, 28), Sole(-0.18, 0, -28))
 _END: Final = 7.2
@@ -74,33 +74,33 @@ _POSES: Final = PoseTrack([*_UPWARDS, *_HELD, *((_END - time, pose.mirrored()) f
 
 
 def _track(keys: Sequence[tuple[float, float]], back: Sequence[tuple[float, float]]) -> Track:
-    """A track of the way up, and of another as the way down, backwards."""
+    """Return a track through `keys` on the way up and through `back`, in reverse, on the way down."""
     all_keys = [*keys, *((_END - time, value) for time, value in reversed(back))]
     return Track([time for time, _ in all_keys], [value for _, value in all_keys], blur=0.03)
 
 
 _HANDS_KEYS: Final = ((1.6, 0.0), (1.78, 1.0))
 _HANDS: Final = _track(_HANDS_KEYS, _HANDS_KEYS)
-"""What the pelvis goes by: 0 the feet on the floor, 1 the hands on the floor."""
+"""Support of the pelvis: 0 by the feet on the floor, 1 by the hands on the floor."""
 
 _PALMS_KEYS: Final = ((1.0, 0.0), (1.5, 1.0))
 _PALMS: Final = _track(_PALMS_KEYS, _PALMS_KEYS)
-"""How far the palms are level."""
+"""Share to which the palms are level, 0 to 1."""
 
 _PITCH_KEYS: Final = ((1.0, 0.0), (1.6, 8.0), (1.75, 8.0), (2.3, 52.0))
 _PITCH: Final = _track(_PITCH_KEYS, _PITCH_KEYS)
-"""Of the soles that are on the floor, degrees."""
+"""Pitch of the soles that are on the floor, degrees."""
 
 _FIRST: Final = ((1.8, 0.0), (2.06, 1.0))
 _SECOND: Final = ((2.12, 0.0), (2.42, 1.0))
 _LEFT_FREE: Final = _track(_FIRST, _SECOND)
 _RIGHT_FREE: Final = _track(_SECOND, _FIRST)
-"""How far a leg has left the floor: the left one goes up first, and so the right one comes down first."""
+"""Share to which a leg has left the floor, 0 to 1: the left one goes up first, so the right one comes down first."""
 
 
 def handstand(build: Build, time: float) -> Pose:
-    """The pose at a time in seconds."""
-    pose, palms = _alive(_POSES.at(time), time), _PALMS.one(time)
+    """Return the pose at a time in seconds."""
+    pose, palms = _with_sway(_POSES.at(time), time), _PALMS.one(time)
     left, right = _levelled(pose, palms), _levelled(pose.mirrored(), palms)
     pose = replace(pose, left_arm=left, right_arm=right)
     share = _HANDS.one(time)
@@ -116,8 +116,8 @@ def handstand(build: Build, time: float) -> Pose:
     )
 
 
-def _alive(pose: Pose, time: float) -> Pose:
-    """With the small movements by which she keeps her balance."""
+def _with_sway(pose: Pose, time: float) -> Pose:
+    """Add the small movements of keeping balance to a pose."""
     trunk = replace(
         pose.trunk,
         roll=pose.trunk.roll + 1.2 * wander(time, 1, 2.1),
@@ -130,35 +130,35 @@ def _alive(pose: Pose, time: float) -> Pose:
 
 
 def _spot(build: Build) -> Vector:
-    """Where the middle between her wrists is while her hands are on the floor, [3]."""
+    """Return the middle between the wrists while the hands are on the floor, [3], metres."""
     arm = _levelled(_ON_FLOOR, 1)
-    place = pelvis_over(build, _ON_FLOOR) + _hands(replace(_ON_FLOOR, left_arm=arm, right_arm=arm))
-    return place * (0, 0, 1) + (0, _WRIST_M, 0)
+    position = pelvis_over(build, _ON_FLOOR) + _hands(replace(_ON_FLOOR, left_arm=arm, right_arm=arm))
+    return position * (0, 0, 1) + (0, _WRIST_M, 0)
 
 
 def _hands(pose: Pose) -> Vector:
-    """From the pelvis to the middle between both wrists, [3]."""
+    """Return the vector from the pelvis to the middle between both wrists, [3], metres."""
     left, right = _wrist(pose)[1], _wrist(pose.mirrored())[1]
     middle: Vector = (left + right * (-1, 1, 1)) / 2
     return middle
 
 
 def _wrist(pose: Pose) -> tuple[Matrix, Vector]:
-    """How the left wrist is turned in the world, [3, 3], and where it is from the pelvis, [3]."""
+    """Return the left wrist's rotation in the world, [3, 3], and its offset from the pelvis, [3], metres."""
     rotations = bone_rotations(pose)
-    turned, place = rotations["root"], np.zeros(3)
+    turned, position = rotations["root"], np.zeros(3)
     for bone, offset in ARM_C:
-        place = place + turned @ offset
+        position = position + turned @ offset
         turned = turned @ rotations[bone]
-    return turned, place
+    return turned, position
 
 
 def _levelled(pose: Pose, share: float) -> Arm:
-    """The left arm with its wrist bent until the hand is level, or part of the way."""
+    """Return the left arm with its wrist bent until the hand is level, or a share of the way."""
     arm = pose.left_arm
     turned, _ = _wrist(replace(pose, left_arm=replace(arm, wrist=0)))
     along, axis = turned @ _HAND, turned @ KNUCKLES
     across = np.cross(axis, along)
     level = math.degrees(math.atan2(-along[1], across[1]))
-    level = (level + 120) % 180 - 120  # of the two ways the one with the hand bent back
+    level = (level + 120) % 180 - 120  # of the two solutions the one with the hand bent back
     return replace(arm, wrist=(1 - share) * arm.wrist + share * level)

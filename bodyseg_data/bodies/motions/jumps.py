@@ -1,4 +1,4 @@
-"""Jumping and bouncing: legs push the body up, and when they shorten faster than it falls, it flies."""
+"""Jumping and bouncing: the body is in flight while the legs shorten faster than it falls."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, pelvis_over, standing
-from bodyseg_data.bodies.motions.stands import both
 
 _GRAVITY: Final = 9.81
 _STEPS: Final = 200
-"""A second of simulated flight."""
+"""Steps of the simulation of flight in a second."""
 
 
 class Flight:
-    """How high the feet are above the floor over time, for a pelvis that legs would hold at `standing(time)` metres.
+    """Height of the feet above the floor over time; standing(time): height of the pelvis over the feet, metres.
 
-    On the floor the pelvis is where the legs hold it. As soon as they drop faster than a falling body, it flies
-    along a parabola until they catch it again.
+    On the floor the pelvis is at that height. As soon as it would drop faster than a falling body, the pelvis follows a
+    parabola until the legs reach the floor again.
     """
 
     def __init__(self, standing: Callable[[float], float], seconds: float) -> None:
@@ -47,28 +46,38 @@ class Flight:
         return np.array(heights)
 
     def height(self, time: float) -> float:
-        """Metres between the floor and the lowest point of the body."""
+        """Return the distance of the feet from the floor, metres."""
         return float(np.interp(time * _STEPS, np.arange(len(self._heights)), self._heights))
 
 
-_STANDS: Final = both(Trunk(lean=1, bend=2), Arm(), Leg(flex=3, knee=4))
-_CROUCHES: Final = both(Trunk(lean=38, bend=18, nod=-24), Arm(flex=-38, abduct=12, elbow=14), Leg(flex=97, knee=81))
+_STANDS: Final = symmetric(Trunk(lean=1, bend=2), Arm(), Leg(flex=3, knee=4))
+_CROUCHES: Final = symmetric(
+    Trunk(lean=38, bend=18, nod=-24), Arm(flex=-38, abduct=12, elbow=14), Leg(flex=97, knee=81)
+)
 _SWINGING: Final = Arm(flex=-18, abduct=12, elbow=20)
-_PUSHES: Final = both(
+_PUSHES: Final = symmetric(
     Trunk(lean=22, bend=8, nod=-16), Arm(flex=44, abduct=12, elbow=30), Leg(flex=58, knee=58, ankle=8)
 )
-_LEAVES: Final = both(Trunk(lean=3, bend=-4, nod=-4), Arm(flex=106, abduct=14, elbow=24), Leg(flex=4, knee=7, ankle=38))
-_FLIES: Final = both(Trunk(lean=5, bend=2, nod=4), Arm(flex=144, abduct=20, elbow=18), Leg(flex=12, knee=16, ankle=36))
-_SPREADS: Final = both(
+_LEAVES: Final = symmetric(
+    Trunk(lean=3, bend=-4, nod=-4), Arm(flex=106, abduct=14, elbow=24), Leg(flex=4, knee=7, ankle=38)
+)
+_FLIES: Final = symmetric(
+    Trunk(lean=5, bend=2, nod=4), Arm(flex=144, abduct=20, elbow=18), Leg(flex=12, knee=16, ankle=36)
+)
+_SPREADS: Final = symmetric(
     Trunk(lean=2, bend=-2, nod=-2), Arm(flex=64, abduct=100, elbow=10), Leg(flex=17, knee=28, ankle=34)
 )
-_TUCKS: Final = both(Trunk(lean=12, bend=12, nod=2), Arm(flex=96, abduct=24, elbow=26), Leg(flex=52, knee=66, ankle=24))
-_LANDS: Final = both(Trunk(lean=12, bend=6, nod=2), Arm(flex=70, abduct=34, elbow=24), Leg(flex=26, knee=22, ankle=26))
-_CATCHES: Final = both(Trunk(lean=32, bend=16, nod=-16), Arm(flex=34, abduct=30, elbow=30), Leg(flex=84, knee=78))
+_TUCKS: Final = symmetric(
+    Trunk(lean=12, bend=12, nod=2), Arm(flex=96, abduct=24, elbow=26), Leg(flex=52, knee=66, ankle=24)
+)
+_LANDS: Final = symmetric(
+    Trunk(lean=12, bend=6, nod=2), Arm(flex=70, abduct=34, elbow=24), Leg(flex=26, knee=22, ankle=26)
+)
+_CATCHES: Final = symmetric(Trunk(lean=32, bend=16, nod=-16), Arm(flex=34, abduct=30, elbow=30), Leg(flex=84, knee=78))
 
 
 def _jump(start: float, crouch: float, flight: Pose, seconds: float, catch: float) -> list[tuple[float, Pose]]:
-    """Keys of a jump that takes off about 0.74 s after its start and flies for so many seconds."""
+    """List the key poses of a jump that takes off about 0.74 s after `start` and is in flight for `seconds`."""
     land = start + 0.74 + seconds
     down = _STANDS.blend(_CROUCHES, crouch)
     return [
@@ -95,10 +104,10 @@ _JUMPS: Final = PoseTrack(
     blur=0.05,
 )
 _TURNING: Final = Track((0.9, 1.25, 2.85, 3.2, 4.75, 5.2), (0, 20, 20, 75, 75, 30), blur=0.03)
-"""Which way the jumper faces: he turns in the air."""
+"""Direction that the jumper faces, degrees; it changes in the air."""
 
 _SPREADING: Final = Track((2.85, 3.04, 3.22), (0.22, 0.62, 0.26), blur=0.03)
-"""How far apart his feet are."""
+"""Distance between the feet, metres."""
 
 
 class Jumps:
@@ -109,7 +118,7 @@ class Jumps:
         self._flight = Flight(lambda time: float(pelvis_over(build, _JUMPS.at(time))[1]), seconds=6)
 
     def at(self, time: float) -> tuple[Pose, float]:
-        """The pose at a time in seconds, and the feet's height above the floor in metres."""
+        """Return the pose at a time in seconds, and the feet's height above the floor in metres."""
         pose = _JUMPS.at(time)
         facing, apart = _TURNING.one(time), _SPREADING.one(time)
         trunk = replace(
@@ -120,43 +129,43 @@ class Jumps:
             twist=3 * wander(time, 4, 3.7),
             look=6 * wander(time, 5, 4.3),
         )
-        arms = (_alive(pose.left_arm, time, 6), _alive(pose.right_arm, time, 7))
+        arms = (_with_sway(pose.left_arm, time, 6), _with_sway(pose.right_arm, time, 7))
         pelvis = pelvis_over(self._build, pose)
         left = Sole(apart / 2, 0, 9, pose.left_leg.ankle)
         soles = (_turned(left, facing), _turned(left.mirrored(), facing))
         return standing(self._build, pelvis, trunk, arms, soles), self._flight.height(time)
 
 
-def _alive(arm: Arm, time: float, number: int) -> Arm:
+def _with_sway(arm: Arm, time: float, number: int) -> Arm:
     return replace(
         arm, flex=arm.flex + 5 * wander(time, number, 2.7), abduct=arm.abduct + 2 * wander(time, number, 2.1)
     )
 
 
 def _turned(sole: Sole, facing: float) -> Sole:
-    """A sole where it is when the whole body has turned to its left by degrees."""
-    place = about_y(facing) @ (sole.x, 0, sole.z)
-    return replace(sole, x=float(place[0]), z=float(place[2]), yaw=sole.yaw + facing)
+    """Turn a sole with the whole body, to its left, by degrees."""
+    position = about_y(facing) @ (sole.x, 0, sole.z)
+    return replace(sole, x=float(position[0]), z=float(position[2]), yaw=sole.yaw + facing)
 
 
 _BEAT_S: Final = 0.47
 _VIGOUR: Final = Track(
     (0, 0.6, 1.6, 2.6, 3.2, 3.8, 4.6, 5.6, 6.3, 7.0), (0.3, 0.8, 1.2, 1.45, 0.8, 0.6, 1.1, 1.5, 1.0, 0.4), blur=0.2
 )
-"""How hard she bounces over time."""
+"""Strength of the bouncing over time."""
 
 
 class Bounces:
-    """Bouncing on the balls of the feet like a boxer warming up, loose arms shaken, weight from foot to foot."""
+    """Bouncing on the balls of the feet as boxers do, with loose arms and the weight shifting from foot to foot."""
 
     def __init__(self, build: Build) -> None:
         self._build = build
         self._flight = Flight(lambda time: float(pelvis_over(build, _bounced(time))[1]), seconds=7)
 
     def at(self, time: float) -> tuple[Pose, float]:
-        """The pose at a time in seconds, and the feet's height above the floor in metres."""
+        """Return the pose at a time in seconds, and the feet's height above the floor in metres."""
         pose = _bounced(time)
-        slow = math.pi * time / _BEAT_S  # from foot to foot takes two beats
+        slow = math.pi * time / _BEAT_S  # the weight shifts over two beats
         vigour, facing = _VIGOUR.one(time), 45 * wander(time, 1, 6.1)
         trunk = replace(
             pose.trunk,
@@ -179,14 +188,14 @@ class Bounces:
 
 
 def _bounced(time: float) -> Pose:
-    """Trunk and legs, both alike: deepest when the beat falls."""
+    """Return the pose of trunk and legs, lowest on each beat."""
     down = _VIGOUR.one(time) * math.cos(2 * math.pi * time / _BEAT_S + 0.3 * wander(time, 6, 5.5))
     leg = Leg(flex=23 + 13 * down, knee=31 + 18 * down, ankle=22 - 13 * down)
-    return both(Trunk(lean=4 + 2.5 * down, bend=5 + 3 * down, nod=-3 - 4 * down), Arm(), leg)
+    return symmetric(Trunk(lean=4 + 2.5 * down, bend=5 + 3 * down, nod=-3 - 4 * down), Arm(), leg)
 
 
 def _shaken(time: float, vigour: float, behind: float, number: int) -> Arm:
-    """A loose arm; `behind`: by how many beats it lags."""
+    """Return a loosely shaken arm; behind: its lag in beats."""
     beat = 2 * math.pi * (time / _BEAT_S - 0.15)
     slow = math.pi * (time / _BEAT_S - behind)
     shake = math.sin(2.5 * beat) * max(0.0, wander(time, 9, 4.2))

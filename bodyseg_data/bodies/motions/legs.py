@@ -1,4 +1,4 @@
-"""Legs that reach for the floor: from where pelvis and soles are to the joint angles that put them there."""
+"""Inverse kinematics of the legs: joint angles from the positions of pelvis and soles."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class Build:
-    """Where a person's left leg has its joints, metres, body frame, standing in the skeleton's reference pose.
+    """Joint offsets of a person's left leg, metres, body frame, standing in the skeleton's reference pose.
 
-    hip: from the pelvis. thigh: hip to knee. shin: knee to ankle. ball, heel: from the ankle to where the sole
-    turns on the floor.
+    hip: from the pelvis. thigh: hip to knee. shin: knee to ankle. ball, heel: from the ankle to the points about which
+    the sole turns on the floor.
     """
 
     hip: Triple
@@ -40,7 +40,7 @@ class Build:
 
 @dataclass(frozen=True)
 class Sole:
-    """Where a foot is. x, z: of its ankle when the sole is flat, metres. yaw: toes to the left, degrees.
+    """Position of a foot. x, z: of its ankle when the sole is flat, metres. yaw: toes to the left, degrees.
 
     pitch: toes pointed down, degrees, turning about the ball of the foot; toes up, negative, about the heel.
     height: of the point it turns about, metres.
@@ -56,7 +56,7 @@ class Sole:
         return replace(self, x=-self.x, yaw=-self.yaw)
 
     def ankle(self, build: Build) -> Vector:
-        """Where the ankle is, [3]."""
+        """Return the position of the ankle, [3], metres."""
         pivot = np.array(build.ball if self.pitch > 0 else build.heel)
         raised = pivot - about_x(self.pitch) @ pivot
         ankle: Vector = [self.x, build.ankle_height_m + self.height, self.z] + about_y(self.yaw) @ raised
@@ -79,16 +79,16 @@ def about_z(degrees: float) -> Matrix:
 
 
 def standing(build: Build, pelvis: Vector, trunk: Trunk, arms: tuple[Arm, Arm], soles: tuple[Sole, Sole]) -> Pose:
-    """The pose whose legs lead from a pelvis at [3] to both soles; left first."""
+    """Return the pose whose legs lead from a pelvis at [3] to both soles; left first."""
     root = root_rotation(trunk)
     left, right = (reach(build, root, pelvis, sole, side) for sole, side in zip(soles, (1, -1), strict=True))
     return Pose(trunk, *arms, left, right)
 
 
 def reach(build: Build, root: Matrix, pelvis: Vector, sole: Sole, side: int) -> Leg:
-    """The leg that leads from a pelvis at [3], turned by `root`, to a sole; straight if that is too far.
+    """Return the leg that leads from a pelvis at [3], rotated by `root`, to a sole; straight if that is too far.
 
-    side: 1 for the left leg, -1 for the right one, which is a left one seen in a mirror.
+    side: 1 for the left leg, -1 for the right one, which is computed as a mirrored left one.
     """
     if side < 0:
         mirror = np.diag(_MIRROR)
@@ -119,7 +119,7 @@ def _wrapped(degrees: float) -> float:
 
 
 def _knee(thigh: Vector, shin: Vector, reach_squared: float) -> float:
-    """The knee's angle in degrees at which hip and ankle are so far apart; law of cosines for bones that are askew."""
+    """Return the knee's angle, degrees, for a distance of hip and ankle: law of cosines for bones that are askew."""
     along = thigh[1] * shin[1] + thigh[2] * shin[2]
     across = thigh[2] * shin[1] - thigh[1] * shin[2]
     wanted = (reach_squared - float(thigh @ thigh + shin @ shin)) / 2 - thigh[0] * shin[0]
@@ -128,7 +128,7 @@ def _knee(thigh: Vector, shin: Vector, reach_squared: float) -> float:
 
 
 def pelvis_over(build: Build, pose: Pose) -> Vector:
-    """Where legs bent like a pose's left one carry the pelvis, [3], from the middle between the two flat soles."""
+    """Return the pelvis, [3], over the middle of two flat soles if both legs bend as a pose's left one."""
     leg, lean = pose.left_leg, pose.trunk.lean
     thigh = lean - leg.flex
     below = about_x(thigh + leg.knee) @ build.shin + about_x(thigh) @ build.thigh + about_x(lean) @ build.hip

@@ -7,21 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
 from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, standing
 
 
-def both(trunk: Trunk, arms: Arm, legs: Leg) -> Pose:
-    """Left and right alike."""
-    return Pose(trunk, arms, arms, legs, legs)
-
-
 class Squats:
-    """Squats with the soles where they are.
+    """Squats on fixed soles.
 
     highest, lowest: the poses between which the body goes; of their legs, hip, knee and ankle are used. times,
-    depths: when, in seconds, and how far down, 0 to 1. apart: between the ankles, metres. toe_out: degrees.
+    depths: key times, seconds, and the depth at each, 0 to 1. apart: distance of the ankles, metres. toe_out: degrees.
     """
 
     def __init__(
@@ -34,7 +29,7 @@ class Squats:
         self._soles = (left, left.mirrored())
 
     def at(self, build: Build, time: float) -> Pose:
-        """The pose at a time in seconds."""
+        """Return the pose at a time in seconds."""
         pose = self._poses.at(time)
         trunk = replace(
             pose.trunk,
@@ -44,30 +39,30 @@ class Squats:
             look=7 * wander(time, 4, 7.9),
             nod=pose.trunk.nod + 2 * wander(time, 5, 5.7),
         )
-        arms = (_alive(pose.left_arm, time, 6), _alive(pose.right_arm, time, 7))
+        arms = (_with_sway(pose.left_arm, time, 6), _with_sway(pose.right_arm, time, 7))
         pelvis = pelvis_over(build, pose)
         pelvis[0] = 0.012 * wander(time, 8, 5.5)
         return standing(build, pelvis, trunk, arms, self._soles)
 
 
-def _alive(arm: Arm, time: float, number: int) -> Arm:
+def _with_sway(arm: Arm, time: float, number: int) -> Arm:
     return replace(
         arm, flex=arm.flex + 3 * wander(time, number, 4.9), elbow=arm.elbow + 2 * (1 + wander(time, number, 3.7))
     )
 
 
 SQUATS_B: Final = Squats(
-    both(Trunk(lean=2, bend=2), Arm(flex=10, abduct=9, elbow=14), Leg(flex=6, knee=8)),
-    both(Trunk(lean=31, bend=20, nod=-22), Arm(flex=128, abduct=5, elbow=6), Leg(flex=117, knee=114)),
+    symmetric(Trunk(lean=2, bend=2), Arm(flex=10, abduct=9, elbow=14), Leg(flex=6, knee=8)),
+    symmetric(Trunk(lean=31, bend=20, nod=-22), Arm(flex=128, abduct=5, elbow=6), Leg(flex=117, knee=114)),
     (0, 0.3, 1.2, 1.35, 2.0, 2.2, 3.1, 3.3, 4.0, 4.1, 4.8, 4.9, 5.5, 5.7, 6.7, 7.0, 7.7, 7.9, 8.7, 8.9, 9.6, 10.0),
     (0, 0, 0.8, 0.8, 0.03, 0.03, 1, 1, 0.05, 0.05, 0.6, 0.6, 0.02, 0.02, 0.96, 1, 0.04, 0.04, 0.86, 0.86, 0, 0),
     apart=0.36, toe_out=14,
 )  # fmt: skip
-"""A man who reaches ahead with straight arms, six times."""
+"""Six squats of a man who reaches ahead with straight arms."""
 
 SQUATS_C: Final = Squats(
-    both(Trunk(lean=1, bend=2), Arm(flex=14, abduct=16, twist=-22, elbow=56, wrist=4), Leg(flex=14, knee=22)),
-    both(
+    symmetric(Trunk(lean=1, bend=2), Arm(flex=14, abduct=16, twist=-22, elbow=56, wrist=4), Leg(flex=14, knee=22)),
+    symmetric(
         Trunk(lean=17, bend=14, nod=-12), Arm(flex=44, abduct=16, twist=-30, elbow=112, wrist=-4),
         Leg(flex=104, knee=113),
     ),
@@ -75,7 +70,7 @@ SQUATS_C: Final = Squats(
     (0, 0, 0.9, 0.9, 0.1, 0.1, 1, 1, 0.7, 1, 0.02, 0.02, 0.78, 0.78, 0.3),
     apart=0.5, toe_out=30,
 )  # fmt: skip
-"""A woman with her feet wide apart and her hands before her chest, slower, once with a bounce at the bottom."""
+"""Slower squats of a woman with feet wide apart and hands before the chest, once with a bounce at the bottom."""
 
 _LIFTED: Final = Leg(flex=88, abduct=4, twist=5, knee=102, planted=0, ankle=24)
 _KICKING: Final = Leg(flex=92, abduct=2, twist=5, knee=22, planted=0, ankle=30)
@@ -95,7 +90,7 @@ _UPPER: Final = PoseTrack(
     ]
 )
 _WEIGHT: Final = Track((0.2, 1.0, 3.1, 3.9, 6.2, 6.9), (0, -1, -1, 1, 1, 0))
-"""Whose foot carries the body: 1 the left one, -1 the right one."""
+"""Weight on the feet: 1 all on the left one, -1 all on the right one."""
 
 _LEFT_LIFT: Final = Track((0.75, 1.6, 2.75, 3.35), (0, 1, 1, 0))
 _RIGHT_LIFT: Final = Track((3.6, 4.4, 5.75, 6.45), (0, 1, 1, 0))
@@ -104,7 +99,7 @@ _BEAT: Final = Track((1.0, 1.8, 5.6, 6.3), (0, 1, 1, 0))
 
 
 def crane(build: Build, time: float) -> Pose:
-    """Arms spread and beating like wings, the left knee up, then the right one, which kicks."""
+    """Return the crane's pose at a time in seconds: arms beat like wings, left knee up, then the right, which kicks."""
     pose = _UPPER.at(time)
     beat = _BEAT.one(time) * math.sin(2 * math.pi * time / 1.15 + 0.3 * wander(time, 1, 3.1))
     arms = tuple(

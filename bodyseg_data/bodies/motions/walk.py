@@ -1,4 +1,4 @@
-"""Walking in a circle: footprints on the floor, a pelvis carried over them, legs that reach from one to the other.
+"""Walking in a circle: footprints on the floor, a pelvis that moves over them, and legs that connect the two.
 
 A foot strikes with its heel, lies flat, turns over its ball, and swings to its next footprint; timing, heights and
 angles are those of normal gait (Perry and Burnfield 2010, Gait Analysis, chapters 2 to 7).
@@ -24,7 +24,7 @@ STANCE: Final = 0.62
 """Share of a stride for which a foot is on the floor; a stride is two steps."""
 
 _MIDDLE: Final = 0.235
-"""When in the stride the pelvis passes over the ankle of a standing foot."""
+"""Phase of the stride at which the pelvis passes over the ankle of the standing foot."""
 
 _ROLLING: Final = Track((0.0, 0.09, 0.35, 0.50, 0.62), (-15, 0, 0, 19, 48), blur=0.05)
 """A sole's pitch over a stride from its heel's strike, degrees."""
@@ -32,16 +32,16 @@ _ROLLING: Final = Track((0.0, 0.09, 0.35, 0.50, 0.62), (-15, 0, 0, 19, 48), blur
 _INSTANT: Final = 1e-3
 
 _SWING: Final = {"flex": (0.62, 25.0), "knee": (0.36, 63.0), "ankle": (0.5, -5.0)}
-"""Where in the swing the angles of a swinging leg turn round, and at how many degrees."""
+"""Extremes of the angles of a swinging leg: (share of the swing, degrees)."""
 
 
 @dataclass(frozen=True)
 class Gait:
-    """One person's way of walking. Lengths in metres, angles in degrees; a stride is two steps.
+    """Parameters of one person's gait. Lengths in metres, angles in degrees; a stride is two steps.
 
-    turn: of the path in a stride. apart: between the feet. pelvis: its height when a leg stands below it. bob, sway,
-    list, sweep: how far the pelvis goes up and down, to the side, tilts and turns. arms: how far they swing. arms_out:
-    how far they are off the body. hip: how far a swinging thigh comes up. first: the phase at which the walk begins.
+    turn: of the path in a stride. apart: distance of the feet. pelvis: its height over a standing leg. bob, sway, list,
+    sweep: amplitudes of the pelvis up and down, sideways, in tilt and in rotation. arms: amplitude of their swing.
+    arms_out: their angle from the body. hip: largest flexion of a swinging thigh. first: phase at the start.
     """
 
     stride: float
@@ -63,7 +63,7 @@ class Gait:
 
 
 def walking(build: Build, gait: Gait, time: float) -> Pose:
-    """The pose at a time in seconds."""
+    """Return the pose at a time in seconds."""
     phase = gait.first + time / gait.seconds
     trunk = _trunk(gait, phase)
     arms = (_arm(gait, phase + 0.5, 7), _arm(gait, phase, 8))
@@ -71,14 +71,14 @@ def walking(build: Build, gait: Gait, time: float) -> Pose:
 
 
 def _path(gait: Gait, phase: float) -> Vector:
-    """Where the walker is: on a circle."""
+    """Return the walker's position on a circle, [3], metres."""
     angle = math.radians(gait.turn * phase)
     radius = gait.stride / math.radians(gait.turn)
     return np.array([radius * (1 - math.cos(angle)), 0.0, radius * math.sin(angle)])
 
 
 def _pelvis(gait: Gait, phase: float) -> Vector:
-    """Highest and most to the side over the middle of each stance."""
+    """Return the pelvis, [3], metres: highest and farthest to the side over the middle of each stance."""
     over = 2 * math.pi * (phase - _MIDDLE)
     axes = about_y(gait.turn * phase)
     high = gait.pelvis + gait.bob * (math.cos(2 * over) - 1)
@@ -106,7 +106,7 @@ def _liveliness(phase: float) -> float:
 
 
 def _arm(gait: Gait, phase: float, number: int) -> Arm:
-    """Forward when the other side's foot strikes."""
+    """Return an arm that is forward when the other side's foot strikes."""
     swing = math.cos(2 * math.pi * phase - 0.25)
     return Arm(
         flex=gait.arms * (0.1 + swing * _liveliness(phase)),
@@ -120,7 +120,7 @@ def _arm(gait: Gait, phase: float, number: int) -> Arm:
 
 
 def _leg(build: Build, gait: Gait, phase: float, strike: float, side: int) -> Leg:
-    """The leg that strikes at `strike` in every stride: on the floor, or on its way to the next strike."""
+    """Return the leg that strikes at phase `strike` of every stride, on the floor or swinging to the next strike."""
     step = strike + math.floor(phase - strike)
     share = (phase - step - STANCE) / (1 - STANCE)
     if share < 0:
@@ -142,16 +142,16 @@ def _leg(build: Build, gait: Gait, phase: float, strike: float, side: int) -> Le
 
 
 def _stance(build: Build, gait: Gait, step: float, phase: float, side: int) -> Leg:
-    """A leg at some phase whose foot struck at phase `step`; side: 1 left, -1 right."""
+    """Return a leg at a phase of its stance, whose foot struck at phase `step`; side: 1 left, -1 right."""
     middle = step + _MIDDLE
     heading = gait.turn * middle
-    place = _path(gait, middle) + side * gait.apart / 2 * about_y(heading)[:, 0]
-    sole = Sole(place[0], place[2], heading + side * gait.toe_out, _ROLLING.one(phase - step))
+    position = _path(gait, middle) + side * gait.apart / 2 * about_y(heading)[:, 0]
+    sole = Sole(position[0], position[2], heading + side * gait.toe_out, _ROLLING.one(phase - step))
     return reach(build, root_rotation(_trunk(gait, phase)), _pelvis(gait, phase), sole, side)
 
 
 def _through(knots: list[tuple[float, float, float]], share: float) -> float:
-    """Cubics through (share, value, slope), Hermite's form."""
+    """Interpolate knots (share, value, slope) by cubics."""
     (x, start, leaving), (end_x, end, arriving) = next(pair for pair in pairwise(knots) if share <= pair[1][0])
     width = end_x - x
     s = (share - x) / width

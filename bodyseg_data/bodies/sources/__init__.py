@@ -14,7 +14,7 @@ from bodyseg_data.core.errors import BadConfig
 
 @dataclass(frozen=True)
 class SourceEntry:
-    """A source's class, "module.Class" of this folder, imported when the source is opened.
+    """Class of a source, "module.Class" of this folder, imported when the source is opened.
 
     reads: content of the folder that `--path` must name; None for sources that make their bodies and read no files.
     """
@@ -23,7 +23,7 @@ class SourceEntry:
     reads: str | None = None
 
     def open(self, *arguments: Any) -> BodySource:
-        """The source itself, constructed with `arguments`."""
+        """Construct the source with `arguments`."""
         module, name = self.home.split(".")
         source: BodySource = getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
         return source
@@ -55,12 +55,12 @@ def open_source(
     units: Units = "auto",
     up: UpAxis = "auto",
 ) -> BodySource:
-    """The source called `name`.
+    """Open the source called `name`.
 
     path: the folder it reads, for sources that read one. landmarks: a landmark file for all of its meshes that have
-    none of their own, or a folder in which landmark files are looked for instead of in `path`. units, up: what the
-    mesh files are in and which of their axes points up, found from body and landmarks if "auto" (`alignment`).
-    Raises BadConfig.
+    none of their own, or a folder searched for landmark files instead of `path`. units, up: unit of the mesh files and
+    their axis that points up, found from body and landmarks if "auto" (`alignment`). Raises BadConfig for an unknown
+    name, or for arguments that the source does not take.
     """
     if name not in SOURCES:
         raise BadConfig(f"the source must be one of {', '.join(SOURCES)}, found {name!r}")

@@ -24,16 +24,16 @@ from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred
 SUBJECTS: Final = 583
 
 MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, SUBJECTS + 1))
-"""What a complete copy holds; the paper does not say which subjects."""
+"""Subjects of a complete copy; the paper does not name them."""
 
 _SITTING: Final = re.compile(r"(.*\d)[bc]")
 _LONGEST: Final = 28  # of a subject's name, which is twice in a sample key
 
 
 class CaesarBodies(MeshBodies):
-    """The subjects found below a folder, by name: the first 467 for training, the others for testing.
+    """Subjects found below a folder, by name: the first 467 for training, the others for testing.
 
-    landmarks: a folder in which to look for the .lnd files, or one file for meshes that all have one topology.
+    landmarks: a folder to search for the .lnd files, or one file for meshes that all have one topology.
     Raises BadConfig if there are none, more than 583, or two meshes of one name in different folders.
     """
 
@@ -58,7 +58,7 @@ class CaesarBodies(MeshBodies):
 
 
 def _standing(path: Path) -> dict[str, Path]:
-    """Name in small letters -> mesh file of every subject, sorted."""
+    """Return lower-case name -> mesh file of every subject, sorted."""
     found = _by_name(path, lambda name: mesh_stem(name) if mesh_suffix(name) else None)
     chosen = {}
     for name in sorted(found):
@@ -80,24 +80,27 @@ def _standing(path: Path) -> dict[str, Path]:
 
 
 def _own(candidates: list[Path], mesh: Path) -> Path | None:
-    """A subject's landmark file: the one beside its mesh, or else the only one."""
+    """Return a subject's landmark file: the one beside its mesh, or else the only one."""
     beside = [file for file in candidates if file.parent == mesh.parent]
     if not beside and len({file.parent for file in candidates}) > 1:
         raise BadConfig(f"a subject needs one landmark file, found {candidates[0]} and {candidates[1]} for {mesh}")
-    return min(beside or candidates, key=lambda file: _suffix_place(file.name), default=None)
+    return min(
+        beside or candidates, key=lambda file: LANDMARK_SUFFIXES.index(_landmark_suffix(file.name)), default=None
+    )
 
 
-def _suffix_place(name: str) -> int:
-    return next(place for place, suffix in enumerate(LANDMARK_SUFFIXES) if name.lower().endswith(suffix))
+def _landmark_suffix(name: str) -> str:
+    """Return the landmark file's suffix that a name ends in, or ""."""
+    return next((suffix for suffix in LANDMARK_SUFFIXES if name.lower().endswith(suffix)), "")
 
 
 def _landmark_stem(name: str) -> str | None:
-    suffix = next((suffix for suffix in LANDMARK_SUFFIXES if name.lower().endswith(suffix)), None)
-    return None if suffix is None else name[: -len(suffix)]
+    suffix = _landmark_suffix(name)
+    return name[: -len(suffix)] if suffix else None
 
 
 def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list[Path]]:
-    """Stem in small letters -> files of that stem anywhere below a folder, sorted."""
+    """Return lower-case stem -> files of that stem anywhere below a folder, sorted."""
     found: dict[str, list[Path]] = {}
     for file in files_below(root):
         stem = stem_of(file.name)

@@ -24,10 +24,10 @@ _LONGEST_MESH: Final = 40
 
 
 class FolderBodies(MeshBodies):
-    """The meshes found below a folder, sorted by their paths. Raises BadConfig if there are none.
+    """Meshes found below a folder, sorted by their paths. Raises BadConfig if there are none.
 
-    landmarks: a file for all meshes that have none of their own, or a folder with sub-folders like those of `path` in
-    which to look for landmark files.
+    landmarks: a file for all meshes that have none of their own, or a folder to search for landmark files, with
+    sub-folders like those of `path`.
     """
 
     name = "folder"
@@ -37,11 +37,11 @@ class FolderBodies(MeshBodies):
         files: dict[BodyRef, MeshFile] = {}
         for parent in sorted({file.parent for file in files_below(path)}):
             inside = parent.relative_to(path)
-            places = [folder / level for level in (inside, *inside.parents)]
+            folders = [folder / level for level in (inside, *inside.parents)]
             for stem, file in meshes_in(parent).items():
-                own = landmark_file(places[:1], stem)
-                labels = own or given or landmark_file(places, "landmarks")
-                wanted = f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {places[0]} or above"
+                own = landmark_file(folders[:1], stem)
+                labels = own or given or landmark_file(folders, "landmarks")
+                wanted = f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {folders[0]} or above"
                 group = None if own else str(labels)
                 files[_ref(inside / stem)] = MeshFile(file, labels, wanted, shared=own is None, group=group)
         if not files:
@@ -50,7 +50,7 @@ class FolderBodies(MeshBodies):
 
 
 def _ref(inside: Path) -> BodyRef:
-    """The name of the mesh at a path, without its suffix, inside the folder."""
+    """Name the mesh at a path, given without its suffix, inside the folder."""
     first = inside.parts[0].lower() if len(inside.parts) > 1 else ""
     split: Split = "test" if first == "test" else "train"
     person = inside.parts[1:] if first in ("train", "test") else inside.parts

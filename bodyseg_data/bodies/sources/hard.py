@@ -1,7 +1,7 @@
-"""A small test set of postures that no training body takes: the source `hard`.
+"""The source `hard`: a small test set of postures that no training body has.
 
-Crossed and folded arms, hands at face, hips and back, sitting, kneeling, bent double, lying, each by a person of their
-own, and one person turned through a full circle.
+Crossed and folded arms, hands at face, hips and back, sitting, kneeling, bent double, lying, each by another person,
+and one person turned through a full circle.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 from bodyseg_data.bodies.anny.people import PEOPLE, person
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies
@@ -24,70 +24,72 @@ _THIGH_HAND: Final = Arm(flex=34, abduct=8, twist=-6, elbow=26, supinate=-60, fi
 _FOLDED: Final = Leg(flex=118, abduct=12, twist=10, knee=126, planted=0, ankle=10)
 
 
-def _legs(trunk: Trunk, left: Arm, right: Arm, legs: Leg = _STANDING) -> Pose:
-    """Both legs alike."""
+def _same_legs(trunk: Trunk, left: Arm, right: Arm, legs: Leg = _STANDING) -> Pose:
+    """Return the pose whose legs have the same angles."""
     return Pose(trunk, left, right, legs, legs)
 
 
-def _even(trunk: Trunk, arms: Arm, legs: Leg = _STANDING) -> Pose:
-    """Left and right alike."""
-    return Pose(trunk, arms, arms, legs, legs)
+def _symmetric(trunk: Trunk, arms: Arm, legs: Leg = _STANDING) -> Pose:
+    """Return the pose whose left and right limbs have the same angles; its legs stand by default."""
+    return symmetric(trunk, arms, legs)
 
 
 _POSES: Final[dict[str, Pose]] = {
     # Arms before the trunk, on it, behind it.
-    "arms_crossed": _legs(
+    "arms_crossed": _same_legs(
         Trunk(bend=4, nod=4),
         Arm(flex=58, abduct=4, twist=-56, elbow=98, supinate=-10),
         Arm(flex=32, abduct=10, twist=-60, elbow=94, supinate=-10),
     ),
-    "arms_crossed_low": _legs(
+    "arms_crossed_low": _same_legs(
         Trunk(lean=2, bend=6, nod=10),
         Arm(flex=28, abduct=10, twist=-60, elbow=82, supinate=-20),
         Arm(flex=42, abduct=4, twist=-56, elbow=86, supinate=-20),
     ),
-    "hugging_oneself": _legs(
+    "hugging_oneself": _same_legs(
         Trunk(bend=10, nod=14),
         Arm(flex=70, abduct=-4, twist=-44, elbow=118),
         Arm(flex=58, abduct=-2, twist=-46, elbow=116),
     ),
-    "hand_on_shoulder": _legs(Trunk(look=10), _HANGING, Arm(flex=62, abduct=0, twist=-44, elbow=126)),
-    "hands_on_hips": _even(Trunk(), _HIP_HAND, Leg(abduct=5, twist=10)),
-    "hand_on_hip": _legs(Trunk(roll=4, side=-6, look=20), _HIP_HAND, Arm(abduct=12), Leg(abduct=4, twist=10)),
-    "hands_clasped": _even(Trunk(nod=6), Arm(flex=20, abduct=10, twist=-48, elbow=52, supinate=-20)),
-    "praying": _even(Trunk(nod=14), Arm(flex=44, abduct=14, twist=-36, elbow=112, wrist=-30)),
-    "hand_behind_back": _legs(
+    "hand_on_shoulder": _same_legs(Trunk(look=10), _HANGING, Arm(flex=62, abduct=0, twist=-44, elbow=126)),
+    "hands_on_hips": _symmetric(Trunk(), _HIP_HAND, Leg(abduct=5, twist=10)),
+    "hand_on_hip": _same_legs(Trunk(roll=4, side=-6, look=20), _HIP_HAND, Arm(abduct=12), Leg(abduct=4, twist=10)),
+    "hands_clasped": _symmetric(Trunk(nod=6), Arm(flex=20, abduct=10, twist=-48, elbow=52, supinate=-20)),
+    "praying": _symmetric(Trunk(nod=14), Arm(flex=44, abduct=14, twist=-36, elbow=112, wrist=-30)),
+    "hand_behind_back": _same_legs(
         Trunk(), Arm(flex=-46, abduct=20, twist=-58, elbow=72, supinate=30), Arm(abduct=12, elbow=14)
     ),
-    "hands_behind_back": _even(Trunk(bend=-4), Arm(flex=-38, abduct=18, twist=-58, elbow=60, supinate=20)),
-    "hand_at_face": _legs(
+    "hands_behind_back": _symmetric(Trunk(bend=-4), Arm(flex=-38, abduct=18, twist=-58, elbow=60, supinate=20)),
+    "hand_at_face": _same_legs(
         Trunk(nod=10), Arm(flex=42, abduct=6, twist=-20, elbow=136, wrist=10), Arm(flex=10, elbow=20)
     ),
-    "hands_at_face": _even(Trunk(nod=12), Arm(flex=62, abduct=8, twist=-14, elbow=132, wrist=6)),
-    "phone_at_ear": _legs(
+    "hands_at_face": _symmetric(Trunk(nod=12), Arm(flex=62, abduct=8, twist=-14, elbow=132, wrist=6)),
+    "phone_at_ear": _same_legs(
         Trunk(tilt=6, look=8), Arm(flex=24, abduct=44, twist=34, elbow=142, wrist=10, fist=0.5), Arm(abduct=10)
     ),
-    "hands_behind_head": _even(Trunk(bend=-4), Arm(flex=12, abduct=108, twist=92, elbow=136, fist=0.2)),
-    "scratching_head": _legs(Trunk(tilt=-8, nod=8), Arm(flex=60, abduct=96, twist=70, elbow=122), Arm(abduct=10)),
+    "hands_behind_head": _symmetric(Trunk(bend=-4), Arm(flex=12, abduct=108, twist=92, elbow=136, fist=0.2)),
+    "scratching_head": _same_legs(Trunk(tilt=-8, nod=8), Arm(flex=60, abduct=96, twist=70, elbow=122), Arm(abduct=10)),
     # Bent double.
-    "touching_toes": _even(Trunk(lean=62, bend=66, nod=12), Arm(flex=112, abduct=4, elbow=6), Leg(flex=58, knee=6)),
-    "hanging_forward": _even(
+    "touching_toes": _symmetric(
+        Trunk(lean=62, bend=66, nod=12), Arm(flex=112, abduct=4, elbow=6), Leg(flex=58, knee=6)
+    ),
+    "hanging_forward": _symmetric(
         Trunk(lean=70, bend=58, nod=20), Arm(flex=124, abduct=10, elbow=20), Leg(flex=72, abduct=5, knee=16)
     ),
-    "hands_on_knees": _even(
+    "hands_on_knees": _symmetric(
         Trunk(lean=42, bend=22, nod=-26),
         Arm(flex=52, abduct=2, elbow=12, supinate=-40, fist=0.3),
         Leg(flex=72, abduct=6, knee=44),
     ),
-    "looking_under": _legs(
+    "looking_under": _same_legs(
         Trunk(lean=56, bend=50, twist=26, nod=14, look=24),
         Arm(flex=80, abduct=10, elbow=26),
         Arm(flex=118, abduct=14, elbow=10),
         Leg(flex=74, abduct=10, knee=42),
     ),
-    # Sitting, on a chair that is not there and on the floor.
-    "sitting_upright": _even(Trunk(lean=-2, bend=6), _THIGH_HAND, Leg(88, 8, 8, 88)),
-    "sitting_bent": _even(
+    # Sitting, on a chair (which is not modelled) and on the floor.
+    "sitting_upright": _symmetric(Trunk(lean=-2, bend=6), _THIGH_HAND, Leg(88, 8, 8, 88)),
+    "sitting_bent": _symmetric(
         Trunk(lean=10, bend=26, nod=-12), Arm(flex=64, abduct=8, twist=-28, elbow=58), Leg(104, 10, 8, 96)
     ),
     "sitting_legs_crossed": Pose(
@@ -97,7 +99,7 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=101, abduct=18, twist=66, knee=94, planted=0, ankle=10),
         Leg(74, 6, 6, 82),
     ),
-    "sitting_on_floor": _even(
+    "sitting_on_floor": _symmetric(
         Trunk(lean=-24, bend=8, nod=8),
         Arm(flex=-46, abduct=18, twist=10, elbow=8, wrist=-60),
         Leg(flex=62, abduct=8, twist=12, knee=4, planted=0, ankle=14),
@@ -109,14 +111,14 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=76, abduct=50, twist=78, knee=128, planted=0, ankle=24),
         Leg(flex=74, abduct=48, twist=74, knee=92, planted=0, ankle=24),
     ),
-    "hugging_knees": _even(
+    "hugging_knees": _symmetric(
         Trunk(lean=-24, bend=34, nod=12),
         Arm(flex=78, abduct=10, twist=-36, elbow=44),
         Leg(flex=116, abduct=0, knee=112),
     ),
     # Kneeling and on all fours.
-    "kneeling": _even(Trunk(), Arm(elbow=22, flex=8), Leg(4, 4, 0, 92, planted=0, ankle=38)),
-    "sitting_on_heels": _even(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(49, 4, 0, 136, planted=0, ankle=48)),
+    "kneeling": _symmetric(Trunk(), Arm(elbow=22, flex=8), Leg(4, 4, 0, 92, planted=0, ankle=38)),
+    "sitting_on_heels": _symmetric(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(49, 4, 0, 136, planted=0, ankle=48)),
     "half_kneeling": Pose(
         Trunk(lean=10, bend=12),
         Arm(flex=48, abduct=12, twist=-20, elbow=56),
@@ -124,16 +126,16 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=98, abduct=8, knee=92),
         Leg(flex=8, twist=0, knee=98, planted=0, ankle=-14, toes=55),
     ),
-    "on_all_fours": _even(
+    "on_all_fours": _symmetric(
         Trunk(lean=82, bend=4, nod=-24),
         Arm(flex=86, abduct=8, twist=-6, elbow=6, supinate=-70, wrist=-78),
         Leg(flex=84, abduct=4, twist=0, knee=88, planted=0, ankle=40),
     ),
     # Lying.
-    "lying_on_back": _even(
+    "lying_on_back": _symmetric(
         Trunk(lean=-90), Arm(abduct=18, flex=-2, elbow=10), Leg(abduct=5, twist=18, planted=0, ankle=26)
     ),
-    "lying_knees_up": _even(
+    "lying_knees_up": _symmetric(
         Trunk(lean=-90, turn=35), Arm(flex=14, abduct=22, twist=-50, elbow=72), Leg(52, 4, 0, 104, planted=0, ankle=36)
     ),
     "lying_arms_up": Pose(
@@ -164,7 +166,7 @@ _POSES: Final[dict[str, Pose]] = {
         replace(_FOLDED, flex=108, abduct=-2),
         replace(_FOLDED, flex=98, abduct=-12),
     ),
-    "lying_on_elbows": _even(
+    "lying_on_elbows": _symmetric(
         Trunk(lean=88, bend=-32, nod=-26, turn=150),
         Arm(flex=56, abduct=8, twist=-10, elbow=86, supinate=-40),
         Leg(flex=-4, abduct=7, planted=0, ankle=44),

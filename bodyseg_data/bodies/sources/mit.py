@@ -30,17 +30,17 @@ MESHES: Final = tuple(
     for sequence, frames in sequences.items()
     for number in range(frames)
 )
-"""What a complete copy holds."""
+"""Files of a complete copy."""
 
 _SHIPPED: Final = {"B": "mit_I"}
 _STEM: Final = re.compile(r"mesh_(\d{4,6})")
 
 
 class MitBodies(MeshBodies):
-    """The frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
+    """Frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
 
-    Every sequence is turned as a whole, so that the man faces the front as it begins; where he walks and turns to is
-    kept. landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
+    Every sequence is rotated as a whole, so that the man faces the front as it begins; his later directions are kept.
+    landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
     landmarks_B.json.
     """
 
@@ -59,14 +59,13 @@ class MitBodies(MeshBodies):
             for sequence, count in sequences.items():
                 motion, found = sequence.partition("_")[2], _frames(path / sequence / "meshes", count)
                 for number in range(count):
-                    mesh = f"mesh_{number:04d}"
                     if number in found:
                         ref = BodyRef(
                             subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
                         )
                         files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
                     else:
-                        missing.append(f"{sequence}/meshes/{mesh}.obj")
+                        missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
         if not files:
             raise BadConfig(
                 "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
@@ -74,14 +73,14 @@ class MitBodies(MeshBodies):
             )
         if given is not None and not any(ref.subject == "C" for ref in files):
             raise BadConfig(
-                f"a landmark file is for subject C (D_*), found no frame of his in {path}: to replace the landmarks of "
-                "subject B give a folder that holds landmarks_B.json"
+                f"a landmark file is for subject C (D_*), found none of its frames in {path}: to replace the landmarks "
+                "of subject B give a folder that holds landmarks_B.json"
             )
         # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
         super().__init__(files, missing, units, "y" if up == "auto" else up)
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:
-    """Number -> file of the frames in a folder, of those that the complete sequence has."""
+    """Return number -> file of the frames in a folder, without numbers that the complete sequence lacks."""
     matches = [(_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
     return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}

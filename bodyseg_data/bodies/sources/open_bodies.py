@@ -22,23 +22,23 @@ from bodyseg_data.bodies.anny.postures import POSTURES
 from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.core.splits import split_by_motion, split_by_order
 from bodyseg_data.meshes.mesh import Mesh
 
 if TYPE_CHECKING:
     import torch
 
-    from bodyseg_data.bodies.clothes.wardrobe import Refinement, Wardrobe
+    from bodyseg_data.bodies.clothes.refining import Refinement
+    from bodyseg_data.bodies.clothes.wardrobe import Wardrobe
 
 _DECIMALS: Final = 6
-_CROWN_M: Final = 0.06  # generous: people's crowns and soles differ by far less in where they are highest and lowest
+_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
 @dataclass(frozen=True)
 class Figure:
-    """All that one body is made from. height_m: of its lowest point above the floor. outfit: None wears nothing."""
+    """Complete description of one body. height_m: of its lowest point above the floor. outfit: None for no clothes."""
 
     who: Person
     pose: Pose
@@ -46,31 +46,21 @@ class Figure:
     outfit: Outfit | None = None
 
 
-class MadeBodies:
+class MadeBodies(ListedBodies[Callable[[], Figure]]):
     """Bodies that are made on demand, each from its figure."""
 
     def __init__(self, name: str, figures: Mapping[BodyRef, Callable[[], Figure]]) -> None:
-        """figures: called for one body at a time, so that listing bodies poses none."""
+        """figures: called for one body at a time, so that listing bodies computes no pose."""
+        super().__init__(figures)
         self.name = name
-        self._figures = figures
         self._model: _Model | None = None
 
-    def bodies(self) -> Sequence[BodyRef]:
-        """All bodies in their fixed order."""
-        return tuple(self._figures)
-
-    def missing(self) -> Sequence[str]:
-        """None: the bodies are made."""
-        return ()
-
     def figure(self, body: BodyRef) -> Figure:
-        """What one of `bodies()` is made from. Raises BadConfig for a body of another source."""
-        if body not in self._figures:
-            raise BadConfig(f"the source {self.name!r} has no body {body.mesh!r} of subset {body.subset!r}")
-        return self._figures[body]()
+        """Return the description of one of `bodies()`. Raises BadConfig for a body of another source."""
+        return self.entry(body)()
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Covers who the bodies are, poses, outfits, the landmarks, and the version of Anny. Raises MissingLibrary."""
+        """Return a digest of persons, poses, outfits, landmarks and the version of Anny. Raises MissingLibrary."""
         from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 
         try:
@@ -81,10 +71,10 @@ class MadeBodies:
         return hashlib.sha256(repr((version, load_landmarks("open").vertices, figures)).encode()).hexdigest()
 
     def build(self, body: BodyRef, dressed: bool = True) -> Body:
-        """Mesh of 13 718 vertices and 27 420 triangles over the origin, its lowest point at y = 0 but in flight.
+        """Build a mesh of 13 718 vertices and 27 420 triangles over the origin, its lowest point at y = height_m.
 
-        One who wears an outfit has smaller triangles where it folds, about 22 000 vertices; the first 13 718 are those
-        of everybody. dressed: False takes the outfit off and leaves the triangles. The same bits in every process.
+        A dressed body has smaller triangles where its outfit folds, about 22 000 vertices; the first 13 718 are those
+        of all bodies. dressed: False takes the outfit off and leaves the triangles. The same bits in every process.
         Raises BadConfig for a body of another source or if Anny's cache cannot be used, MissingLibrary without Anny.
         """
         from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
@@ -97,7 +87,7 @@ class MadeBodies:
 
 
 class OpenBodies(MadeBodies):
-    """The paper's subsets by open bodies, 2 329 in all.
+    """Open bodies in place of the paper's subsets, 2 329 in all.
 
     A: one man in 71 postures. B and C: a man and a woman, dressed, in four motions each. people: 583 people standing
     with their arms a little off.
@@ -108,18 +98,15 @@ class OpenBodies(MadeBodies):
 
 
 class BareBodies(MadeBodies):
-    """The bodies of `OpenBodies`, B and C without clothes: for measuring the worth of clothes."""
+    """The bodies of `OpenBodies`, B and C without clothes, to measure the effect of clothes."""
 
     def __init__(self) -> None:
         super().__init__("bare", _figures(dressed=False))
 
 
 def _figures(dressed: bool) -> dict[BodyRef, Callable[[], Figure]]:
-    moving = (each for subject in _MOVING for each in _moving(subject, dressed))
+    moving = (each for subject in MOTIONS for each in _moving(subject, dressed))
     return dict([*_postures(), *moving, *_people()])
-
-
-_MOVING: Final[tuple[Literal["B", "C"], ...]] = ("B", "C")
 
 
 _Listed = Iterator[tuple[BodyRef, Callable[[], Figure]]]
@@ -155,7 +142,7 @@ def _person(index: int) -> Figure:
 
 
 class _Model:
-    """Anny, asked for one body at a time."""
+    """The body model Anny, evaluated for one body at a time."""
 
     def __init__(self) -> None:
         self._anny = load_anny()
@@ -168,7 +155,7 @@ class _Model:
         self._bones = {bone: index for index, bone in enumerate(self._anny.bone_labels)}
 
     def surface(self, figure: Figure, dressed: bool) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Vertices [V, 3], metres, body frame, and faces [F, 3] of a figure, with its outfit or without."""
+        """Return vertices [V, 3], metres, body frame, and faces [F, 3] of a figure, with its outfit or without."""
         vertices, faces = self._posed(figure.who, figure.pose), self._faces
         if figure.outfit is not None:
             finer, wardrobe = self._wardrobe(figure.who, figure.outfit)
@@ -177,7 +164,7 @@ class _Model:
                 vertices = wardrobe.worn(vertices)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         offset = np.array([(low[0] + high[0]) / 2, low[1] - figure.height_m, (low[2] + high[2]) / 2])
-        # To the micrometre: differences in the last bit between processors' arithmetic hardly ever get through.
+        # To the micrometre, which hides nearly all differences between processors in the last bits.
         rounded: NDArray[np.float64] = np.round(vertices - offset, _DECIMALS) + 0.0  # which makes -0 into 0
         return rounded, faces
 
@@ -189,21 +176,22 @@ class _Model:
         return vertices
 
     def _cut(self, who: Person, outfit: Outfit) -> tuple[Refinement, Wardrobe]:
-        """Triangles small enough for an outfit's folds, and the outfit, both for one person; takes about a second."""
-        from bodyseg_data.bodies.clothes.wardrobe import FINE_M, Refinement, Wardrobe
+        """Refine the triangles for an outfit's folds and cut it, both for one person; takes about a second."""
+        from bodyseg_data.bodies.clothes.refining import Refinement
+        from bodyseg_data.bodies.clothes.wardrobe import FINE_M, Wardrobe
 
         rest = self._posed(who, Pose())
         finer = Refinement(rest, self._faces, FINE_M)
         return finer, Wardrobe(finer(rest), finer.faces, outfit)
 
     def _crown_and_soles(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Heights [N] of the vertices that can be highest or lowest, and how each shape moves them [shapes, N]."""
+        """Return heights [N] of possibly highest or lowest vertices, and each shape's shift of them [shapes, N]."""
         heights = self._anny.template_vertices[:, 2]
         extreme = (heights > heights.max() - _CROWN_M) | (heights < heights.min() + _CROWN_M)
         return heights[extreme], self._anny.blendshapes[:, extreme, 2].clone()
 
     def _height(self, who: Person) -> float:
-        """The height parameter that gives a person's stature, which is linear in it."""
+        """Return the height parameter that gives a person's stature, which is linear in it."""
         ends = self._torch.tensor([0.0, 1.0], dtype=self._torch.float64)
         shapes = self._anny.get_phenotype_blendshape_coefficients(**who.phenotype(), height=ends)
         rest = (self._heights + shapes @ self._height_shapes).numpy()
@@ -211,7 +199,7 @@ class _Model:
         return float(np.clip((who.stature_m - short) / (tall - short), 0, 1))
 
     def _pose_parameters(self, pose: Pose) -> torch.Tensor:
-        """Anny's pose [1, bones, 4, 4]: turns in axes aligned with the world, each in its parent's frame."""
+        """Return Anny's pose [1, bones, 4, 4]: rotations in axes aligned with the world, each in its parent's frame."""
         turns = np.tile(np.eye(4), (1, len(self._bones), 1, 1))
         for bone, rotation in bone_rotations(pose).items():
             turns[0, self._bones[bone], :3, :3] = BODY_FROM_ANNY.T @ rotation @ BODY_FROM_ANNY

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.bodies.source import Body, BodyRef, BodySource
+from bodyseg_data.bodies.source import Body, BodyRef, BodySource, ListedBodies
 from bodyseg_data.bodies.sources import caesar, mit, scape
 from bodyseg_data.core.errors import BadConfig
 
@@ -21,7 +21,7 @@ _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
 }
 
 
-class PaperBodies:
+class PaperBodies(ListedBodies[BodySource]):
     """Subsets A, B, C and people, in this order: 2329 bodies if all are there.
 
     landmarks: a folder with sub-folders scape, mit and caesar, in which to look for landmark files instead of in
@@ -37,8 +37,8 @@ class PaperBodies:
             raise BadConfig(
                 f"--landmarks must hold one of the sub-folders {', '.join(_PARTS)}: found none in {landmarks}"
             )
-        self._source_of: dict[BodyRef, BodySource] = {}
-        self._missing: list[str] = []
+        sources: dict[BodyRef, BodySource] = {}
+        all_missing: list[str] = []
         for name, (opened, complete) in _PARTS.items():
             folder = _sub_folder(path, name)
             missing: Sequence[str] = complete
@@ -46,40 +46,28 @@ class PaperBodies:
                 source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, units, up)
                 missing = source.missing()
                 for body in source.bodies():
-                    self._source_of[body] = source
-            self._missing += [f"{name}/{each}" for each in missing]
-        if not self._source_of:
+                    sources[body] = source
+            all_missing += [f"{name}/{each}" for each in missing]
+        if not sources:
             raise BadConfig(f"the source 'paper' needs the sub-folders {', '.join(_PARTS)}: found none in {path}")
-        if len({body.mesh for body in self._source_of}) < len(self._source_of):
+        if len({body.mesh for body in sources}) < len(sources):
             raise BadConfig(f"meshes must have different names, found a subject of {path}/caesar called like another")
-
-    def bodies(self) -> Sequence[BodyRef]:
-        """All bodies found, in their fixed order."""
-        return tuple(self._source_of)
-
-    def missing(self) -> Sequence[str]:
-        """What a complete set would have and this one has not."""
-        return tuple(self._missing)
+        super().__init__(sources, all_missing)
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Those of the three sources. Raises what they raise."""
+        """Return a digest of the three sources' fingerprints. Raises the errors that they raise."""
         digest = hashlib.sha256()
-        for source in dict.fromkeys(self._source(body) for body in bodies):
-            digest.update(source.fingerprint([body for body in bodies if self._source(body) is source]).encode())
+        for source in dict.fromkeys(map(self.entry, bodies)):
+            digest.update(source.fingerprint([body for body in bodies if self.entry(body) is source]).encode())
         return digest.hexdigest()
 
     def build(self, body: BodyRef) -> Body:
-        """One body, as its own source builds it. Raises what that raises, and BadConfig for one of another source."""
-        return self._source(body).build(body)
-
-    def _source(self, body: BodyRef) -> BodySource:
-        if body not in self._source_of:
-            raise BadConfig(f"the source 'paper' has no body {body.mesh!r} of subset {body.subset!r}")
-        return self._source_of[body]
+        """Build one body by its own source. Raises that source's errors, and BadConfig for a body of none of them."""
+        return self.entry(body).build(body)
 
 
 def _sub_folder(path: Path, name: str) -> Path | None:
-    """The sub-folder of this name, whatever its capitals."""
+    """Return the sub-folder of this name in upper or lower case, or None."""
     found = sorted(folder for folder in path.iterdir() if folder.name.lower() == name and folder.is_dir())
     if len(found) > 1:
         raise BadConfig(f"{path} must hold one folder {name}, found {found[0].name} and {found[1].name}")

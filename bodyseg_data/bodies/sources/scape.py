@@ -18,16 +18,16 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import split_by_order
 
 NUMBERS: Final = tuple(number for number in range(72) if number != 51)
-"""The numbers of the 71 meshes, in order."""
+"""Numbers of the 71 meshes, in order."""
 
 MESHES: Final = tuple(f"mesh{number:03d}.ply" for number in NUMBERS)
-"""What a complete copy holds."""
+"""Files of a complete copy."""
 
 _STEM: Final = re.compile(r"mesh(\d{1,6})", re.IGNORECASE)
 
 
 class ScapeBodies(MeshBodies):
-    """The postures found in a folder, by number. Raises BadConfig if there are none."""
+    """Postures found in a folder, by number. Raises BadConfig if there are none."""
 
     name = "scape"
 

@@ -1,9 +1,9 @@
-"""The source `wide`: the open bodies, and 900 more people for training in postures that are drawn, not designed.
+"""The source `wide`: the open bodies, and 900 more people for training in randomly drawn postures.
 
-Networks trained on `open` fail where bodies are posed as none that they saw: on the floor, with arms before the trunk
-(docs/failures.md). Each drawn posture is a stance and two arms, independent of one another, every joint uniform within
-a range. So arms are crossed by people who crouch as well as by people who stand, and nobody is copied from `hard`,
-which stays a test. No floor or chair is modelled, and limbs may touch or pass through each other by a little.
+Networks trained on `open` fail on unseen poses: on the floor, with arms before the trunk (docs/failures.md). Each drawn
+posture is a stance and two arms, independent of one another, every joint uniform within a range. So people who crouch
+cross their arms as well as people who stand, and no posture is copied from `hard`, which remains a test set. No floor
+or chair is modelled, and limbs may touch or intersect a little.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Ranges = dict[str, tuple[float, float]]
 
 
 class Stance(NamedTuple):
-    """Ranges of trunk and legs, degrees. alike: whether both legs have the same angles."""
+    """Ranges of trunk and legs, degrees. alike: both legs have the same angles."""
 
     trunk: Ranges
     leg: Ranges
@@ -105,7 +105,7 @@ _HAND: Final[Ranges] = {"supinate": (-60, 40), "wrist": (-30, 30), "fist": (0, 0
 
 
 class WideBodies(MadeBodies):
-    """All of `OpenBodies`, and the subset "wide": 900 people, all for training, each in a posture of their own."""
+    """The bodies of `OpenBodies`, and the subset "wide": 900 people, all for training, each in another posture."""
 
     def __init__(self) -> None:
         opened = OpenBodies()
@@ -131,7 +131,7 @@ def _figure(index: int) -> Figure:
 
 
 def drawn_pose(index: int) -> Pose:
-    """The posture of body number `index`: every stance in its turn, all else drawn."""
+    """Draw the posture of body number `index`: stances take turns, everything else is random."""
     draws = generator(0, 0, f"wide/{index:03d}", "posture")
     stance = [*STANCES.values()][index % len(STANCES)]
     trunk = Trunk(**_within(stance.trunk, draws))

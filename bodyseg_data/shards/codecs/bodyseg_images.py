@@ -10,14 +10,15 @@ from __future__ import annotations
 import struct
 import threading
 import zlib
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.runs import (
     ESCAPE,
     Box,
@@ -44,19 +45,23 @@ _HEADER: Final = _START.size + _CAMERA.size + _PROJECTOR.size
 Range = NDArray[np.uint16]
 
 
-class DecodedImages(NamedTuple):
-    """Decoded images [H, W]. occluder: the occluder range [Hp, Wp], None if it was not requested.
+class BodysegImages:
+    """The codec `bsi`: all images in one member of that name."""
 
-    edges: flat indices where foreground begins, ends, begins ... in reading order. texels: flat indices where
-    `occluder` is not 0. Both are None if decoding did not give them.
-    """
+    members: ClassVar[tuple[str, ...]] = ("bsi",)
 
-    range: Range
-    labels: Bytes
-    facing: NDArray[np.bool_]
-    occluder: Range | None
-    edges: PixelIndices | None
-    texels: PixelIndices | None
+    def encode(self, camera: Range, labels: Bytes, projector: Range) -> dict[str, bytes]:
+        """See `ImageCodec.encode`."""
+        if not np.array_equal(camera == 0, labels == BACKGROUND):
+            raise ValueError(f"labels must be {BACKGROUND} exactly where range is 0")
+        return {"bsi": encode_images(camera, labels, projector)}
+
+    def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:
+        """See `ImageCodec.decode`; `out` is used."""
+        try:
+            return decode_images(members["bsi"], projector, out)
+        except ValueError as error:
+            raise ValueError(f"bsi: {error}") from error
 
 
 def encode_images(camera: Range, labels: Bytes, projector: Range) -> bytes:

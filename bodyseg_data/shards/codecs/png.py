@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
+from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
+from bodyseg_data.shards.codecs.labels import split_labels
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -78,7 +81,10 @@ def encode_png(image: NDArray[Any]) -> bytes:
 
 
 def decode_png(data: bytes) -> NDArray[Any]:
-    """Decode a greyscale PNG to uint8 or uint16 [H, W]. Raises ValueError for other files and sides over `MAX_SIDE`."""
+    """Decode a greyscale PNG to an image [H, W], uint8 or uint16.
+
+    Raises ValueError for other files and sides over `MAX_SIDE`.
+    """
     from PIL import Image
 
     # Checked before opening: Pillow allocates memory, and warns, by the sizes in the header and in other chunks.
@@ -102,3 +108,31 @@ def decode_png(data: bytes) -> NDArray[Any]:
             return np.asarray(picture).copy()
     except (OSError, SyntaxError) as error:
         raise ValueError(f"not a readable PNG: {error}") from error
+
+
+class PngImages:
+    """The codec `png`: an image a member, for shards readable by any image tool."""
+
+    members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png")
+
+    def encode(
+        self, camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]
+    ) -> dict[str, bytes]:
+        """See `ImageCodec.encode`."""
+        images: list[NDArray[Any]] = [camera, projector, labels]
+        return {member: encode_png(image) for member, image in zip(self.members, images, strict=True)}
+
+    def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:
+        """See `ImageCodec.decode`; `out` is not used."""
+        images: dict[str, NDArray[Any]] = {}
+        for member, dtype in zip(self.members, (np.uint16, np.uint16, np.uint8), strict=True):
+            if member == "projector.png" and not projector:
+                continue
+            try:
+                images[member] = decode_png(members[member])
+            except ValueError as error:
+                raise ValueError(f"{member}: {error}") from error
+            if images[member].dtype != dtype:
+                raise ValueError(f"{member}: must be {dtype.__name__}, found {images[member].dtype}")
+        labels, facing = split_labels(images["labels.png"])
+        return DecodedImages(images["range.png"], labels, facing, images.get("projector.png"), None, None)

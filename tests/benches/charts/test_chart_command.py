@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 from benches import chart
-from benches.chart import EXAMPLE, Options, run
+from benches.chart import Options, run
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture
 from chart_figures import SOURCE, figures_of, write_figures_of
 from PIL import Image
 
-from bodyseg_data.commands.options import parse
 from bodyseg_data.core.errors import BadConfig
 
 pytest.importorskip("matplotlib")
@@ -88,11 +87,6 @@ def test_folders_are_checked(results: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BadConfig, match=r"^cannot make the folder .*file: File exists$"):
         run(Options(in_=results, out=tmp_path / "file"))
-
-
-def test_the_example_is_a_command_line() -> None:
-    options = parse(Options, EXAMPLE.split()[1:], "tools/chart", "", EXAMPLE)
-    assert options == Options(in_=Path("docs/results"), out=Path("charts"))
 
 
 def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benches.charts.choices import CHOICES, Choice
 from benches.charts.fields import Field, read_fields
 from benches.charts.report import described
 from chart_figures import BY_NAME, RENDERERS, SOURCE, figures_of, panels_of
@@ -65,11 +64,6 @@ def test_every_choice_reads_its_points() -> None:
     assert cpu.default == "compact" and gpu.default is None and [point.name for point in gpu.points] == ["fcn_alexnet"]
 
 
-def test_a_second_group_of_bodies_has_its_own_panel() -> None:
-    mit = {"frames": ["a", "b", "c"], "methods": {"exact": {"partition_ms": 5.0, "wrong_surface": 0.0}}}
-    assert [panel.name for panel in panels_of("partition", mit=mit)] == ["open bodies (2)", "MIT frames (3)"]
-
-
 def test_renderers_alone_have_a_panel_of_their_own() -> None:
     alone, files = panels_of("renderer", **RENDERERS)
     assert {point.name: (point.x, point.y) for point in alone.points} == {
@@ -85,17 +79,6 @@ def test_where_pyrender_cannot_draw_only_renderers_are_left_to_compare() -> None
     without = {"range_error_mm": None, "plain_errors": None}
     assert panels_of("renderer", **without) == ()
     assert [panel.default for panel in panels_of("renderer", **without, **RENDERERS)] == ["raster"]
-
-
-@pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
-def test_the_stored_figures_can_be_charted(choice: Choice) -> None:
-    file = RESULTS / f"{choice.bench}.json"
-    if not file.exists():
-        pytest.skip(f"{file.name} has not been measured")
-    panels = choice.panels(read_fields(file))
-    assert all(len(panel.points) > 1 for panel in panels)
-    for panel in panels:
-        assert len({point.name for point in panel.points}) == len(panel.points)
 
 
 # What is wrong in a file
@@ -181,11 +164,3 @@ def test_a_description_holds_points_front_and_what_beats_the_default() -> None:
     assert scan["points"][2] == {
         "name": "within 0.2 mm", "label": "0.2 mm", "x": 125.0, "y": 0.2, "on_front": False,
     }  # fmt: skip
-
-
-def test_a_description_has_spreads_limits_and_panels_without_a_default() -> None:
-    cpu, gpu = described(BY_NAME["networks"], panels_of("networks"), SOURCE)["panels"]
-    assert cpu["points"][0]["y_sd"] == 0.01 and cpu["front"] == ["compact-half", "compact"]
-    assert (gpu["default"], gpu["default_on_front"], gpu["default_beaten_by"]) == (None, None, [])
-    (none, _) = described(BY_NAME["loader"], panels_of("loader"), SOURCE)["panels"]
-    assert none["limits"] == [{"name": "ours_none", "x": 3000.0}, {"name": "memory", "x": 18_000.0}]

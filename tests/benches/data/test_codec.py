@@ -1,19 +1,17 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from benches.data.codec import bench
-from benches.data.codec.baselines import Baseline, rivals
+from benches.data.codec.baselines import Baseline, baselines
 from benches.data.codec.bench import DEFAULT, bench_codec
 from benches.data.codec.figure import draw_codec
-from PIL import Image
+from folders import ROOT
 
-from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig
 
 pytest.importorskip("imagecodecs")
@@ -22,7 +20,7 @@ pytest.importorskip("numba")
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
-    return bench_codec(views=2)
+    return bench_codec(views=1)
 
 
 def test_no_views_are_refused() -> None:
@@ -30,8 +28,8 @@ def test_no_views_are_refused() -> None:
         bench_codec(views=0)
 
 
-@pytest.mark.parametrize("rival", rivals(), ids=lambda rival: rival.name)
-def test_every_rival_gives_back_any_image(rival: Baseline) -> None:
+@pytest.mark.parametrize("baseline", baselines(), ids=lambda baseline: baseline.name)
+def test_every_baseline_is_lossless(baseline: Baseline) -> None:
     """Else its bytes would say nothing."""
     generator = np.random.default_rng(0)
     slope = (21_000 + np.add.outer(np.arange(40) * 7, np.arange(33) * 3)).astype(np.uint16)
@@ -40,7 +38,7 @@ def test_every_rival_gives_back_any_image(rival: Baseline) -> None:
     noise = generator.integers(0, 65536, (33, 17)).astype(np.uint16)
     labels = np.where(framed > 0, framed // 700, 255).astype(np.uint8)
     for image, background in ((framed, 0), (noise, 0), (labels, 255)):
-        decoded = rival.decode(rival.encode(image, background))
+        decoded = baseline.decode(baseline.encode(image, background))
         assert decoded.dtype == image.dtype and np.array_equal(decoded, image)
 
 
@@ -59,29 +57,19 @@ def test_the_default_is_on_the_front_and_small_enough(figures: dict[str, Any]) -
     assert figures["projector"]["pixels_in_another_light"] == 0 and figures["projector"]["bytes_saved"] > 0
 
 
-def test_what_no_other_beats_in_the_figures_that_are_kept_is_still_measured() -> None:
-    kept = json.loads((Path(__file__).parents[1] / "docs" / "results" / "codec.json").read_text())
-    assert set(kept["front"]) <= {DEFAULT, *(rival.name for rival in rivals())} <= set(kept["codecs"])
+def test_the_stored_front_is_still_measured() -> None:
+    kept = json.loads((ROOT / "docs" / "results" / "codec.json").read_text())
+    assert set(kept["front"]) <= {DEFAULT, *(baseline.name for baseline in baselines())} <= set(kept["codecs"])
 
 
 def test_a_codec_that_loses_anything_stops_the_bench(monkeypatch: pytest.MonkeyPatch) -> None:
     lossy = Baseline("lossy", lambda image, background: b"", lambda data: np.zeros((640, 329), np.uint16))
-    monkeypatch.setattr(bench, "rivals", lambda: [lossy])
+    monkeypatch.setattr(bench, "baselines", lambda: [lossy])
     with pytest.raises(AssertionError, match="lossy is not lossless"):
         bench_codec(views=1)
-
-
-def test_the_environment_is_as_it_was(figures: dict[str, Any]) -> None:
-    before = os.environ.get(kernels.VARIABLE)
-    with bench._computed_by("numpy"):
-        assert not kernels.use_compiled()
-    assert os.environ.get(kernels.VARIABLE) == before
 
 
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_codec(figures, tmp_path / "codec.png")
-    with Image.open(tmp_path / "codec.png") as picture:
-        assert min(picture.size) > 500
-    with pytest.raises(BadConfig, match="cannot write"):
-        draw_codec(figures, tmp_path / "nowhere" / "codec.png")
+    assert (tmp_path / "codec.png").stat().st_size > 10_000

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from benches.data.surface.interpenetration import Depths, Skin, bench_interpenetration, groups_to_measure, penetration
+from benches.data.surface.interpenetration import bench_interpenetration, groups_to_measure, penetration
 
-from bodyseg_data.bodies.anny.people import SUBJECT_A
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose
 from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
+from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.meshes.mesh import Mesh
 
 RADIUS = 0.3
@@ -56,46 +54,6 @@ def open_bodies() -> OpenBodies:
     return OpenBodies()
 
 
-@pytest.fixture(scope="module")
-def skin(open_bodies: OpenBodies) -> Skin:
-    return Skin(open_bodies.build(next(ref for ref in open_bodies.bodies() if ref.pose == "a_pose")))
-
-
-def made(open_bodies: OpenBodies, pose: Pose) -> MadeBodies:
-    return MadeBodies("made", {open_bodies.bodies()[0]: lambda: Figure(SUBJECT_A, pose)})
-
-
-def measured(skin: Skin, source: MadeBodies) -> Depths:
-    mesh = source.build(source.bodies()[0]).mesh
-    return skin.measured(mesh, mesh)
-
-
-def test_a_stance_goes_through_nothing(open_bodies: OpenBodies, skin: Skin) -> None:
-    found = measured(skin, open_bodies)
-    assert found.contact == 0 and found.fold < 0.025
-
-
-def test_an_arm_through_the_chest_is_a_contact(open_bodies: OpenBodies, skin: Skin) -> None:
-    through = made(open_bodies, Pose(left_arm=Arm(flex=5, abduct=5, twist=-80, elbow=95)))
-    found = measured(skin, through)
-    assert found.contact > 0.025 and found.place.startswith("posture-00: ")
-
-
-def test_a_bent_hip_is_a_fold(open_bodies: OpenBodies, skin: Skin) -> None:
-    bent = made(open_bodies, Pose(left_leg=Leg(flex=110, knee=100, planted=0)))
-    found = measured(skin, bent)
-    assert found.fold > 0.02 and found.contact < 0.01
-
-
-def test_motions_are_sampled_and_all_else_is_measured(open_bodies: OpenBodies) -> None:
-    groups = groups_to_measure(open_bodies, HardBodies(), 5)
-    counts = {name: len(bodies) for name, (_, bodies) in groups.items()}
-    assert counts == {
-        "A": 71, "B crane": 35, "B jumping": 30, "B march": 50, "B squat": 50, "C bouncing": 35, "C handstand": 35,
-        "C march": 50, "C squat": 50, "people": 59, "hard": 60,
-    }  # fmt: skip
-
-
 def test_the_bench_reports_every_group(monkeypatch: pytest.MonkeyPatch, open_bodies: OpenBodies) -> None:
     groups = groups_to_measure(open_bodies, HardBodies(), 5)
     few = {name: (groups[name][0], groups[name][1][:1]) for name in ("A", "B squat")}
@@ -108,10 +66,3 @@ def test_the_bench_reports_every_group(monkeypatch: pytest.MonkeyPatch, open_bod
         "bodies": 1, "fold_mm": pytest.approx(9, abs=15), "contact_mm": 0, "contact_at": None,
         "over_10_mm": 0.0, "over_20_mm": 0.0, "dressed_contact_mm": 0,
     }  # fmt: skip
-
-
-def test_clothes_and_the_body_below_are_measured_apart(open_bodies: OpenBodies, skin: Skin) -> None:
-    ref = next(ref for ref in open_bodies.bodies() if ref.mesh == "B-squat-010")
-    bare, dressed = (open_bodies.build(ref, dressed=worn).mesh for worn in (False, True))
-    assert skin.measured(bare, bare).contact < 0.01
-    assert skin.measured(dressed, bare) != skin.measured(bare, bare)

@@ -1,24 +1,23 @@
-"""The bench of shadow tests: its scenes, what it says must be stored, its rivals, what it counts and draws."""
+"""The bench of shadow tests: its scenes, what it says must be stored, its baselines, what it counts and draws."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
 from benches.data.occlusion import bench
-from benches.data.occlusion.baselines import DEFAULT, METHODS, nearest, plane, votes
+from benches.data.occlusion.baselines import DEFAULT, METHODS
 from benches.data.occlusion.bench import bench_occlusion
 from benches.data.occlusion.figure import draw_occlusion
-from benches.data.occlusion.stored import Storage, exact_masks, facing_bytes
+from benches.data.occlusion.stored import Storage
 from benches.data.occlusion.tallies import SCENES
-from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown, with_baseline
-from PIL import Image
+from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown
+from folders import ROOT
 from shapes import figure
 
 from bodyseg_data.artifacts.occlusion import ShadowTest
@@ -29,7 +28,7 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results"
+RESULTS = ROOT / "docs" / "results"
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +46,11 @@ def storage(seen: ExactView) -> Storage:
     return Storage(seen, {1: ShadowTest(load_rig())})
 
 
-def test_every_method_is_tried_once_the_default_first() -> None:
-    assert METHODS[0] == DEFAULT and len(set(METHODS)) == len(METHODS)
-
-
-def test_what_no_other_beats_in_the_figures_that_are_kept_is_still_measured() -> None:
+def test_the_stored_front_is_still_measured() -> None:
     rows = json.loads((RESULTS / "occlusion.json").read_text())["methods"]
     maps = [row for row in rows if row["family"] != "exact mask"]
     measured = {(method.family, method.bias_mm, method.projector_scale, method.facing_bit) for method in METHODS}
-    for row in unbeaten(maps, lambda row: (row["us_per_view"], row["wrong_pixels"])):
+    for row in pareto_front(maps, lambda row: (row["us_per_view"], row["wrong_pixels"])):
         assert (row["family"], row["bias"], row["projector_scale"], row["facing_bit"]) in measured
     assert {row["family"] for row in maps} == {method.family for method in METHODS}
 
@@ -74,14 +69,6 @@ def test_what_is_stored_gives_the_mask_of_the_whole_image(storage: Storage) -> N
                 fewer += 1
                 assert len(np.unique(stored.image)) < len(np.unique(whole.image)) / 2
     assert fewer == 6
-
-
-def test_less_is_stored_for_a_larger_bias_and_as_roundly_as_answers_permit(storage: Storage) -> None:
-    shading = replace(DEFAULT, stored="shading")
-    biases = [storage.of(replace(shading, bias_mm=bias)).cost[0] for bias in (2.0, 6.0, 20.0)]
-    assert biases[0] > biases[1] > biases[2]
-    kinds = [storage.of(replace(DEFAULT, stored=stored)).cost[0] for stored in ("whole", "shading", "coarse")]
-    assert kinds[0] > kinds[1] > 2 * kinds[2]
 
 
 def test_the_default_is_the_shadow_test_on_what_shards_hold(storage: Storage) -> None:
@@ -103,44 +90,14 @@ def test_scenes_are_what_they_say(seen: ExactView) -> None:
     assert thin_labels <= {19, 20, 21, 22, 29, 30, 31, 32}
 
 
-def test_rigs_of_other_baselines() -> None:
-    rig = load_rig()
-    for baseline_m in (0.3, 0.75, 1.5):
-        other = with_baseline(rig, baseline_m)
-        assert other.baseline_m == pytest.approx(baseline_m)
-        assert other.camera == rig.camera and other.projector.aims_at_m == rig.projector.aims_at_m
-        assert other.projector.position_m[0] < 0
-
-
-def test_a_slope_is_no_shadow_to_those_who_know_it() -> None:
-    rows, columns = np.mgrid[:12, :15]
-    image = (20_000 + 90 * columns - 40 * rows).astype(np.uint16)
-    draws = np.random.default_rng(0)
-    x, y = draws.uniform(1, 13, 200).astype(np.float32), draws.uniform(1, 10, 200).astype(np.float32)
-    on_it = (20_000 + 90 * x - 40 * y).astype(np.float32)
-    assert plane(0.2)(image, x, y, on_it).all()
-    assert not nearest(0.2)(image, x, y, on_it).all() and not votes(0.2)(image, x, y, on_it).all()
-    behind = on_it + np.float32(300)
-    for rule in (plane(0.2), nearest(0.2), votes(0.2)):
-        assert not rule(image, x, y, behind).any()
-        assert rule(np.zeros_like(image), x, y, behind).all()
-
-
-def test_the_exact_mask_is_stored_in_few_bytes(seen: ExactView) -> None:
-    costs = exact_masks(seen)
-    assert set(costs) == {"bit of the label byte", "image by the codec", "packed bits, zstd"}
-    assert all(size < 10_000 and 0 < seconds < 0.1 for size, seconds in costs.values())
-    assert abs(facing_bytes(seen)) < 10_000
-
-
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
     pytest.importorskip("anny")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "GROUPS", (GROUPS[0], GROUPS[1], GROUPS[4]))
         seen: list[tuple[int, int]] = []
-        measured = bench_occlusion(2, lambda done, total: seen.append((done, total)))
-    assert seen == [(step, 4) for step in range(1, 5)]
+        measured = bench_occlusion(1, lambda done, total: seen.append((done, total)))
+    assert seen == [(step, 3) for step in range(1, 4)]
     return measured
 
 
@@ -174,8 +131,4 @@ def test_chart_and_worst_errors_are_drawn(figures: dict[str, Any], tmp_path: Pat
     few = {**figures, "worst_crops": figures["worst_crops"][:1]}
     draw_occlusion(few, tmp_path / "chart.png")
     for name in ("chart.png", "chart_errors.png"):
-        with Image.open(tmp_path / name) as image:
-            grey = np.asarray(image.convert("L"))
-            assert grey.shape[1] > 1500 and 0.005 < (grey < 150).mean() < 0.5
-    with pytest.raises(BadConfig, match="cannot write .*: "):
-        draw_occlusion(few, tmp_path / "nowhere" / "chart.png")
+        assert (tmp_path / name).stat().st_size > 10_000

@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches.bench import Options, run
 from benches.data.surface import partition as bench
 from benches.data.surface.broken_bodies import CASES, scan, sound
 from benches.data.surface.partition import METHODS, bench_partition, wrong_surface
 from benches.data.surface.partition_figure import draw_partition
-from PIL import Image
 from shapes import ball
 
 from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.meshes.partition.surface_parts import partition
 
 
@@ -58,20 +55,6 @@ def test_a_broken_body_is_a_body_whose_triangles_lie_in_the_sound_one(case: str)
     assert np.abs(np.einsum("ni,ni->n", middles - corner, normals)).max() < 1e-9
     if case.startswith("scan"):
         assert len(broken.faces) == 12_000
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_labels_the_worst_body_with_the_parts_around_each_point(method: Any) -> None:
-    body = CASES["all of these"](sound(round_body()), np.random.default_rng(5)).body("worst")
-    parts = partition(body.mesh, body.landmarks, method)
-    assert parts.note is not None and "\n" not in parts.note
-    np.testing.assert_array_equal(parts.labels[body.landmarks], np.arange(33))
-    assert np.isfinite(parts.borders.distance).all() and parts.borders.distance.min() >= 0
-    faces = np.arange(len(body.mesh.faces)).repeat(3).astype(np.int32)
-    weights = np.random.default_rng(0).dirichlet([1, 1, 1], len(faces))
-    points = np.einsum("nc,ncd->nd", weights, body.mesh.vertices[body.mesh.faces[faces]])
-    labels = parts.labels_at(body.mesh, faces, points)
-    assert (labels[:, None] == parts.labels[body.mesh.faces[faces]]).any(axis=1).all()
 
 
 def test_wrong_surface_is_the_share_of_the_area() -> None:
@@ -119,19 +102,6 @@ def test_every_method_is_measured_on_every_body(figures: dict[str, Any]) -> None
     assert figures["bodies"]["scan of 200 000 triangles"]["methods"]["exact"]["wrong_surface"] == 0
 
 
-def test_the_chart_is_drawn_with_and_without_frames(figures: dict[str, Any], tmp_path: Path) -> None:
-    for name, mit in (("with.png", figures["mit"]), ("without.png", "not measured")):
-        draw_partition({**figures, "mit": mit}, tmp_path / name)
-        with Image.open(tmp_path / name) as image:
-            assert image.size == (1560, 1080)
-            grey = np.asarray(image.convert("L"))
-            assert 0.01 < (grey < 100).mean() < 0.3
-    with pytest.raises(BadConfig, match="cannot write .*: "):
-        draw_partition(figures, tmp_path / "nowhere" / "x.png")
-
-
-def test_options_of_other_benches_are_refused() -> None:
-    with pytest.raises(BadConfig, match="bench partition measures whole bodies: leave --views out"):
-        run(Options("partition", views=3))
-    with pytest.raises(BadConfig, match="--mit is for bench partition.*, found it with bench borders"):
-        run(Options("borders", mit=Path("x")))
+def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
+    draw_partition(figures, tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 10_000

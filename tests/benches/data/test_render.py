@@ -7,20 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches.data.render import alone as render_alone
-from benches.data.render import bench as render
+from benches.data.render import steps as render_steps
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
 from benches.data.render.bench import bench_render
 from benches.data.render.figure import draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
-from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera, axes_at
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.pack import Packing
-from bodyseg_data.rendering.renderer import Renderer
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
 VIEWS = list(PACKING.views)
@@ -48,36 +45,14 @@ def test_every_step_makes_the_same_images() -> None:
     assert sizes[0] == sizes[4] < sizes[5] == sizes[6] and sizes[7] < 0.8 * sizes[0]
 
 
-def test_steps_and_stages_are_measured() -> None:
+def test_steps_and_stages_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_steps, "_ROUNDS", 1)
     chain = measure_steps(PACKING, PACKING.bodies(), VIEWS[:1])
     assert [set(step) for step in chain] == [{"name", "ms_per_view", "bytes_per_view"}] * 8
     assert all(step["ms_per_view"] > 0 for step in chain)
     assert chain[3]["bytes_per_view"] < 0.85 * chain[0]["bytes_per_view"]
     stages = measure_stages(PACKING, PACKING.bodies(), VIEWS)
     assert list(stages) == list(STAGES) and all(ms > 0 for ms in stages.values())
-
-
-def test_the_plain_way_draws_the_same_body(tmp_path: Path) -> None:
-    if missing := render._why_no_pyrender():
-        pytest.skip(missing)
-    from benches.data.render.plain import PlainScenes, plain_run
-
-    body = PACKING.opened().build(PACKING.bodies()[0])
-    parts = partition(body.mesh, body.landmarks)
-    drawn = PlainScenes(PACKING.rig, body.mesh, parts.labels).take(VIEWS[0])
-    scene = _Scene(PACKING.rig, PACKING.opened(), PACKING.bodies()[0])
-    (ranges, _), (projector, _), (stored, _) = scene.by_pixel(VIEWS[0], scene.in_blocks)
-    for ours, plain in ((ranges, drawn["range"]), (projector, drawn["projector"])):
-        assert ((ours > 0) != (plain > 0)).sum() < 0.02 * (ours > 0).sum()
-        both = (ours > 0) & (plain > 0)
-        assert np.median(np.abs(ours.astype(int) - plain)[both]) < 15, "steps of 0.1 mm"
-    both = (ranges > 0) & (drawn["range"] > 0)
-    assert ((stored & 63) == drawn["labels"])[both].mean() > 0.8
-    size = plain_run(PACKING, PACKING.bodies()[0], tuple(VIEWS), tmp_path)
-    files = sorted(tmp_path.iterdir())
-    assert len(files) == 3 * len(VIEWS) and size == sum(file.stat().st_size for file in files)
-    key = "open-{0.subject}-{0.mesh}-{1}".format(PACKING.bodies()[0], VIEWS[0].name)
-    assert np.array_equal(np.asarray(Image.open(tmp_path / f"{key}.range.png")), drawn["range"])
 
 
 def test_the_true_range_is_that_of_a_box() -> None:
@@ -100,7 +75,6 @@ def test_the_true_range_is_that_of_a_box() -> None:
 
 def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(render_alone, "_ROUNDS", 1)
-    opened = render_alone.open_renderer
     told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
     assert told["default_renderer"] == "raster" and set(told["renderers"]) >= {"raster", "embree"}
     for name, row in told["renderers"].items():
@@ -111,37 +85,15 @@ def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
             assert row["range_error_mm"] < 0.001 and row["silhouette_error"] < 0.001
     assert set(told["renderers"]) | set(told["renderers_missing"]) == {"raster", "embree", "opengl", PLAIN}
 
-    def absent(name: str, mesh: Mesh) -> Renderer:
-        if name != "raster":
-            raise MissingLibrary(f"the {name} renderer needs a library")
-        return opened(name, mesh)
 
-    monkeypatch.setattr(render_alone, "open_renderer", absent)
-    told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
-    assert set(told["renderers"]) - {PLAIN} == {"raster"}
-    assert told["renderers_missing"]["embree"] == "the embree renderer needs a library"
-
-
-def test_without_opengl_the_reason_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str, mesh: object) -> None:
-        raise MissingLibrary("the opengl renderer needs libEGL")
-
-    monkeypatch.setattr(render, "open_renderer", absent)
-    assert render._why_no_pyrender() == "the opengl renderer needs libEGL"
-
-
-@pytest.mark.parametrize("plain", [7.5, None])
-def test_a_figure_is_drawn_with_and_without_the_plain_way(plain: float | None, tmp_path: Path) -> None:
+def test_a_figure_is_drawn_without_the_baseline(tmp_path: Path) -> None:
     figures = {
-        "views_per_second": {"ours": 30.0, "plain": plain},
-        "bytes_per_view": {"ours": 60_000, "plain": None if plain is None else 90_000},
-        "times_faster": None if plain is None else 4.0,
+        "views_per_second": {"ours": 30.0, "plain": None},
+        "bytes_per_view": {"ours": 60_000, "plain": None},
+        "times_faster": None,
         "workers": 2,
         "stages": dict.fromkeys(STAGES, 2.0),
         "steps": [{"name": name, "ms_per_view": ms, "bytes_per_view": 9e4} for name, ms in (("a", 30.0), ("b", 20.0))],
     }
     draw_render(figures, tmp_path / "chart.png")
-    with Image.open(tmp_path / "chart.png") as chart:
-        assert chart.width > 1000
-    with pytest.raises(BadConfig, match="cannot write"):
-        draw_render(figures, tmp_path / "nowhere" / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 10_000

@@ -12,19 +12,16 @@ import torch
 from benches.model.networks import architectures_forest as forests
 from benches.model.networks.architectures_forest import (
     FAR_M,
-    DepthForest,
     ForestScale,
-    Trees,
     depth_differences,
     draw_offsets,
     fit_forest,
     from_sklearn,
-    smoothed,
     walk,
 )
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.registry import predict
@@ -62,35 +59,6 @@ def test_differences_are_those_of_the_formula() -> None:
     assert (found > 5).any() and (found < -5).any() and (abs(found) < 2).any(), "holes and none, on either side"
 
 
-def test_a_difference_by_hand() -> None:
-    range_m = np.zeros((5, 5), np.float32)
-    range_m[2, 2], range_m[2, 4], range_m[1, 2] = 2.0, 2.25, 1.5
-    offsets = np.array([[0, 4, 0, 0], [-2, 0, 0, 4], [0, 6, 0, 0], [1, 0, 0, 0]], np.float32)
-    # Two columns to the right; one row up against that; beyond the image; half a pixel down, which is one: nothing.
-    expected = [[0.25, 1.5 - 2.25, FAR_M - 2, FAR_M - 2]]
-    assert depth_differences(range_m, np.array([12]), offsets).tolist() == expected
-
-
-def test_offsets_reach_everywhere_and_belong_to_the_seed() -> None:
-    scale = ForestScale(candidates=400, reach=100.0)
-    offsets = draw_offsets(scale, 1)
-    assert offsets.shape == (400, 4) and offsets.dtype == np.float32
-    assert not offsets[::2, 2:].any() and offsets[1::2, 2:].all()
-    assert -100 <= offsets.min() < -95 and 95 < offsets.max() <= 100
-    np.testing.assert_array_equal(offsets, draw_offsets(scale, 1))
-    assert not np.array_equal(offsets, draw_offsets(scale, 2))
-
-
-def test_holes_are_filled_by_what_is_around_them() -> None:
-    range_m = scene()
-    found = smoothed(range_m, 5)
-    for row, column in np.ndindex(range_m.shape):
-        around = range_m[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
-        expected = around[around > 0].mean() if around.any() else 0.0
-        assert found[row, column] == pytest.approx(expected, rel=1e-5, abs=0)
-    np.testing.assert_array_equal(smoothed(range_m, 1), range_m)
-
-
 def sklearn_forest(pixels: Any, range_m: Any, offsets: Any) -> Any:
     ensemble = pytest.importorskip("sklearn.ensemble")
     labels = (pixels % 17 // 3 * 4 + (pixels // 17 > 12)).astype(np.uint8)  # not every part
@@ -114,36 +82,6 @@ def test_trees_are_walked_as_scikit_learn_walks_them() -> None:
     splits = sum(tree.tree_.node_count - tree.tree_.n_leaves for tree in theirs.estimators_)
     leaves = sum(tree.tree_.n_leaves for tree in theirs.estimators_)
     assert ours.learned == 2 * splits + 33 * leaves
-
-
-def test_it_answers_as_a_network() -> None:
-    range_m, offsets = scene(), draw_offsets(ForestScale(candidates=20, tried=1, reach=15.0), 0)
-    pixels = np.flatnonzero(range_m)
-    forest = from_sklearn(sklearn_forest(pixels, range_m, offsets), offsets)
-    both = torch.from_numpy(np.stack([range_m, np.zeros_like(range_m), range_m])[:, None])
-    answer = predict(forest, both)
-    shares = forest.probabilities(range_m, pixels)
-    for image in (0, 2):
-        np.testing.assert_array_equal(answer.labels[image].ravel()[pixels], shares.argmax(1))
-        np.testing.assert_allclose(answer.confidence[image].ravel()[pixels], shares.max(1), rtol=1e-5)
-    assert (answer.labels[1] == BACKGROUND).all() and (answer.labels[0].numpy() == BACKGROUND).sum() == range_m.size - (
-        len(pixels)
-    )
-    with pytest.raises(BadConfig, match="range images must be"):
-        forest(torch.zeros(1, 5, 5))
-
-
-def test_pixels_are_spread_over_the_parts() -> None:
-    labels = np.full((20, 30), BACKGROUND, np.uint8)
-    labels[:10], labels[12:19], labels[19, :3] = 4, 31, 7
-    chosen = forests._spread_over_parts(labels, 60, np.random.default_rng(0))
-    assert np.array_equal(chosen, np.unique(chosen))
-    parts, counts = np.unique(labels.ravel()[chosen], return_counts=True)
-    assert dict(zip(parts.tolist(), counts.tolist(), strict=True)) == {4: 20, 7: 3, 31: 20}
-    other = forests._spread_over_parts(labels, 60, np.random.default_rng(1))
-    assert not np.array_equal(chosen, other)
-    empty = np.full((3, 3), BACKGROUND, np.uint8)
-    assert not len(forests._spread_over_parts(empty, 60, np.random.default_rng(0)))
 
 
 def test_a_forest_learns_its_images(figures_set: Path) -> None:
@@ -187,18 +125,3 @@ def test_there_must_be_images_and_the_library(figures_set: Path, monkeypatch: py
     monkeypatch.setattr(forests, "import_module", absent)
     with pytest.raises(MissingLibrary, match=r"needs the package 'scikit-learn': pip install scikit-learn \(no skl"):
         fit_forest(images, SMALL)
-
-
-def test_a_forest_has_nothing_to_train() -> None:
-    trees = Trees(
-        np.zeros((1, 4), np.float32),
-        np.zeros(1),
-        np.array([[-1, 0]], np.int32),
-        np.full((1, PART_COUNT), 1 / PART_COUNT, np.float32),
-        np.zeros(1, np.int32),
-    )
-    forest = DepthForest(trees)
-    assert forest.learned == PART_COUNT and not list(forest.parameters())
-    scores = forest(torch.ones(1, 1, 2, 3))
-    assert scores.shape == (1, PART_COUNT, 2, 3)
-    np.testing.assert_allclose(scores.numpy(), -math.log(PART_COUNT), rtol=1e-6)

@@ -73,6 +73,11 @@ def test_a_mesh_keeps_its_vertices_and_is_placed(tmp_path: Path, name: str) -> N
     assert body.landmarks.tolist() == list(VERTICES) and body.notes == ()
 
 
+def test_a_source_prints_in_one_line(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "mesh000.ply", PERSON.vertices)
+    assert repr(ScapeBodies(tmp_path)) == "ScapeBodies(name='scape', bodies=1, missing=70)"
+
+
 def test_all_postures_are_placed_alike(tmp_path: Path) -> None:
     """By the first that stands upright, even if others lie down or the first does."""
     lying = PERSON.vertices @ turn("x", "-z")  # his trunk points along -z in the body frame

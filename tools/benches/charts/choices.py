@@ -15,7 +15,7 @@ from bodyseg_data.core.errors import BadConfig
 
 @dataclass(frozen=True)
 class Limit:
-    """Something that is no way to do the same thing, drawn as a line across the chart at its x."""
+    """A bound that is not one of the methods, drawn as a line across the chart at its x."""
 
     name: str
     x: float
@@ -24,7 +24,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Panel:
-    """Ways that were measured under the same circumstances. default: the name of a point; None if it has none here."""
+    """Methods that were measured under the same conditions. default: the name of a point, or None."""
 
     name: str
     points: tuple[Point, ...]
@@ -48,7 +48,7 @@ class Choice:
     shared: Literal["xy", "y", ""] = "xy"
 
     def panels(self, figures: Field) -> tuple[Panel, ...]:
-        """What `read` finds. Raises BadConfig, naming the file, if a default is none of its panel's points."""
+        """The panels that `read` finds. Raises BadConfig, naming the file, if a default is not among the points."""
         found = self.read(figures)
         for panel in found:
             if panel.default is not None and panel.default not in {point.name for point in panel.points}:
@@ -89,12 +89,12 @@ def _renderer(figures: Field) -> tuple[Panel, ...]:
         panels.append(Panel("both images alone, processor time", tuple(points), figures["default_renderer"].text()))
     if figures.get("range_error_mm") is not None:  # null where pyrender, which it is measured with, cannot draw
         speeds, plain = figures["views_per_second"], figures["plain_errors"]
-        ours, rival = (
+        ours, baseline = (
             _rendered("bodyseg shard", _ms(speeds["ours"]), figures["range_error_mm"], figures["silhouette_error"]),
             _rendered("pyrender, PNG files", _ms(speeds["plain"]), plain["range_mm"], plain["silhouette"]),
         )
         processes = f"{figures['workers'].number():.0f} processes"
-        panels.append(Panel(f"from bodies to files, {processes}", (ours, rival), ours.name))
+        panels.append(Panel(f"from bodies to files, {processes}", (ours, baseline), ours.name))
     return tuple(panels)
 
 
@@ -124,7 +124,7 @@ def _shadow_label(row: Field) -> str:
 
 
 def _shadow_name(row: Field) -> str:
-    """With all settings, so that no two ways have one name."""
+    """Name with all settings, so that no two methods share one."""
     bit = "facing bit" if row["facing_bit"].flag() else "no facing bit"
     words = [row["name"].text(), f"{row['bias'].number():g} mm", f"×{row['projector_scale'].number():g}", bit]
     former = (("slope", "slope {:g}"), ("step_mm", "steps of {:g} mm"))  # settings that were measured once
@@ -246,7 +246,7 @@ CHOICES: Final = (
         "shadow_test",
         "occlusion",
         "Which test for the projector's shadow?",
-        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: not what exact shadow rays say.",
+        "Compiled unless called NumPy; ×2: a projector image twice as fine. Wrong: differs from exact shadow rays.",
         Axis("µs of processor a view, decoding and test", "time"),
         Axis("wrong pixels, % of the foreground", "error", factor=100),
         _shadow_test,

@@ -1,4 +1,4 @@
-"""Draws one choice: every way as a point, the front as a step line, the default as a star; readable in grey."""
+"""Draws one choice: every method as a point, the front as a step line, the default as a star; readable in grey."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import numpy as np
 from benches.charts.choices import Choice, Panel
 from benches.charts.fronts import Point, front, shortfalls
 from benches.charts.labels import Label, place_labels
+from benches.charts.legends import legend_line, legend_mark
 from benches.charts.scales import axis_title, scale_of
 from bodyseg_data.drawing.style import chart_bytes, new_chart
 
-FRONT: Final = "#0072B2"  # this and the next by M. Okabe and K. Ito, told apart by the colour-blind and by their grey
+FRONT: Final = "#0072B2"  # this and the next by M. Okabe and K. Ito, distinct to the colour-blind and in grey
 DEFAULT: Final = "#E69F00"
 BEATEN: Final = "#8c8c8c"
 _BEHIND: Final = "#f2f2ef"  # where everything is beaten
@@ -121,22 +122,16 @@ def _dress(figure: Any, choice: Choice, source: Source, markers: dict[str, str],
 
 
 def _legend(markers: dict[str, str], limits: bool) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    def mark(marker: str, label: str, face: str, edge: str, size: float) -> Any:
-        look: dict[str, Any] = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": size}
-        return Line2D([], [], linestyle="", marker=marker, label=label, **look)
-
     plain = next(iter(markers.values()))
     found = [
-        mark("*", "the default", DEFAULT, "black", 15),
-        mark(plain, "on the front: nothing is better in both", FRONT, "black", 8),
-        mark(plain, "beaten in both, or in one at a draw", "none", BEATEN, 6),
+        legend_mark("the default", "*", DEFAULT, "black", 15),
+        legend_mark("on the front: nothing is better in both", plain, FRONT, "black", 8),
+        legend_mark("beaten in both, or in one at a draw", plain, "none", BEATEN, 6),
     ]
     if limits:
-        found.append(Line2D([], [], color=_LIMIT, linestyle="--", label="a limit, not another way"))
+        found.append(legend_line("a limit, not another way", color=_LIMIT, linestyle="--"))
     if len(markers) > 1:
-        found += [mark(marker, family, "#d8d8d8", "black", 7) for family, marker in markers.items()]
+        found += [legend_mark(family, marker, "#d8d8d8", "black", 7) for family, marker in markers.items()]
     return found
 
 
@@ -146,20 +141,20 @@ def _headline(choice: Choice, panel: Panel, width_in: float) -> str:
     if default is None:
         return panel.name
     falls = shortfalls(default, panel.points, choice.x, choice.y)
-    says = "the default is on the front"
+    verdict = "the default is on the front"
     if falls:
         shares = ((choice.x.noun, falls[0].x_share), (choice.y.noun, falls[0].y_share))
         gains = ", ".join(f"{noun} {share:.0%} better" for noun, share in shares).replace("%", " %")
         name = falls[0].better.label.replace("\n", " ")
-        says = f"the default is beaten by {name!r}: {gains}"
-    return textwrap.fill(f"{panel.name}: {says}", int(width_in * 11))
+        verdict = f"the default is beaten by {name!r}: {gains}"
+    return textwrap.fill(f"{panel.name}: {verdict}", int(width_in * 11))
 
 
 def _panel(axis: Any, choice: Choice, panel: Panel, markers: dict[str, str]) -> None:
-    """Points and limits."""
+    """Draw points, error bars and limits."""
     best = {point.name for point in front(panel.points, choice.x, choice.y)}
     for point in panel.points:
-        x, y = _place(choice, point)
+        x, y = _position(choice, point)
         if point.y_sd is not None:
             ends = [(point.y + side) * choice.y.factor for side in _bars(point)]
             axis.plot([x, x], ends, color=BEATEN, linewidth=1, marker="_", markersize=6, zorder=2)
@@ -180,7 +175,7 @@ def _panel(axis: Any, choice: Choice, panel: Panel, markers: dict[str, str]) -> 
 
 def _steps(choice: Choice, panel: Panel, x_ends: tuple[float, float], y_ends: tuple[float, float]) -> Any:
     """Corners [N, 2] of the front's line, from the best x to the worst: what can be had at each x."""
-    best = sorted(_place(choice, point) for point in front(panel.points, choice.x, choice.y))
+    best = sorted(_position(choice, point) for point in front(panel.points, choice.x, choice.y))
     if choice.x.more_is_better:
         best.reverse()
     corners = [(best[0][0], y_ends[1] if not choice.y.more_is_better else y_ends[0])]
@@ -191,14 +186,14 @@ def _steps(choice: Choice, panel: Panel, x_ends: tuple[float, float], y_ends: tu
 
 
 def _behind(axis: Any, choice: Choice, panel: Panel) -> None:
-    """The front's line, and a shade over all that it beats."""
+    """Draw the front's line, and a shade over all that it beats."""
     line = _steps(choice, panel, axis.get_xlim(), axis.get_ylim())
     axis.plot(*line.T, color="black", linewidth=1.1, zorder=2, scalex=False, scaley=False)
     axis.fill(*np.vstack([line, (line[-1, 0], line[0, 1])]).T, color=_BEHIND, linewidth=0, zorder=0)
 
 
 def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
-    """Write names beside the default, the front, the named rivals and the limits."""
+    """Write names beside the default, the front, the named baselines and the limits."""
     best = {point.name for point in front(panel.points, choice.x, choice.y)}
     wanted = [point for point in panel.points if point.named or point.name in best or point.name == panel.default]
     wanted.sort(key=lambda point: (point.name != panel.default, point.name not in best))
@@ -211,7 +206,7 @@ def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
         if is_default:
             look["weight"] = "bold"
         texts.append(axis.text(0, 0, point.label, fontsize=9, zorder=6, **look))
-        anchors.append(pixels([_place(choice, point)]))
+        anchors.append(pixels([_position(choice, point)]))
         radii.append(_radius(point, panel, best))
     for limit in panel.limits:
         x = pixels((limit.x * choice.x.factor, axis.get_ylim()[0]))[0]
@@ -220,7 +215,7 @@ def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
         radii.append(1.0)
     renderer = figure.canvas.get_renderer()
     sizes = [np.array(text.get_window_extent(renderer).size) for text in texts]
-    dots = np.array([(*pixels(_place(choice, one)), _radius(one, panel, best)) for one in panel.points])
+    dots = np.array([(*pixels(_position(choice, one)), _radius(one, panel, best)) for one in panel.points])
     area = np.array(axis.get_window_extent(renderer).extents) + _INSET * np.array([1, 1, -1, -1])
     labels = [Label(*each) for each in zip(sizes, anchors, radii, strict=True)]
     for text, label, found in zip(texts, labels, place_labels(labels, dots, _along(axis), area), strict=True):
@@ -232,24 +227,24 @@ def _name(figure: Any, axis: Any, choice: Choice, panel: Panel) -> None:
 
 
 def _radius(point: Point, panel: Panel, best: set[str]) -> float:
-    """Of its marker, pixels."""
+    """Radius of a point's marker, pixels."""
     return 14.0 if point.name == panel.default else 6.0 if point.name in best else 4.0
 
 
 def _along(axis: Any) -> Any:
-    """Places [K, 2] along all lines of an axes, pixels, close enough for no name to slip between."""
-    places = [np.empty((0, 2))]
+    """Points [K, 2] along all lines of an axes, pixels, close enough for no name to slip between."""
+    points = [np.empty((0, 2))]
     for line in axis.lines:
         ends = line.get_transform().transform(np.array(line.get_xydata()))
         for start, stop in itertools.pairwise(ends):
-            places.append(np.linspace(start, stop, 2 + int(np.hypot(*(stop - start)) / 4)))
-    return np.concatenate(places)
+            points.append(np.linspace(start, stop, 2 + int(np.hypot(*(stop - start)) / 4)))
+    return np.concatenate(points)
 
 
-def _place(choice: Choice, point: Point) -> tuple[float, float]:
+def _position(choice: Choice, point: Point) -> tuple[float, float]:
     return point.x * choice.x.factor, point.y * choice.y.factor
 
 
 def _bars(point: Point) -> tuple[float, ...]:
-    """What is drawn above and below a point."""
+    """Heights above and below a point between which its error bar is drawn."""
     return (0.0,) if point.y_sd is None else (-min(point.y_sd, point.y), point.y_sd)

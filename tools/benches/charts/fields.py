@@ -17,21 +17,21 @@ _SHOWN: Final = 60
 
 @dataclass(frozen=True)
 class Field:
-    """A value of a JSON file, and where it stands there: names of fields and numbers of rows, joined by dots."""
+    """A value of a JSON file and its path there: names of fields and numbers of rows, joined by dots."""
 
     value: Any
     file: Path
-    place: str = ""
+    path: str = ""
 
     def __getitem__(self, key: str) -> Field:
         """A field of this object. Raises BadConfig if this is none or has no such field."""
         fields = self.items()
         if key not in fields:
-            raise BadConfig(f"{self.file}: the field {self._under(key).place!r} is missing")
+            raise BadConfig(f"{self.file}: the field {self._under(key).path!r} is missing")
         return fields[key]
 
     def get(self, *keys: str) -> Field | None:
-        """A field further down; None if it or what it stands in is null or absent."""
+        """A nested field; None if it or one of its parents is null or absent."""
         here = self
         for key in keys:
             if not isinstance(here.value, dict) or here.value.get(key) is None:
@@ -73,10 +73,10 @@ class Field:
     def refuse(self, wanted: str) -> NoReturn:
         """Raise BadConfig that says what this should be and what it is."""
         found = json.dumps(self.value)
-        raise BadConfig(f"{self.file}: the field {self.place!r} must be {wanted}, found {found[:_SHOWN]}")
+        raise BadConfig(f"{self.file}: the field {self.path!r} must be {wanted}, found {found[:_SHOWN]}")
 
     def _under(self, key: str, value: Any = None) -> Field:
-        return Field(value, self.file, f"{self.place}.{key}" if self.place else key)
+        return Field(value, self.file, f"{self.path}.{key}" if self.path else key)
 
 
 def read_fields(file: Path) -> Field:

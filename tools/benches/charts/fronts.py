@@ -1,4 +1,4 @@
-"""Pareto fronts: of several ways to do a thing, those that no other beats in cost and quality together."""
+"""Pareto fronts: the methods that no other beats in cost and quality together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Axis:
-    """What is measured. title: with its unit, as drawn; noun: one word for it; factor: from values to what is drawn."""
+    """A measured quantity. title: with its unit; noun: one word for it; factor: from measured to drawn values."""
 
     title: str
     noun: str
@@ -19,13 +19,13 @@ class Axis:
     factor: float = 1.0
 
     def gain(self, value: float, other: float) -> float:
-        """By how much `value` is better than `other`, in the axis' unit; negative if it is worse."""
+        """Amount by which `value` is better than `other`, in the axis' unit; negative if it is worse."""
         return value - other if self.more_is_better else other - value
 
 
 @dataclass(frozen=True)
 class Point:
-    """One way to do it. label: what stands beside it, where it is named; named: whether it is, even off the front.
+    """One method. label: text beside its point; named: whether the label is drawn even off the front.
 
     y_sd: standard deviation of y over repetitions, None if there is one only.
     """
@@ -48,34 +48,34 @@ class Shortfall:
     y_share: float
 
 
-def unbeaten(things: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
-    """Those that no other beats, by rising costs. costs: of one thing, as many of each, all better if smaller.
+def pareto_front(items: Iterable[_T], costs: Callable[[_T], Sequence[float]]) -> list[_T]:
+    """The Pareto front of some items, by rising costs. costs: of one item, as many of each, all better if smaller.
 
-    Of several with the same costs, all stay or none.
+    Items with the same costs stay or go together.
     """
-    priced = [(thing, tuple(costs(thing))) for thing in things]
-    kept = [(mine, thing) for thing, mine in priced if not any(beats(other, mine) for _, other in priced)]
-    return [thing for _, thing in sorted(kept, key=lambda pair: pair[0])]
+    priced = [(item, tuple(costs(item))) for item in items]
+    kept = [(mine, item) for item, mine in priced if not any(dominates(other, mine) for _, other in priced)]
+    return [item for _, item in sorted(kept, key=lambda pair: pair[0])]
 
 
-def beats(costs: Sequence[float], others: Sequence[float]) -> bool:
-    """Whether costs are nowhere larger than others, as many and in the same order, and somewhere smaller."""
+def dominates(costs: Sequence[float], others: Sequence[float]) -> bool:
+    """Pareto dominance: True if no cost is larger than the other one of its index, and one is smaller."""
     pairs = [*zip(costs, others, strict=True)]
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
 def front(points: Sequence[Point], x: Axis, y: Axis) -> tuple[Point, ...]:
-    """The points that no other beats, by rising x. Of points in one place, all or none."""
-    kept = unbeaten(points, lambda point: _costs(point, x, y))
+    """The Pareto front of some points, by rising x. Points with the same x and y stay or go together."""
+    kept = pareto_front(points, lambda point: _costs(point, x, y))
     return tuple(sorted(kept, key=lambda point: (point.x, point.y)))
 
 
 def shortfalls(point: Point, points: Sequence[Point], x: Axis, y: Axis) -> tuple[Shortfall, ...]:
-    """What of the front beats `point`, the largest sum of shares first; nothing if it is on the front."""
+    """Points of the front that beat `point`, the largest sum of shares first; empty if it is on the front."""
     found = [
         Shortfall(one, _share(x.gain(one.x, point.x), point.x), _share(y.gain(one.y, point.y), point.y))
         for one in front(points, x, y)
-        if beats(_costs(one, x, y), _costs(point, x, y))
+        if dominates(_costs(one, x, y), _costs(point, x, y))
     ]
     return tuple(sorted(found, key=lambda fall: -(fall.x_share + fall.y_share)))
 
@@ -85,5 +85,5 @@ def _costs(point: Point, x: Axis, y: Axis) -> tuple[float, float]:
 
 
 def _share(gain: float, of: float) -> float:
-    """0 of nothing: what costs nothing cannot be beaten."""
+    """Share of a value; 0 if the value is 0, which nothing beats."""
     return gain / of if of else 0.0

@@ -1,4 +1,4 @@
-"""Where names stand beside their points, so that none covers another."""
+"""Placement of labels beside their points, so that none covers another."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ Floats = NDArray[np.float64]
 
 _DIRECTIONS: Final = np.deg2rad(np.arange(0, 360, 15))
 _REACHES: Final = np.array([3.0, 8.0, 15.0, 25.0, 40.0, 60.0, 85.0, 120.0])
-"""How far a name may stand from its marker, pixels."""
+"""Distances of a label from its marker that are tried, pixels."""
 
-# What a place costs, in pixels that a name would rather be further away.
+# Costs of a position, in pixels of distance from the marker that would be as bad.
 _OUTSIDE: Final = 1e6
 _ON_A_NAME: Final = 1e4
 _LEADER_ON_A_NAME: Final = 200.0
 _ON_A_DOT: Final = 3.0  # for each square pixel of its radius
-_BESIDE_ANOTHER: Final = 15.0  # whose name it would seem to be
+_BESIDE_ANOTHER: Final = 15.0  # the label would seem to be that point's
 _ON_A_LINE: Final = 18.0
-_LATER: Final = 10.0  # for each place before this one that the name may belong to
+_LATER: Final = 10.0  # for each anchor before the one used
 _BESIDE: Final = 8.0  # pixels
 _GAP: Final = 2.0  # between two names
 
 
 @dataclass(frozen=True)
 class Label:
-    """A name. size: [2] width and height; anchors: [A, 2] places that it may belong to, the best first; radius: of the
+    """A label. size: [2] width and height; anchors: [A, 2] points that it may belong to, the best first; radius: of the
     marker there. All in pixels.
     """
 
@@ -40,7 +40,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a name stands: its lower left corner [2], the place [2] it belongs to, and its point [2] next to that."""
+    """A placed label: its lower left corner [2], the anchor [2] it belongs to, and its point [2] nearest to that."""
 
     corner: Floats
     anchor: Floats
@@ -50,8 +50,8 @@ class Placed:
 def place_labels(labels: Sequence[Label], dots: Floats, lines: Floats, area: Floats) -> list[Placed]:
     """Place labels one after the other where each covers the least, in the best of several orders.
 
-    dots: [M, 3] places and radii of all markers; lines: [K, 2] places along lines; area: [4] left, bottom, right, top,
-    which no label leaves if there is room. All in pixels.
+    dots: [M, 3] positions and radii of all markers; lines: [K, 2] points along lines; area: [4] left, bottom, right,
+    top, which no label leaves if there is room. All in pixels.
     """
     options = [_options(label, dots, lines, area) for label in labels]
     around = sorted(range(len(labels)), key=lambda number: tuple(labels[number].anchors[0]))
@@ -63,7 +63,7 @@ def place_labels(labels: Sequence[Label], dots: Floats, lines: Floats, area: Flo
 
 @dataclass(frozen=True)
 class _Options:
-    """Where a label may stand: boxes [C, 4], their anchors [C, 2], leaders from these [C, 9, 2], and costs [C]."""
+    """Candidate positions of a label: boxes [C, 4], their anchors [C, 2], leaders from these [C, 9, 2], costs [C]."""
 
     boxes: Floats
     anchors: Floats
@@ -72,7 +72,7 @@ class _Options:
 
 
 def _options(label: Label, dots: Floats, lines: Floats, area: Floats) -> _Options:
-    """All round each anchor at several reaches, whatever other names do."""
+    """Candidates all round each anchor at several distances, other labels ignored."""
     around = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)], axis=1)
     offsets = around * (label.radius + _REACHES[:, None, None] + label.size / 2)  # [reach, direction, 2]
     each = offsets.shape[0] * offsets.shape[1]
@@ -91,7 +91,7 @@ def _options(label: Label, dots: Floats, lines: Floats, area: Floats) -> _Option
 
 
 def _placed(order: Sequence[int], options: Sequence[_Options]) -> tuple[float, dict[int, Placed]]:
-    """What placing labels in this order costs, and where they stand."""
+    """Cost of placing labels in this order, and their positions by index."""
     total, placed = 0.0, {}
     taken: list[tuple[Floats, Floats]] = []
     for number in order:
@@ -109,7 +109,7 @@ def _placed(order: Sequence[int], options: Sequence[_Options]) -> tuple[float, d
 
 
 def _covered(boxes: Floats, points: Floats, radii: Floats | float) -> NDArray[np.bool_]:
-    """Whether each box [C, 4] touches each marker [M, 2] of these radii: [C, M]."""
+    """True where a box [C, 4] touches a marker [M, 2] of these radii: bool [C, M]."""
     margin = np.broadcast_to(radii, len(points))[:, None]
     low, high = boxes[:, None, :2] - margin, boxes[:, None, 2:] + margin
     inside: NDArray[np.bool_] = ((points > low) & (points < high)).all(axis=2)

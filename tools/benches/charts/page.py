@@ -23,6 +23,7 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
+from benches.charts.scales import thousands
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
@@ -75,7 +76,7 @@ def _finished(value: Any) -> Any:
 
 
 def _number(value: Any, decimals: int = 0) -> str:
-    return f"{_checked(value):,.{decimals}f}".replace(",", " ")
+    return thousands(_checked(value), decimals)
 
 
 def _percent(value: Any, decimals: int = 0) -> str:
@@ -84,7 +85,7 @@ def _percent(value: Any, decimals: int = 0) -> str:
 
 def _checked(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value} is no number")  # to write what is undefined raises, and says what it is
+        raise TypeError(f"{value} is no number")  # writing an undefined value raises its own message
     return value
 
 
@@ -115,5 +116,5 @@ def _origins(files: Mapping[str, Any]) -> str:
 
 
 def _line(error: Exception) -> int:
-    """Where the template failed: Jinja2 puts its lines into the traceback."""
+    """Line of the template that failed: Jinja2 puts its lines into the traceback."""
     return next(step.lineno or 0 for step in reversed(extract_tb(error.__traceback__)) if step.filename == _TEMPLATE)

@@ -1,4 +1,4 @@
-"""What a chart shows, as plain JSON: for pages that quote it, and for their tests."""
+"""Content of a chart as plain JSON: for pages that quote it, and for their tests."""
 
 from __future__ import annotations
 

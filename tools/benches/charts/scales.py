@@ -17,7 +17,7 @@ _ROOM_OF_ZERO: Final = 0.5  # decades between zero and the smallest value
 
 @dataclass(frozen=True)
 class Scale:
-    """How an axis is divided, in what is drawn. least: the smallest value but zero; zero: whether one is shown."""
+    """Division of an axis, in drawn units. least: the smallest value above zero; zero: whether a zero is shown."""
 
     log: bool
     zero: bool
@@ -40,7 +40,7 @@ class Scale:
         getattr(axis, f"set_{which}lim")(self.low, self.high)
 
     def round_values(self) -> list[float]:
-        """Places of a logarithmic axis' ticks: 1, 2, 5, 10 … or, over many decades, powers of ten; and zero."""
+        """Ticks of a logarithmic axis: 1, 2, 5, 10 … or, over many decades, powers of ten; and zero."""
         low = self.least if self.zero else self.low
         factors = (1, 2, 5) if math.log10(self.high / low) < _FEW_DECADES else (1,)
         first, last = math.floor(math.log10(low)), math.ceil(math.log10(self.high))
@@ -63,11 +63,16 @@ def scale_of(values: Iterable[float], axis: Axis) -> Scale:
     return Scale(False, zero, least, low - room, high + room)
 
 
+def thousands(value: float, decimals: int = 0) -> str:
+    """A number with so many decimals and a blank between thousands."""
+    return f"{value:,.{decimals}f}".replace(",", " ")
+
+
 def shown(value: float) -> str:
-    """A tick's number, thousands apart."""
+    """A number with six digits at most and a blank between thousands."""
     return f"{value:,.6g}".replace(",", " ")
 
 
 def axis_title(axis: Axis, apart: str = "   ") -> str:
-    """With an arrow to where it is better; of a vertical axis, whose text is turned, it points down or up."""
+    """The axis' title with an arrow towards better values; beside a vertical axis the text is turned with its arrow."""
     return f"{axis.title}{apart}({'more is better →' if axis.more_is_better else '← less is better'})"

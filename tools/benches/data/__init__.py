@@ -1,4 +1,1 @@
-"""What `tools/bench` measures: methods beside their rivals in one run, against an exact reference if there is one.
-
-Nothing outside the command and the tests imports from here.
-"""
+"""Benches of the data path: methods beside their baselines in one run, against an exact reference if there is one."""

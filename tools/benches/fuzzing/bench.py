@@ -12,6 +12,7 @@ from typing import Any, Final
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
 from benches.fuzzing.fuzzing import campaign
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, kill_at_instants
+from benches.measuring import Progress, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.shards.manifest import MANIFEST_NAME
@@ -32,19 +33,17 @@ _SHARES: Final = {
     "lnd": 0.01,
     "ply": 0.03,
 }
-"""How a campaign is shared out over the readers: most to those that read what comes from elsewhere most."""
+"""Share of the inputs that each reader gets: most for the readers of files that come from elsewhere."""
 
 _LOOPS: Final = ("bsi", "sample")
-"""Whose inputs are read by compiled loops and by NumPy's, with the same outcome."""
+"""Readers that have compiled and NumPy loops, whose outcomes must be the same."""
 
 _PIECE: Final = 5000
 _DAMAGED: Final = Packing("open", meshes=2, views=ViewGrid(count=3), shard_samples=3)
 _INTERRUPTED: Final = Packing("open", meshes=4, views=ViewGrid(count=2), shard_samples=3)
 
-Progress = Callable[[int, int], None]
 
-
-def bench_reliability(views: int = 100_000, progress: Progress = lambda done, total: None) -> dict[str, Any]:
+def bench_reliability(views: int = 100_000, progress: Progress = silent) -> dict[str, Any]:
     """Do everything once and count; `views`: hostile inputs in all. `faults` is how many promises were broken.
 
     damage: of every file of a small set of the open source. fuzzing: by reader. interruptions: of packings.

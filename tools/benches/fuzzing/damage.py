@@ -1,6 +1,6 @@
-"""Sets of shards damaged in every way that disks, networks and people damage files, and who notices.
+"""Sets of shards damaged in every way that disks, networks and people damage files, and the readers that detect it.
 
-Three readers are asked each time: random access (`RangeImages`), the WebDataset pipeline, and `bodyseg verify`. A
+Three readers are tried each time: random access (`RangeImages`), the WebDataset pipeline, and `bodyseg verify`. A
 reader may refuse; it may never give other pixels than were packed, and verify has to report every damage.
 """
 
@@ -26,7 +26,7 @@ BLOCK: Final = 512
 
 @dataclass
 class Tally:
-    """How many damages were done, who refused how often, and what went wrong."""
+    """Counts of damages done and of refusals by each reader, and the faults found."""
 
     damages: int = 0
     reported_by_verify: int = 0
@@ -36,7 +36,7 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def figures(self) -> dict[str, Any]:
-        """As plain JSON."""
+        """The counts as plain JSON."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
@@ -50,12 +50,12 @@ class Damaged:
         self._pixels = {key: _digest(images[index]) for index, key in enumerate(images.keys)}
 
     def try_out(self, name: str, spoil: Callable[[bytes], bytes], what: str, tally: Tally) -> None:
-        """Damage the file `name` of the set, ask all readers, and repair it; `what` names the damage in faults."""
+        """Damage the file `name` of the set, try all readers, and repair it; `what` names the damage in faults."""
         path = self.folder / name
         sound = path.read_bytes()
         damaged = spoil(sound)
         if damaged == sound or (name == MANIFEST_NAME and damaged.strip() == sound.strip()):
-            return  # the line's end behind a manifest says nothing
+            return  # the newline that ends a manifest holds no data
         path.write_bytes(damaged)
         try:
             tally.damages += 1
@@ -67,7 +67,7 @@ class Damaged:
             path.write_bytes(sound)
 
     def _verify(self, tally: Tally) -> Iterator[str]:
-        """What `bodyseg verify` does."""
+        """Verify the damaged set as `bodyseg verify` does."""
         try:
             manifest = read_manifest(self.folder)
             faults = [fault for shard in manifest.shards for fault in find_faults(self.folder, manifest, shard)]
@@ -92,18 +92,18 @@ class Damaged:
             return
         for index, key in enumerate(images.keys):
             span = slice(record.offsets[index], record.offsets[index] + record.lengths[index])
-            hurt = damaged[span] != sound[span]
+            altered = damaged[span] != sound[span]
             try:
                 given = images[index]
             except BodysegError as error:
                 refused = True
-                if not hurt:
+                if not altered:
                     yield f"{key} is sound and was refused: {error}"
                 elif f"{record.name}: {key}: offset {record.offsets[index]}" not in str(error):
                     yield f"a refusal does not say where: {error}"
                 continue
             tally.samples_given += 1
-            if hurt or _digest(given) != self._pixels[key]:
+            if altered or _digest(given) != self._pixels[key]:
                 yield f"{key} was given though it was altered"
         tally.refused_by_access += refused
 
@@ -143,9 +143,9 @@ def flip_bits(damaged: Damaged, count: int, seed: int, tally: Tally) -> None:
     generator = np.random.default_rng(seed)
     names = _files(damaged)
     sizes = [(damaged.folder / name).stat().st_size for name in names]
-    for place in generator.integers(0, sum(sizes), count).tolist():
-        number = int(np.searchsorted(np.cumsum(sizes), place, side="right"))
-        at, bit = place - sum(sizes[:number]), int(generator.integers(8))
+    for offset in generator.integers(0, sum(sizes), count).tolist():
+        number = int(np.searchsorted(np.cumsum(sizes), offset, side="right"))
+        at, bit = offset - sum(sizes[:number]), int(generator.integers(8))
 
         def flip(data: bytes, at: int = at, bit: int = bit) -> bytes:
             return data[:at] + bytes([data[at] ^ (1 << bit)]) + data[at + 1 :]

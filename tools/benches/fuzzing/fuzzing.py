@@ -34,15 +34,16 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.meshes.landmarks.files import load_landmark_file
 from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.sample_codec import CODECS, decode_sample
+from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
 
 SECONDS_EACH: Final = 2.0
 """The processor time that one input may take; the largest image allowed takes a second."""
 
 _HANG_S: Final = 60.0
-_MEMORY: Final = 1 << 32  # that a process may ask for beyond what it has when it begins
+_MEMORY: Final = 1 << 32  # that a process may allocate beyond what it has when it begins
 _SLACK: Final = 4 << 20  # libraries' own, once
 _TIMES_DECLARED: Final = 5  # the arrays themselves, what is unpacked for them, and steps between the two
 _TIMES_INPUT: Final = 100  # an object of Python for a letter or two of JSON
@@ -89,14 +90,14 @@ TARGETS: Final[dict[str, Target]] = {
 
 
 def one_input(target: str, seed: int, number: int) -> Any:
-    """The input that a campaign of `seed` feeds to a target as its `number`-th."""
+    """The input that a campaign of `seed` feeds to a target as input `number`."""
     return MAKERS[target](np.random.default_rng([seed, zlib.crc32(target.encode()), number]))
 
 
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
     members = given if isinstance(given, Mapping) else {"": given}
-    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith(CODECS))
+    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith(tuple(CODECS)))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 
 
@@ -172,7 +173,7 @@ def campaign(target: str, seed: int, numbers: range, kernels: str = "auto") -> d
 
 
 def child() -> None:
-    """What `campaign` runs."""
+    """The process that `campaign` starts."""
     target, seed, start, stop = sys.argv[1], *map(int, sys.argv[2:])
     faulthandler.enable()
     warnings.simplefilter("error")  # a warning is a surprise to the user, too

@@ -37,29 +37,29 @@ def spoiled(data: bytes, generator: Generator) -> bytes:
     for _ in range(int(generator.integers(1, 5))):
         if not edited:
             break
-        place, length = int(generator.integers(len(edited))), int(generator.integers(1, 65))
+        offset, length = int(generator.integers(len(edited))), int(generator.integers(1, 65))
         match int(generator.integers(9)):
             case 0:
-                edited[place] ^= 1 << int(generator.integers(8))
+                edited[offset] ^= 1 << int(generator.integers(8))
             case 1:
-                edited[place] = int(generator.choice(_BYTES))
+                edited[offset] = int(generator.choice(_BYTES))
             case 2:
-                del edited[place : place + length]
+                del edited[offset : offset + length]
             case 3:
-                edited[place:place] = generator.bytes(length)
+                edited[offset:offset] = generator.bytes(length)
             case 4:
-                edited[place:place] = edited[place : place + length]
+                edited[offset:offset] = edited[offset : offset + length]
             case 5:
-                edited[place : place + length] = bytes(len(edited[place : place + length]))
+                edited[offset : offset + length] = bytes(len(edited[offset : offset + length]))
             case 6:
-                edited[place : place + length] = generator.bytes(len(edited[place : place + length]))
+                edited[offset : offset + length] = generator.bytes(len(edited[offset : offset + length]))
             case 7:
-                run = edited[place : place + length]
-                del edited[place : place + length]
+                run = edited[offset : offset + length]
+                del edited[offset : offset + length]
                 other = int(generator.integers(len(edited) + 1))
                 edited[other:other] = run
             case _:
-                del edited[place:]
+                del edited[offset:]
     return bytes(edited)
 
 
@@ -82,7 +82,7 @@ def hostile_image(valid: bytes, generator: Generator) -> bytes:
 
 def _other_frame(valid: bytes, generator: Generator) -> bytes:
     """One of the zstd frames replaced."""
-    starts = [place for place in range(len(valid)) if valid.startswith(ZSTD_MAGIC, place)]
+    starts = [offset for offset in range(len(valid)) if valid.startswith(ZSTD_MAGIC, offset)]
     if not starts:
         return valid
     number = int(generator.integers(len(starts)))
@@ -95,10 +95,10 @@ def _other_numbers(valid: bytes, generator: Generator) -> bytes:
     edited = bytearray(valid)
     header = max(valid.find(ZSTD_MAGIC), 16)
     for _ in range(int(generator.integers(1, 4))):
-        place = 2 * int(generator.integers(2, header // 2 - 1))
-        near = edited[place] + int(generator.integers(-2, 3))
+        offset = 2 * int(generator.integers(2, header // 2 - 1))
+        near = edited[offset] + int(generator.integers(-2, 3))
         number = int(generator.choice(_SIDES)) if generator.integers(2) else near
-        struct.pack_into("<H", edited, place, number % 65536)
+        struct.pack_into("<H", edited, offset, number % 65536)
     return bytes(edited)
 
 
@@ -211,28 +211,28 @@ def _foreign_pngs() -> list[bytes]:
 
 
 def declared_bytes(member: str, data: bytes) -> int:
-    """The bytes of arrays that an image file asks for by its own header; 0 if the format does not allow so many."""
+    """The bytes of arrays that an image file declares in its header; 0 if the format does not allow so many."""
     if member.endswith("png"):
         sizes = [struct.unpack_from(">II", data, 16)] if len(data) >= 24 else []
     else:  # camera and projector (docs/shard_format.md)
-        sizes = [struct.unpack_from("<HH", data, place) for place in (8, 44)] if len(data) >= 48 else []
+        sizes = [struct.unpack_from("<HH", data, offset) for offset in (8, 44)] if len(data) >= 48 else []
     return sum(4 * rows * columns for rows, columns in sizes if max(rows, columns) <= MAX_SIDE)
 
 
 def _checksum_set(data: bytes, valid: bytes) -> bytes:
     """`data` with the checksum that an image carries made right, found by where `valid` has its own."""
-    place = _checksum_place(valid)
-    if place is None or len(data) < place + 4:
+    offset = _checksum_offset(valid)
+    if offset is None or len(data) < offset + 4:
         return data
-    return data[:place] + zlib.crc32(data[place + 4 :]).to_bytes(4, "little") + data[place + 4 :]
+    return data[:offset] + zlib.crc32(data[offset + 4 :]).to_bytes(4, "little") + data[offset + 4 :]
 
 
 @lru_cache(maxsize=64)
-def _checksum_place(valid: bytes) -> int | None:
-    """Where a CRC-32 of all that follows it stands; None if nothing is one."""
-    for place in range(min(32, len(valid) - 4)):
-        if int.from_bytes(valid[place : place + 4], "little") == zlib.crc32(valid[place + 4 :]):
-            return place
+def _checksum_offset(valid: bytes) -> int | None:
+    """Offset of a CRC-32 of all bytes that follow it; None if there is none."""
+    for offset in range(min(32, len(valid) - 4)):
+        if int.from_bytes(valid[offset : offset + 4], "little") == zlib.crc32(valid[offset + 4 :]):
+            return offset
     return None
 
 
@@ -248,18 +248,18 @@ def hostile_tree(tree: Any, generator: Generator) -> Any:
         if not node:
             return value
         if isinstance(node, list):
-            place: Any = int(generator.integers(len(node)))
+            key: Any = int(generator.integers(len(node)))
         else:
-            place = list(node)[int(generator.integers(len(node)))]
+            key = list(node)[int(generator.integers(len(node)))]
         match int(generator.integers(4)):
             case 0 | 1:
-                node[place] = value
+                node[key] = value
             case 2:
-                del node[place]
+                del node[key]
             case _ if isinstance(node, list):
-                node.insert(place, node[place])
+                node.insert(key, node[key])
             case _:
-                node[f"{place}{generator.choice(('', 'x', 'é'))}"] = value
+                node[f"{key}{generator.choice(('', 'x', 'é'))}"] = value
     return changed
 
 

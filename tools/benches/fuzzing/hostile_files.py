@@ -18,8 +18,9 @@ from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.core.splits import SPLITS
+from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
-from bodyseg_data.shards.sample_codec import CODECS, CodecName, encode_sample
+from bodyseg_data.shards.sample_codec import encode_sample
 
 KEY: Final = "open-A-posture-00-d215-a040"
 """The key that hostile samples are read under."""
@@ -80,7 +81,7 @@ def hostile_pngs(generator: Generator) -> dict[str, bytes]:
 
 def hostile_sample(generator: Generator) -> dict[str, bytes]:
     """Members of a sample: other bytes or JSON in one of them, one missing, too many, of two codecs or samples."""
-    codec = CODECS[int(generator.integers(len(CODECS)))]
+    codec = list(CODECS)[int(generator.integers(len(CODECS)))]
     members, other = _members(codec, generator), _members(codec, generator)
     names = list(members)
     name = names[int(generator.integers(len(names)))]
@@ -119,8 +120,8 @@ def hostile_tar(generator: Generator) -> bytes:
             case 2 | 3:
                 header_bytes[124:136] = _SIZES[int(generator.integers(len(_SIZES)))].ljust(12, b"\0")
             case 4:
-                place, length = _FIELDS[int(generator.integers(len(_FIELDS)))]
-                header_bytes[place : place + length] = generator.bytes(length)
+                offset, length = _FIELDS[int(generator.integers(len(_FIELDS)))]
+                header_bytes[offset : offset + length] = generator.bytes(length)
             case 5:
                 header_bytes[:] = spoiled(bytes(header_bytes), generator)[:512].ljust(512, b"\0")
             case 6:
@@ -137,8 +138,8 @@ def _long_name(generator: Generator) -> tuple[bytearray, bytes]:
     kind = (tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)[
         int(generator.integers(4))
     ]
-    said = (b"30 path=../../../etc/passwd\n", b"18 size=99999999\n", b"24 GNU.sparse.major=1\n", b"../x\0")
-    data = said[int(generator.integers(len(said)))]
+    headers = (b"30 path=../../../etc/passwd\n", b"18 size=99999999\n", b"24 GNU.sparse.major=1\n", b"../x\0")
+    data = headers[int(generator.integers(len(headers)))]
     header = tarfile.TarInfo(f"{KEY}.x")
     header.type, header.size = kind, len(data)
     return bytearray(header.tobuf(tarfile.USTAR_FORMAT)), data

@@ -38,7 +38,7 @@ _WRITING: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 
 class Replay(Executor):
-    """Renders every run once; asked again, it answers at once."""
+    """Executor that renders every run once, and returns the same result from then on."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[BodyRef, tuple[View, ...]], Rendered] = {}
@@ -53,7 +53,7 @@ class Replay(Executor):
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Name -> SHA-256 of every file in a folder that is not being written aside, which a dot before its name says."""
+    """Name -> SHA-256 of every file in a folder that is not being written aside, as a dot before its name marks."""
     if not folder.is_dir():
         return {}
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
@@ -65,7 +65,7 @@ def _hidden(folder: Path) -> list[str]:
 
 
 def left_over(folder: Path, whole: dict[str, str]) -> list[str]:
-    """What is wrong with a folder in which a packing of `whole` was cut short: files that are not whole."""
+    """Faults of a folder in which a packing of `whole` was cut short: files that are not whole."""
     found = contents(folder)
     wrong = [f"{name} is half-written or a stray" for name, digest in found.items() if whole.get(name) != digest]
     if MANIFEST_NAME in found and found != whole:
@@ -108,14 +108,14 @@ class Interrupted:
     def at(self, trouble: Trouble, operation: int) -> list[str]:
         """Have trouble at an operation, then pack again without; returns what is wrong."""
         out = self._folder / "out"
-        said = self._folder / "said"
-        said.write_text("")
-        status = _forked(lambda: self._troubled(trouble, operation, out), said)
+        message_file = self._folder / "message"
+        message_file.write_text("")
+        status = _forked(lambda: self._troubled(trouble, operation, out), message_file)
         wrong = left_over(out, self.whole)
         ended = status == 0 and contents(out) == self.whole
-        told = status == 2 and said.read_text().count("\n") == 1
-        if not (ended or (status == -signal.SIGKILL if trouble == "killed" else told)):
-            wrong.append(f"it ended with status {status} and said {said.read_text()[-300:]!r}")
+        refused = status == 2 and message_file.read_text().count("\n") == 1
+        if not (ended or (status == -signal.SIGKILL if trouble == "killed" else refused)):
+            wrong.append(f"it ended with status {status} with the message {message_file.read_text()[-300:]!r}")
         try:
             self.pack(out)
             if contents(out) != self.whole or _hidden(out):
@@ -149,16 +149,16 @@ class Interrupted:
 
 
 def _writes(arguments: tuple[Any, ...]) -> bool:
-    """Whether an "open" of the audit is for writing."""
+    """True if an "open" event of the audit is for writing."""
     return bool(arguments[2] & _WRITING)
 
 
-def _forked(work: Callable[[], None], said: Path | None = None) -> int:
-    """Run in a fork: 0, or 2 with the line of a BodysegError in `said`, or 70 with another, or minus a signal."""
+def _forked(work: Callable[[], None], message_file: Path | None = None) -> int:
+    """Run in a fork: returns 0, 2 for a BodysegError, 70 for others (with the line in a file), or minus a signal."""
     child = os.fork()
     if child == 0:
         status, message = 70, "?"
-        lines = None if said is None else os.open(said, os.O_WRONLY)
+        lines = None if message_file is None else os.open(message_file, os.O_WRONLY)
         try:
             work()
             status, message = 0, ""

@@ -1,1 +1,1 @@
-"""Networks side by side; `tools/bench` calls `bench_NAME` of NAME.py and lets NAME_figure.py draw its answer."""
+"""Benches of networks: each `bench_NAME` returns its results as JSON, and a `draw_NAME` draws them."""

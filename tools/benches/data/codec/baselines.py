@@ -51,8 +51,8 @@ class Cropped:
 
     def decode(self, data: bytes) -> Image:
         """See `Baseline`."""
-        size, background, rows, columns, *corner = np.frombuffer(data[:16], "<u2").tolist()
-        kind, box = (np.uint16 if size == 2 else np.uint8), Box(*corner)
+        size, background, rows, columns, *edges = np.frombuffer(data[:16], "<u2").tolist()
+        kind, box = (np.uint16 if size == 2 else np.uint8), Box(*edges)
         image: Image = np.full((rows, columns), background, kind)
         box.crop(image)[:] = self.unpack(data[16:], box, kind)
         return image
@@ -94,7 +94,7 @@ def predicted(predictor: str, level: int) -> Cropped:
     return Cropped(pack, unpack)
 
 
-def rivals() -> list[Baseline]:
+def baselines() -> list[Baseline]:
     """All other ways that are measured: the front's, and those that are widely used. Raises MissingLibrary without
     imagecodecs.
     """

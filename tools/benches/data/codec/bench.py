@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import os
 import statistics
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -16,8 +15,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.charts.fronts import unbeaten
-from benches.data.codec.baselines import Baseline, rivals
+from benches.charts.fronts import pareto_front
+from benches.data.codec.baselines import Baseline, baselines
+from benches.measuring import Progress, least_time, mixed, silent
 from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -61,7 +61,7 @@ class _Costs:
         }
 
 
-def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+def bench_codec(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
     """Every codec on `views` samples: mean bytes, ms to encode and decode, of all three images and of each kind.
 
     front: codecs that none beats in both bytes and decoding. projector: what rounding it to what the shadows need
@@ -70,15 +70,15 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     """
     if views < 1:
         raise BadConfig(f"at least one view must be measured, found {views}")
-    others = rivals()
-    costs = {rival.name: {kind: _Costs() for kind in _IMAGES} for rival in others}
+    others = baselines()
+    costs = {baseline.name: {kind: _Costs() for kind in _IMAGES} for baseline in others}
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
     sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
     for done, (sample, exact) in enumerate(_samples(views), start=1):
         images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
         for turn in range(len(others)):
-            rival = others[(turn + done) % len(others)]
-            _measure(rival, images, costs[rival.name])
+            baseline = others[(turn + done) % len(others)]
+            _measure(baseline, images, costs[baseline.name])
         for name, kinds in ours.items():
             with _computed_by("compiled" if name == DEFAULT else "numpy"):
                 _measure_ours(images, kinds)
@@ -89,7 +89,7 @@ def bench_codec(views: int = 60, progress: Callable[[int, int], None] = lambda d
     return {
         "default": DEFAULT,
         "codecs": rows,
-        "front": unbeaten(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"])),
+        "front": pareto_front(rows, lambda name: (rows[name]["bytes"], rows[name]["decode_ms"])),
         "projector": rounding.row(),
         "png_sets": sizes.row(),
         "views": views,
@@ -107,8 +107,7 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
         with closing(open_renderer("raster", body.mesh)) as renderer:
             sampler = Sampler(renderer, rig, body.mesh, partition(body.mesh, body.landmarks), source.name, ref)
             for turn in range(_VIEWS_A_BODY * number, min(_VIEWS_A_BODY * (number + 1), count)):
-                # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
-                view = grid[turn * 23 % len(grid)]
+                view = mixed(grid, turn)
                 sample = sampler.take(view)
                 _, projector = rig.placed(body.mesh.centre, view)
                 exact = exact_range(
@@ -134,14 +133,14 @@ def _computed_by(choice: str) -> Iterator[None]:
         kernels.use_compiled.cache_clear()
 
 
-def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
+def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
-        rounds = 1 if "effort" in rival.name else _ROUNDS  # slow ones' times need no polish
-        encode_s, data = _timed(lambda image=image, background=background: rival.encode(image, background), 1)  # type: ignore[misc]
-        decode_s, decoded = _timed(lambda data=data: rival.decode(data), rounds)  # type: ignore[misc]
+        rounds = 1 if "effort" in baseline.name else _ROUNDS  # slow ones' times need no polish
+        encode_s, data = least_time(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
+        decode_s, decoded = least_time(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
         if not np.array_equal(decoded, image):
-            raise AssertionError(f"{rival.name} is not lossless")
+            raise AssertionError(f"{baseline.name} is not lossless")
         cost = costs[kind]
         cost.bytes.append(len(data))
         cost.encode_s.append(encode_s)
@@ -149,27 +148,18 @@ def _measure(rival: Baseline, images: Images, costs: dict[str, _Costs]) -> None:
 
 
 def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
-    """The projector's share is what is more when it is there: one file holds all."""
+    """Cost of ours; the projector's share is the difference that its image makes, since one file holds all three."""
     camera, labels, projector = images
     nothing = np.zeros_like(projector)
     before = 0, 0.0, 0.0
     for kind, occluder in (("range and labels", nothing), ("projector", projector)):
-        encode_s, data = _timed(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
+        encode_s, data = least_time(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
         wanted = kind == "projector"
-        decode_s, _ = _timed(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
+        decode_s, _ = least_time(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
         costs[kind].bytes.append(len(data) - before[0])
         costs[kind].encode_s.append(encode_s - before[1])
         costs[kind].decode_s.append(decode_s - before[2])
         before = len(data), encode_s, decode_s
-
-
-def _timed(work: Callable[[], Any], rounds: int) -> tuple[float, Any]:
-    best, answer = float("inf"), None
-    for _ in range(rounds):
-        start = time.process_time()
-        answer = work()
-        best = min(best, time.process_time() - start)
-    return best, answer
 
 
 def _summed(kinds: dict[str, _Costs]) -> dict[str, Any]:
@@ -204,7 +194,7 @@ class _Sizes:
 
 
 class _Rounding:
-    """What rounding the projector's range saves, costs and changes."""
+    """Bytes saved, time taken and pixels changed by rounding the projector's range."""
 
     def __init__(self, test: ShadowTest) -> None:
         self._test = test
@@ -212,7 +202,7 @@ class _Rounding:
         self._seconds: list[float] = []
 
     def add(self, sample: Sample, image: NDArray[np.uint16], *points: Any) -> None:
-        seconds, coarse = _timed(lambda: coarsened(image, *points), _ROUNDS)
+        seconds, coarse = least_time(lambda: coarsened(image, *points), _ROUNDS)
         self._seconds.append(seconds)
         self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
         self._coarse += len(encode_sample(sample)["bsi"])

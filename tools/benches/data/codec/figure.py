@@ -20,7 +20,7 @@ _BELOW: Final = (
 
 
 def draw_codec(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG of `bench_codec`'s answer: bytes against decoding time, with the front.
+    """Write a PNG of `bench_codec`'s results: bytes against decoding time, with the front.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -31,11 +31,11 @@ def draw_codec(figures: dict[str, Any], path: Path) -> None:
     axis.plot(*zip(*ends, strict=True), color=_FRONT, linewidth=6, alpha=0.35, label="the front", zorder=1)
     for name, row in rows.items():
         ours = name.startswith("bsi")
-        place = row["decode_ms"], row["bytes"] / 1000
-        axis.scatter(*place, s=70 if ours else 28, color=_OURS if ours else _OTHERS, zorder=3)
+        point = row["decode_ms"], row["bytes"] / 1000
+        axis.scatter(*point, s=70 if ours else 28, color=_OURS if ours else _OTHERS, zorder=3)
         text = f"{name} (the default)" if name == figures["default"] else name
         below = {"xytext": (0, -16), "ha": "center"} if name in _BELOW else {"xytext": (7, -3)}
-        axis.annotate(text, place, textcoords="offset points", fontsize=9, color=_OURS if ours else "black", **below)
+        axis.annotate(text, point, textcoords="offset points", fontsize=9, color=_OURS if ours else "black", **below)
     axis.set_xscale("log")
     axis.set_xlabel("decoding a sample's three images, ms of processor")
     axis.set_ylabel("kB a sample, three images")

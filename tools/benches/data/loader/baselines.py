@@ -1,4 +1,4 @@
-"""What `bench loader` measures against: how each opponent stores a pre-made set and reads it again.
+"""Baseline loaders of `bench loader`: each stores a pre-made set and reads it again.
 
 All are given the same images, write them once, and deliver what a training loop takes: float32 metres and uint8 labels,
 shuffled as for training. Metres are made where their documentation puts a transform: in the data set.
@@ -23,7 +23,7 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 
 
 class Premade(Sequence[RangeImage]):
-    """The images of the set that opponents store: those of this project's first epoch, made when asked for."""
+    """The images of the set that baselines store: those of this project's first epoch, made on access."""
 
     def __init__(self, images: RangeImages) -> None:
         self._images = images
@@ -47,7 +47,7 @@ class Baseline(Protocol):
         """Batches of the set, pass after pass, by workers that stay alive between passes."""
 
     def close(self) -> None:
-        """Leave nothing behind of what `open` made, once its answer is gone."""
+        """Leave nothing behind of what `open` made, once its result is gone."""
 
 
 def example(key: str, steps: NDArray[np.uint16], labels: NDArray[np.uint8]) -> dict[str, Any]:
@@ -139,8 +139,8 @@ class Webdataset:
 
         for shard, chunk in enumerate(np.array_split(np.arange(len(images)), min(self.SHARDS, len(images)))):
             with webdataset.TarWriter(str(folder / f"all-{shard:03d}.tar")) as tar:
-                for place in chunk.tolist():
-                    image = images[place]
+                for index in chunk.tolist():
+                    image = images[index]
                     members = {"range.png": png(image.range), "labels.png": png(image.labels)}
                     tar.write({"__key__": image.key, **members})
         return folder_bytes(folder)

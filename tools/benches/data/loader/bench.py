@@ -1,8 +1,8 @@
 """Loaders side by side: this project's, which makes `all` on the fly, and others, which read an `all` set made before.
 
-Every contender delivers the same: batches of float32 metres and uint8 labels in the consumer's process, which does
+Every loader delivers the same: batches of float32 metres and uint8 labels in the consumer's process, which does
 nothing with them. All are opened at once, with workers that stay alive; a first pass, unmeasured, fills the page cache
-and is compared with the stored images, bit for bit. Then every round runs each contender once, in a new order, over the
+and is compared with the stored images, bit for bit. Then every round runs each loader once, in a new order, over the
 whole set. The clock of a pass starts when each worker has delivered one batch, so that what a loader does once a pass
 is no part of it.
 """
@@ -27,6 +27,7 @@ from benches.data.loader.limits import five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
+from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
@@ -41,11 +42,9 @@ _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
 _PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
 
-Progress = Callable[[int, int], None]
 
-
-def rivals() -> dict[str, Baseline]:
-    """The opponents by name."""
+def baselines() -> dict[str, Baseline]:
+    """The baselines by name."""
     return {
         "webdataset_png": Webdataset(),
         "mds_raw": Mds(),
@@ -56,13 +55,11 @@ def rivals() -> dict[str, Baseline]:
     }
 
 
-def bench_loader(
-    views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = lambda done, total: None
-) -> dict[str, Any]:
-    """Samples a second of every contender with each number of workers, medians of seven rounds, and bytes a sample.
+def bench_loader(views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = silent) -> dict[str, Any]:
+    """Samples a second of every loader with each number of workers, medians of seven rounds, and bytes a sample.
 
-    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the answer's keys
-    hold. A contender whose package is absent has null everywhere, and a line on standard error says so. Raises
+    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys
+    hold. A loader whose package is absent has null everywhere, and a line on standard error says so. Raises
     BadConfig if there are too few samples for so many workers.
     """
     meshes = -(-views // _VIEWS_A_BODY)
@@ -91,12 +88,12 @@ def measure(
     workers: Sequence[int] = (0, 2),
     batch: int = _BATCH,
     rounds: int = _ROUNDS,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
-    """`bench_loader` on the set in `packed`; opponents' sets go to new folders in `scratch`."""
+    """`bench_loader` on the set in `packed`; the baselines' sets go to new folders in `scratch`."""
     images = {variant: RangeImages(packed, variant) for variant in VARIANTS}
     check_counts(len(images["all"]), batch, workers)
-    known = rivals()
+    known = baselines()
     done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(VARIANTS)) * (rounds + 1)
 
     def tick() -> None:
@@ -107,10 +104,10 @@ def measure(
     expected = {f"ours_{v}": {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
     tick()
     stored: dict[str, int | None] = {f"ours_{variant}": folder_bytes(packed) for variant in VARIANTS}
-    for name, rival in known.items():
-        stored[name] = _written(name, rival, Premade(images["all"]), scratch / name)
+    for name, baseline in known.items():
+        stored[name] = _written(name, baseline, Premade(images["all"]), scratch / name)
         tick()
-    there = {name: rival for name, rival in known.items() if stored[name] is not None}
+    there = {name: baseline for name, baseline in known.items() if stored[name] is not None}
     expected |= dict.fromkeys(there, expected["ours_all"])
     found: dict[int, dict[str, Passes]] = {}
     with _threads(max(1, processors() - max(workers))) as threads:
@@ -119,18 +116,18 @@ def measure(
             try:
                 found[count] = run_rounds(opens, count, rounds, expected, tick)
             finally:
-                for rival in there.values():
-                    rival.close()
+                for baseline in there.values():
+                    baseline.close()
     progress(total, total)
     kept = stored | {name: folder_bytes(scratch / name) for name in there if name != "memory"}
     counts = {"samples": len(images["all"]), "batch": batch, "rounds": rounds, "threads": threads}
-    return _answer(found, stored, kept, five_pngs, counts)
+    return _results(found, stored, kept, five_pngs, counts)
 
 
 @contextmanager
 def _threads(count: int) -> Iterator[int]:
     """Gives PyTorch in this process `count` threads at most: without a processor of their own they wait by spinning,
-    which slows down those contenders most that leave their collation to PyTorch.
+    which slows down those loaders most that leave their collation to PyTorch.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(min(count, before))
@@ -140,10 +137,10 @@ def _threads(count: int) -> Iterator[int]:
         torch.set_num_threads(before)
 
 
-def _written(name: str, rival: Baseline, images: Premade, folder: Path) -> int | None:
+def _written(name: str, baseline: Baseline, images: Premade, folder: Path) -> int | None:
     folder.mkdir()
     try:
-        return rival.write(images, folder)
+        return baseline.write(images, folder)
     except ImportError as error:
         sys.stderr.write(f"{name}: not installed: tools/install_rivals ({error})\n")
         return None
@@ -152,16 +149,16 @@ def _written(name: str, rival: Baseline, images: Premade, folder: Path) -> int |
 def _openings(
     packed: Path, there: Mapping[str, Baseline], scratch: Path, batch: int, workers: int
 ) -> dict[str, Callable[[], Iterable[Batch]]]:
-    """Name -> what opens the contender."""
+    """Name -> what opens the loader."""
 
     def ours(variant: VariantName) -> Iterable[Batch]:
         return loader(RangeImages(packed, variant), batch, workers, shuffle=True)
 
     opens: dict[str, Callable[[], Iterable[Batch]]] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
-    return opens | {name: partial(rival.open, scratch / name, batch, workers) for name, rival in there.items()}
+    return opens | {name: partial(baseline.open, scratch / name, batch, workers) for name, baseline in there.items()}
 
 
-def _answer(
+def _results(
     found: Mapping[int, Mapping[str, Passes]],
     stored: Mapping[str, int | None],
     kept: Mapping[str, int | None],

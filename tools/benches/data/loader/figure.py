@@ -8,7 +8,7 @@ from typing import Any, Final
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
-_RIVALS: Final = "#6e6e76"
+_OTHERS: Final = "#6e6e76"
 _TITLES: Final = {
     "ours_none": "bodyseg, none",
     "ours_occ": "bodyseg, occ",
@@ -26,7 +26,7 @@ _TITLES: Final = {
 
 
 def draw_loader(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG of `bench_loader`'s answer: samples a second beside bytes a sample, a row a contender.
+    """Write a PNG of `bench_loader`'s results: samples a second beside bytes a sample, a row for each loader.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -45,23 +45,23 @@ def _speeds(axis: Any, figures: dict[str, Any]) -> None:
 
     speeds = figures["samples_per_second"]
     counts = list(next(iter(speeds.values())))
-    for place, name in enumerate(_TITLES):
+    for position, name in enumerate(_TITLES):
         colour = _colour(name)
-        axis.axhline(place, color="#e4e4e8", linewidth=0.8, zorder=0)
+        axis.axhline(position, color="#e4e4e8", linewidth=0.8, zorder=0)
         values = [speeds[name][count] for count in counts]
         if None in values:
-            axis.text(0.02, place, "not installed", transform=axis.get_yaxis_transform(), va="center", fontsize=9)
+            axis.text(0.02, position, "not installed", transform=axis.get_yaxis_transform(), va="center", fontsize=9)
             continue
-        axis.plot(values, [place] * len(values), color=colour, linewidth=2.2, zorder=1)
+        axis.plot(values, [position] * len(values), color=colour, linewidth=2.2, zorder=1)
         # The more workers, the darker the inside of a dot.
         for number, value in enumerate(values):
             full = number / max(1, len(values) - 1)
-            axis.plot(value, place, "o", markersize=9, color=colour, fillstyle="full", zorder=2)
-            axis.plot(value, place, "o", markersize=6, color="white", alpha=1 - full, zorder=3)
+            axis.plot(value, position, "o", markersize=9, color=colour, fillstyle="full", zorder=2)
+            axis.plot(value, position, "o", markersize=6, color="white", alpha=1 - full, zorder=3)
         order = sorted(values)
         axis.annotate(
             f"{order[0]:,.0f}",
-            (order[0], place),
+            (order[0], position),
             (-8, 0),
             textcoords="offset points",
             ha="right",
@@ -70,7 +70,7 @@ def _speeds(axis: Any, figures: dict[str, Any]) -> None:
         )
         if len(values) > 1:
             axis.annotate(
-                f"{order[-1]:,.0f}", (order[-1], place), (8, 0), textcoords="offset points", va="center", fontsize=9
+                f"{order[-1]:,.0f}", (order[-1], position), (8, 0), textcoords="offset points", va="center", fontsize=9
             )
     axis.set_xscale("log")
     low, high = axis.get_xlim()
@@ -89,17 +89,17 @@ def _speeds(axis: Any, figures: dict[str, Any]) -> None:
 def _sizes(axis: Any, figures: dict[str, Any]) -> None:
     kept, sent = figures["kept_bytes_per_sample"], figures["bytes_per_sample"]
     most = max(value for value in kept.values() if value is not None) / 1000
-    for place, name in enumerate(_TITLES):
+    for position, name in enumerate(_TITLES):
         if kept[name] is None:
             continue
         value = kept[name] / 1000
-        axis.barh(place, value, color=_colour(name), height=0.5)
+        axis.barh(position, value, color=_colour(name), height=0.5)
         text = f" {value:,.0f}"
         if kept[name] > 1.02 * sent[name]:
             text += f" ({sent[name] / 1000:,.0f} compressed)"
         inside = value > 0.55 * most
         axis.text(
-            value, place, text + " " * inside, va="center", fontsize=9,
+            value, position, text + " " * inside, va="center", fontsize=9,
             ha="right" if inside else "left", color="white" if inside else "black",
         )  # fmt: skip
     axis.set_xlim(0, 1.05 * most)
@@ -107,4 +107,4 @@ def _sizes(axis: Any, figures: dict[str, Any]) -> None:
 
 
 def _colour(name: str) -> str:
-    return _OURS if name.startswith("ours") else _RIVALS
+    return _OURS if name.startswith("ours") else _OTHERS

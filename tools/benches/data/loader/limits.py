@@ -1,4 +1,4 @@
-"""What the loader is asked to reach beside its rivals, and whether it does."""
+"""Targets of the loader relative to the baselines, and whether it reaches them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benches.data.loader.baselines import png
+from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.loading.range_images import RangeImages
 
@@ -25,7 +26,7 @@ def ratio(rounds: Rounds, workers: str, fast: str, slow: str) -> float | None:
 
 
 def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pngs: float) -> list[dict[str, Any]]:
-    """Every limit with what was measured; holds is None where a contender is missing."""
+    """Every limit with what was measured; holds is None where a loader is missing."""
     counts = sorted({count for by_workers in rounds.values() for count in by_workers}, key=int)
     found = [
         _limit(f"all / webdataset_png, {n} workers", ratio(rounds, n, "ours_all", "webdataset_png"), 2.5)
@@ -44,17 +45,13 @@ def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pn
     return found
 
 
-def _limit(what: str, measured: float | None, asked: float, most: bool = False) -> dict[str, Any]:
-    holds = None if measured is None else (measured <= asked if most else measured >= asked)
-    return {"what": what, "at_most" if most else "at_least": asked, "measured": measured, "holds": holds}
+def _limit(what: str, measured: float | None, target: float, most: bool = False) -> dict[str, Any]:
+    holds = None if measured is None else (measured <= target if most else measured >= target)
+    return {"what": what, "at_most" if most else "at_least": target, "measured": measured, "holds": holds}
 
 
 def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:
-    """Bytes a sample that PNG images of all variants take, on at most 60 samples of the set."""
-    total, length = 0, len(images["all"])
-    count = min(_PNG_SAMPLES, length)
-    for seen in images.values():
-        for number in range(count):
-            image = seen.image((2 * number + 1) * length // (2 * count), 0)
-            total += len(png(image.range)) + len(png(image.labels))
-    return total / count
+    """Bytes that PNG images of all five variants take per sample, on at most 60 samples of the set."""
+    chosen = evenly_spaced(range(len(images["all"])), _PNG_SAMPLES)
+    made = (seen.image(index, 0) for seen in images.values() for index in chosen)
+    return sum(len(png(image.range)) + len(png(image.labels)) for image in made) / len(chosen)

@@ -1,4 +1,4 @@
-"""LitData as an opponent of `bench loader`."""
+"""LitData as a baseline of `bench loader`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bodyseg_data.loading.range_images import Batch
 
 
 class LitData:
-    """Its optimised chunks of raw tensors, which it maps into memory and reads without a copy."""
+    """LitData's optimised chunks of raw tensors, which it maps into memory and reads without a copy."""
 
     def __init__(self) -> None:
         self._loaders: list[Any] = []

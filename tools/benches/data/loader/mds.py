@@ -1,4 +1,4 @@
-"""MosaicML Streaming as an opponent of `bench loader`."""
+"""MosaicML Streaming as a baseline of `bench loader`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Mds:
         return folder_bytes(folder)
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
-        """Its StreamingDataset, told the batch size, under PyTorch's DataLoader."""
+        """Its StreamingDataset, given the batch size, under PyTorch's DataLoader."""
         # Its arrays are views of the bytes read; PyTorch warns that they cannot be written to, which nobody does.
         warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
 
@@ -57,7 +57,7 @@ class Mds:
 
 
 def streaming(name: str) -> Any:
-    """`streaming.base.NAME`, without running `streaming/__init__.py`, which wants torchvision and transformers for
+    """`streaming.base.NAME`, without running `streaming/__init__.py`, which needs torchvision and transformers for
     data sets of that package's own.
     """
     for package in ("streaming", "streaming.base"):

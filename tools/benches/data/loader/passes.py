@@ -1,4 +1,4 @@
-"""Contenders of `bench loader`: opened, checked by a first pass, and run over their set again and again."""
+"""Passes of `bench loader`: every loader is opened, checked by a first pass, and run over their set again and again."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _SEED: Final = 0
 
 @dataclass
 class Passes:
-    """What was measured of a contender. rates: samples a second, one a round. seconds: of processor, workers included,
-    and samples: in all rounds together; seconds is None where the system does not tell. worker_mb: `private_mb`.
+    """Measurements of one loader. rates: samples a second, one a round. seconds: of processor, workers included,
+    and samples: in all rounds together; seconds is None where the system does not provide it. worker_mb: `private_mb`.
     """
 
     rates: list[float] = field(default_factory=list)
@@ -40,38 +40,38 @@ class _Open:
 
 
 def checksum(range_m: Any, labels: Any) -> int:
-    """Of one image's contiguous arrays, float32 metres and uint8 labels."""
+    """CRC-32 of one image's contiguous arrays, float32 metres and uint8 labels."""
     return zlib.crc32(labels, zlib.crc32(range_m))
 
 
 def checksum_of(image: RangeImage) -> int:
-    """Of what a loader must deliver for `image`."""
+    """CRC-32 of the arrays that a loader must deliver for `image`."""
     return checksum(image.range.astype(np.float32) * np.float32(RANGE_STEP_M), image.labels)
 
 
 def run_rounds(
-    contenders: Mapping[str, Callable[[], Iterable[Batch]]],
+    loaders: Mapping[str, Callable[[], Iterable[Batch]]],
     workers: int,
     rounds: int,
     expected: Mapping[str, Mapping[str, int]],
     tick: Callable[[], None],
 ) -> dict[str, Passes]:
-    """Open every contender, check its first pass, and run all of them `rounds` times, in a new order each time.
+    """Open every loader, check its first pass, and run all of them `rounds` times, in a new order each time.
 
-    contenders: name -> what opens it with `workers` worker processes. expected: name -> key -> `checksum_of` the image.
-    Raises BadSample if a contender delivers anything else.
+    loaders: name -> what opens it with `workers` worker processes. expected: name -> key -> `checksum_of` the image.
+    Raises BadSample if a loader delivers anything else.
     """
     opened: dict[str, _Open] = {}
-    for name, opens in contenders.items():
+    for name, opens in loaders.items():
         others = {child.pid for child in active_children()}
         batches = opens()
         _check(name, batches, expected[name])
         opened[name] = _Open(batches, [c.pid for c in active_children() if c.pid not in others and c.pid is not None])
         tick()
-    found = {name: Passes() for name in contenders}
+    found = {name: Passes() for name in loaders}
     order = np.random.default_rng(_SEED)
     for _ in range(rounds):
-        for name in order.permutation(list(contenders)).tolist():
+        for name in order.permutation(list(loaders)).tolist():
             _run(opened[name], workers, found[name])
             tick()
     for name, one in opened.items():

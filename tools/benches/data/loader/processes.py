@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def processor_seconds(processes: Iterable[int]) -> float | None:
-    """User and system time of processes with all their threads, to 10 ms; None where /proc does not say."""
+    """User and system time of processes with all their threads, to 10 ms; None where /proc does not provide it."""
     try:
         texts = [Path(f"/proc/{process}/stat").read_text() for process in processes]
     except OSError:

@@ -1,4 +1,4 @@
-"""Ways to ask a shadow map, which `bench occlusion` measures beside the default."""
+"""Ways to test a shadow map, which `bench occlusion` measures beside the default."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 """Projector range, x, y, range of points -> whether light gets there, as `occlusion.reached`."""
 
 Stored = Literal["whole", "occluder", "coarse"]
-"""All texels; those that can shade a pixel; those, rounded as far as no pixel's answer changes."""
+"""All texels; those that can shade a pixel; those, rounded as far as no pixel's result changes."""
 
 _TORN: Final = np.int32(SHADOW_THRESHOLDS.edge_steps)  # a larger difference between neighbours is no slope
 
@@ -35,7 +35,7 @@ class Method:
     """One way to make the mask.
 
     bias_mm: how far behind what the projector sees a point may be. facing_bit: whether surfaces that face away count as
-    dark without asking the map. texels: how many texels a point reads, 1 or 4, and 5 for slopes' neighbours. stored:
+    dark without a look at the map. texels: how many texels a point reads, 1 or 4, and 5 for slopes' neighbours. stored:
     what of the projector's image a sample must hold. compares: whether the rule only compares single texels with a
     point's range.
     """
@@ -52,13 +52,13 @@ class Method:
     def lit(self, test: ShadowTest, images: Images) -> NDArray[np.bool_]:
         """The mask, bool [H, W]; NumPy alone."""
         camera_range, projector_range, facing = images
-        asked = camera_range > 0
+        tested = camera_range > 0
         if self.facing_bit:
-            asked &= facing
-        answer = np.zeros(camera_range.shape, np.bool_)
-        pixels, x, y, away = test.project(camera_range, np.flatnonzero(asked))
-        answer.ravel()[pixels] = self.rule(projector_range, x, y, away)
-        return answer
+            tested &= facing
+        lit = np.zeros(camera_range.shape, np.bool_)
+        pixels, x, y, away = test.project(camera_range, np.flatnonzero(tested))
+        lit.ravel()[pixels] = self.rule(projector_range, x, y, away)
+        return lit
 
 
 def nearest(bias_mm: float) -> Rule:
@@ -167,7 +167,7 @@ def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Meth
 
 DEFAULT: Final = Method("interpolated, votes at edges", SHADOW_THRESHOLDS.surface_gap_m * 1000, reached)
 NEAREST: Final = _compare("nearest texel", 20.0, nearest)
-"""The default's closest rival."""
+"""The default's closest baseline."""
 
 METHODS: Final = (
     DEFAULT,

@@ -6,13 +6,13 @@ Exact means: a ray from the point that the camera sees, before any rounding, to 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final
 
-from benches.charts.fronts import beats
+from benches.charts.fronts import dominates
 from benches.data.occlusion.baselines import DEFAULT, METHODS
 from benches.data.occlusion.stored import Storage, facing_bytes
-from benches.data.occlusion.tallies import SCENES, Compiled, Masks, Seen, Tally, WhereWrong, time_all
+from benches.data.occlusion.tallies import SCENES, Compiled, Foreground, Masks, Tally, WhereWrong, time_all
 from benches.data.occlusion.views import (
     GROUPS,
     ORDINARY,
@@ -23,6 +23,7 @@ from benches.data.occlusion.views import (
     exact_views,
     with_baseline,
 )
+from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
@@ -33,7 +34,7 @@ _TIMED_EVERY: Final = 5  # one ordinary view in five is timed, and its bytes are
 _COSTS: Final = "wrong_pixels", "us_per_view", "bytes"
 
 
-def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+def bench_occlusion(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
     """Errors, time and bytes of every method: `views` ordinary views, and a quarter as many of each other group.
 
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all ordinary
@@ -50,10 +51,10 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
     facing: list[int] = []
     total = sum(_count(group, views) for group in GROUPS)
     for done, (group, number, view, tests) in enumerate(_all_views(views), start=1):
-        storage, seen = Storage(view, tests), Seen(group, view)
+        storage, foreground = Storage(view, tests), Foreground(group, view)
         for tally in tallies:
-            tally.add(seen, storage)
-        where.add(seen, DEFAULT.lit(tests[DEFAULT.projector_scale], view.images(DEFAULT.projector_scale)))
+            tally.add(foreground, storage)
+        where.add(foreground, DEFAULT.lit(tests[DEFAULT.projector_scale], view.images(DEFAULT.projector_scale)))
         if group.name == ORDINARY and number % _TIMED_EVERY == 0:
             time_all(tallies, storage, done)
             compiled.add(storage)
@@ -70,8 +71,10 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
         "facing_bit_bytes": bit,
     }
     beaten = {
-        "dominated_by": [_setting(row) for row in rows if beats(_costs(row), _costs(default))],
-        "numpy_dominated_by": [_setting(row) for row in plain.values() if beats(_costs(row), _costs(plain[DEFAULT]))],
+        "dominated_by": [_setting(row) for row in rows if dominates(_costs(row), _costs(default))],
+        "numpy_dominated_by": [
+            _setting(row) for row in plain.values() if dominates(_costs(row), _costs(plain[DEFAULT]))
+        ],
     }
     return {
         "default": default | constants | beaten,
@@ -84,7 +87,7 @@ def bench_occlusion(views: int = 60, progress: Callable[[int, int], None] = lamb
         "units": {
             "bias": "mm",
             "wrong_pixels": "share of foreground pixels inside the projector's view",
-            "bytes": "mean over timed views of the projector image and, where asked, the facing bit in the labels",
+            "bytes": "mean over timed views of the projector image and, where used, the facing bit in the labels",
             "stored": "of the projector image: all, what can shade, or that rounded as far as no answer changes",
             "differing_pixels": "between the masks from what is stored and from the whole image, in timed views",
             "form": "the test in NumPy or compiled; decoding is the same for both",
@@ -113,7 +116,7 @@ def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[int, Sh
 
 
 def _setting(row: dict[str, Any]) -> dict[str, Any]:
-    """What tells a method from all others, and its costs."""
+    """The settings that identify a method, and its costs."""
     return {key: row[key] for key in ("name", "bias", "projector_scale", "facing_bit", "stored", "form", *_COSTS)}
 
 

@@ -1,4 +1,4 @@
-"""The default's closest rival compiled as the default is: the nearest texel, which must not be nearer than the bias."""
+"""The default's closest baseline, compiled: the nearest texel must not be nearer than the point by over the bias."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _kernel = partial(compiled, feature="bench occlusion")
 
 
 @_kernel
-def nearest_image(shadow: Any, bias: Any, scratch: Any, answer: Any) -> None:
-    """Whether each pixel is lit, into `answer`, flat; bias: float32, in steps."""
+def nearest_image(shadow: Any, bias: Any, scratch: Any, lit_mask: Any) -> None:
+    """Write into `lit_mask`, flat, whether each pixel is lit; bias: float32, in steps."""
     camera_range, projector_range = shadow.camera_range, shadow.projector_range
     edges, marks, start = scratch.edges, scratch.marks, scratch.start
     x, y, away = scratch.floats[0], scratch.floats[1], scratch.floats[2]
@@ -57,18 +57,18 @@ def nearest_image(shadow: Any, bias: Any, scratch: Any, answer: Any) -> None:
         # One step off, an empty texel wraps round to 65535, which is behind every point, as it should be.
         texel = np.float32(np.uint16(projector_range[np.uint64(start[point])] - np.uint16(1)))
         marks[point] &= np.uint8(texel >= min(away[point] - _ONE, FARTHEST_STEPS) - bias)
-    answer[:] = False
-    place: Any = np.uint64(0)
+    lit_mask[:] = False
+    index: Any = np.uint64(0)
     for run in range(np.uint64(runs)):
         for pixel in range(edges[np.uint64(2) * run], edges[np.uint64(2) * run + np.uint64(1)]):
-            answer[pixel] = marks[place] != 0
-            place += np.uint64(1)
+            lit_mask[pixel] = marks[index] != 0
+            index += np.uint64(1)
 
 
 def lit(test: ShadowTest, images: Images, bias_mm: float) -> NDArray[np.bool_]:
     """The mask, bool [H, W], as the NumPy form of the rule with the facing bit gives it."""
     shadow = shadow_of(test, *images)
-    answer = np.empty(images[0].shape, np.bool_)
+    lit_mask = np.empty(images[0].shape, np.bool_)
     scratch = scratch_for(images[0].size, images[1].size)
-    nearest_image(shadow, np.float32(round(bias_mm / 1000 / RANGE_STEP_M)), scratch, answer.ravel())
-    return answer
+    nearest_image(shadow, np.float32(round(bias_mm / 1000 / RANGE_STEP_M)), scratch, lit_mask.ravel())
+    return lit_mask

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data.occlusion.tallies import WORST_CROP, Seen
+from benches.data.occlusion.tallies import WORST_CROP, Foreground
 from benches.data.occlusion.views import GROUPS, SCALES, ExactView, bodies_of, exact_view, with_baseline
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.sources import open_source
@@ -41,7 +41,7 @@ def draw_crops(figures: dict[str, Any], path: Path) -> None:
 
     cells: Any = figure.subfigures(rows, _COLUMNS, squeeze=False, wspace=0.03)
     for cell, crop in zip(cells.ravel(), crops, strict=False):
-        seen, lit = _render(crop)
+        foreground, lit = _render(crop)
         window = (
             slice(crop["top"], crop["top"] + WORST_CROP[0]),
             slice(crop["left"], crop["left"] + WORST_CROP[1]),
@@ -52,9 +52,9 @@ def draw_crops(figures: dict[str, Any], path: Path) -> None:
             fontsize=9.5,
         )
         shown = np.zeros_like(lit)
-        shown.ravel()[seen.pixels] = seen.scenes[crop["scene"]]
-        masks = (seen.view.lit, None), (lit, None), (lit, shown)
-        pictures = [_picture(seen.view, *mask) for mask in masks]
+        shown.ravel()[foreground.pixels] = foreground.scenes[crop["scene"]]
+        masks = (foreground.view.lit, None), (lit, None), (lit, shown)
+        pictures = [_picture(foreground.view, *mask) for mask in masks]
         for axis, picture, title in zip(cell.subplots(1, 3), pictures, ("exact", "default", "wrong"), strict=True):
             axis.imshow(picture[window], interpolation="nearest")
             axis.set_xlabel(title, fontsize=9)
@@ -68,7 +68,7 @@ def draw_crops(figures: dict[str, Any], path: Path) -> None:
     save_chart(figure, path, dpi=120)
 
 
-def _render(crop: dict[str, Any]) -> tuple[Seen, NDArray[np.bool_]]:
+def _render(crop: dict[str, Any]) -> tuple[Foreground, NDArray[np.bool_]]:
     """The view of a crop, and the default's mask of it, bool [H, W]."""
     group = next(group for group in GROUPS if group.name == crop["group"])
     rig = with_baseline(load_rig(), group.baseline_m)
@@ -77,7 +77,7 @@ def _render(crop: dict[str, Any]) -> tuple[Seen, NDArray[np.bool_]]:
     parts = partition(built.mesh, built.landmarks)
     placed, renderer = View(crop["distance_cm"], crop["azimuth_deg"]), EmbreeRenderer(built.mesh)
     view = exact_view(rig, renderer, built, body, placed, parts=parts, source=group.source, scales=SCALES)
-    return Seen(group, view), ShadowTest(rig).lit(*view.images(1))
+    return Foreground(group, view), ShadowTest(rig).lit(*view.images(1))
 
 
 def _picture(view: ExactView, lit: NDArray[np.bool_], errors: NDArray[np.bool_] | None) -> NDArray[np.uint8]:

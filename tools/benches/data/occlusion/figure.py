@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
+from benches.charts.legends import legend_line, legend_mark
+from benches.charts.scales import thousands
 from benches.data.occlusion.baselines import DEFAULT
 from benches.data.occlusion.crops import draw_crops
 from bodyseg_data.drawing.style import new_chart, save_chart
@@ -29,13 +31,15 @@ _TOP: Final = 0.056  # with room for the legend
 _LIMIT: Final = 0.005
 _ON_FRONT: Final = "#1f4fa8"
 _BEHIND: Final = "#b9b9b9"
+_GREY: Final = "#8a8a8a"
+_EDGE: Final = "#4a4a4a"
 _COMPILED: Final = "#f2c14e"
 _AXES: Final = {
     "us_per_view": ("decoding and test, µs of processor a view", (30, 50, 100, 200, 500, 1000, 2000, 5000)),
     "bytes": ("added to a sample, bytes: projector image and facing bit", (200, 500, 1000, 2000, 5000, 20000, 100000)),
 }
 _ROOM: Final = 5.5  # to the left of all points, for names
-_RIVALS: Final = (
+_BY_SCENE: Final = (
     ("nearest texel", 10.0, 1, False, "nearest texel, 10 mm, no facing bit"),
     ("farthest of four texels", 10.0, 1, True, "farthest of four, 10 mm"),
     ("nearest texel", 20.0, 1, True, "nearest texel, 20 mm"),
@@ -91,7 +95,7 @@ def draw_occlusion(figures: Row, path: Path) -> None:
 
 
 def _front(rows: list[Row], *costs: str) -> list[Row]:
-    return unbeaten(rows, lambda row: [row[cost] for cost in costs])
+    return pareto_front(rows, lambda row: [row[cost] for cost in costs])
 
 
 def _front_line(axis: Any, rows: list[Row], cost: str, style: str) -> None:
@@ -136,7 +140,7 @@ def _scatter(axis: Any, cost: str, maps: list[Row], mask: Row) -> None:
     axis.set_xlim(low, high)
     axis.minorticks_off()
     kept = [tick for tick in ticks if low <= tick <= high]
-    axis.set_xticks(kept, [f"{tick:,}".replace(",", " ") for tick in kept])
+    axis.set_xticks(kept, [thousands(tick) for tick in kept])
     axis.set_xlabel(label, fontsize=10)
     axis.grid(color="#e2e2e2", linewidth=0.6)
     axis.set_axisbelow(True)
@@ -189,41 +193,27 @@ def _find(maps: list[Row], setting: Setting) -> Row:
 
 
 def _legend(axis: Any) -> None:
-    from matplotlib.lines import Line2D
-
-    def mark(marker: str, label: str, face: str = "#8a8a8a", size: float = 7.0, edge: str = "#4a4a4a") -> Any:
-        return Line2D(
-            [],
-            [],
-            linestyle="",
-            marker=marker,
-            markerfacecolor=face,
-            markeredgecolor=edge,
-            markersize=size,
-            label=label,
-        )
-
-    handles = [mark(marker, name) for marker, name in _FAMILIES.values()]
-    handles += [mark("o", f"image ×{scale:g}", size=area**0.5) for scale, area in _SIZES.items()]
+    handles = [legend_mark(name, marker, _GREY, _EDGE, 7) for marker, name in _FAMILIES.values()]
+    handles += [legend_mark(f"image ×{scale:g}", "o", _GREY, _EDGE, area**0.5) for scale, area in _SIZES.items()]
     handles += [
-        mark("o", "no facing bit", "none"),
-        mark("o", "NumPy: none is better in all\nthree, error, time and bytes", _ON_FRONT, edge="black"),
-        mark("o", "compiled", _COMPILED, edge="black"),
-        Line2D([], [], color="black", linestyle="--", linewidth=1, label="front of this panel, NumPy"),
-        Line2D([], [], color="black", linewidth=1, label="front of this panel, compiled"),
+        legend_mark("no facing bit", "o", "none", _EDGE, 7),
+        legend_mark("NumPy: none is better in all\nthree, error, time and bytes", "o", _ON_FRONT, "black", 7),
+        legend_mark("compiled", "o", _COMPILED, "black", 7),
+        legend_line("front of this panel, NumPy", color="black", linestyle="--", linewidth=1),
+        legend_line("front of this panel, compiled", color="black", linewidth=1),
     ]
     axis.legend(handles=handles, loc="upper left", fontsize=9, framealpha=1, edgecolor="none", borderaxespad=0.2)
 
 
 def _scenes(axis: Any, figures: Row, maps: list[Row]) -> None:
     names = list(figures["scenes"])
-    for index, ((*setting, label), (marker, face, edge)) in enumerate(zip(_RIVALS, _SCENE_STYLES, strict=True)):
+    for index, ((*setting, label), (marker, face, edge)) in enumerate(zip(_BY_SCENE, _SCENE_STYLES, strict=True)):
         row = _find(maps, tuple(setting))
-        places = [place + (index - len(_RIVALS) / 2 + 0.5) * 0.1 for place in range(len(names))]
+        positions = [position + (index - len(_BY_SCENE) / 2 + 0.5) * 0.1 for position in range(len(names))]
         values = [row["scenes"][name] for name in names]
         axis.scatter(
             values,
-            places,
+            positions,
             s=90 if label == "default" else 55,
             marker=marker,
             facecolors=face,
@@ -242,8 +232,8 @@ def _scenes(axis: Any, figures: Row, maps: list[Row]) -> None:
         fontsize=9,
     )
     axis.set_ylim(len(names) - 0.45, -0.55)
-    for place in range(1, len(names)):
-        axis.axhline(place - 0.5, color="#dddddd", linewidth=0.8)
+    for position in range(1, len(names)):
+        axis.axhline(position - 0.5, color="#dddddd", linewidth=0.8)
     axis.axvline(_LIMIT, color="black", linewidth=0.7, linestyle=":")
     axis.grid(axis="x", color="#ececec", linewidth=0.6)
     axis.set_axisbelow(True)

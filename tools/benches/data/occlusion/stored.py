@@ -1,9 +1,7 @@
-"""What a sample must hold for a way to make the shadow: images, their bytes, the time to decode them."""
+"""Storage that each shadow test needs in a sample: images, their bytes, the time to decode them."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
+from benches.measuring import least_time
 from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
@@ -40,7 +39,7 @@ class StoredImage:
 
     @cached_property
     def cost(self) -> Cost:
-        """Of the codec's two ways to hold ranges, which are meant for projector and camera, the smaller one's."""
+        """Cost of the smaller of the codec's two encodings of ranges, that of the projector and that of the camera."""
         as_runs = coded(_NOTHING, _UNLABELLED, self.image)
         labels = np.where(self.image > 0, 0, BACKGROUND).astype(np.uint8)
         return min(as_runs, coded(self.image, labels, _NOTHING))
@@ -49,7 +48,7 @@ class StoredImage:
 def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
     """Bytes that the shards' codec needs for these images beyond those of empty ones, and seconds to decode them."""
     data = encode_images(camera, labels, projector)
-    return len(data) - _EMPTY_BYTES, least_seconds(lambda: decode_images(data, True), _ROUNDS)
+    return len(data) - _EMPTY_BYTES, least_time(lambda: decode_images(data, True), _ROUNDS)[0]
 
 
 @dataclass
@@ -63,12 +62,12 @@ class Storage:
     _points: dict[tuple[int, bool], tuple[Floats, Floats, Floats]] = field(default_factory=dict)
 
     def whole(self, method: Method) -> StoredImage:
-        """All texels. What is stored of them gives the same mask."""
+        """The image with all texels; the stored one gives the same mask."""
         scale = method.projector_scale
         return self._whole.setdefault(scale, StoredImage(self.view.projector_range[scale]))
 
     def of(self, method: Method) -> StoredImage:
-        """What a sample holds for a method."""
+        """The image that a sample holds for a method."""
         if method.stored == "whole":
             return self.whole(method)
         if method not in self._stored:
@@ -78,19 +77,19 @@ class Storage:
     def _needed(self, method: Method) -> NDArray[np.uint16]:
         if method == DEFAULT:
             return self.view.sample.occluder_range()
-        image, points = self.view.projector_range[method.projector_scale], self._asked(method)
+        image, points = self.view.projector_range[method.projector_scale], self._tested_points(method)
         gap = np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
         if method.compares:
             return coarse_comparisons(image, *points, gap, method.texels)
         occluder = image * shading_texels(image, *points, gap, method.texels)
         return coarsened(occluder, *points) if method.stored == "coarse" else occluder
 
-    def _asked(self, method: Method) -> tuple[Floats, Floats, Floats]:
+    def _tested_points(self, method: Method) -> tuple[Floats, Floats, Floats]:
         key = method.projector_scale, method.facing_bit
         if key not in self._points:
-            asked = self.view.facing if method.facing_bit else self.view.range > 0
+            tested = self.view.facing if method.facing_bit else self.view.range > 0
             test = self.tests[method.projector_scale]
-            self._points[key] = test.project(self.view.range, np.flatnonzero(asked))[1:]
+            self._points[key] = test.project(self.view.range, np.flatnonzero(tested))[1:]
         return self._points[key]
 
 
@@ -103,13 +102,13 @@ def shading_texels(
     image: uint16 [Hp, Wp]; x, y, away: float32 [N] as in `occlusion.reached`; texels: how many a point reads, 1 or 4.
     """
     frame = framed(image)
-    places = _places(image, x, y, texels)
-    nearest = np.minimum.reduce([frame.ravel().take(place) for place in places])
+    indices = _texel_indices(image, x, y, texels)
+    nearest = np.minimum.reduce([frame.ravel().take(index) for index in indices])
     # One step is far more than single precision can be off by.
     shaded = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest > gap - np.float32(1)
     read = np.zeros(frame.shape, np.bool_)
-    for place in places:
-        read.ravel()[place[shaded]] = True
+    for index in indices:
+        read.ravel()[index[shaded]] = True
     return _unframed(read, np.logical_or)
 
 
@@ -123,10 +122,10 @@ def coarse_comparisons(
     frame = framed(image).astype(np.int32)
     limits = np.ceil(np.minimum(away - np.float32(1), FARTHEST_STEPS) - bias).astype(np.int32)
     low, high = np.zeros(frame.size, np.int32), np.full(frame.size, _EMPTY, np.int32)
-    for place in _places(image, x, y, texels):
-        behind = frame.ravel()[place] >= limits
-        np.maximum.at(low, place[behind], limits[behind])
-        np.minimum.at(high, place[~behind], limits[~behind] - 1)
+    for index in _texel_indices(image, x, y, texels):
+        behind = frame.ravel()[index] >= limits
+        np.maximum.at(low, index[behind], limits[behind])
+        np.minimum.at(high, index[~behind], limits[~behind] - 1)
     least = _unframed(low.reshape(frame.shape), np.maximum) + 1  # stored ranges are one step more than compared ones
     most = _unframed(high.reshape(frame.shape), np.minimum) + 1
     coarse = np.where(most > _EMPTY, 0, image).astype(np.int32)
@@ -139,7 +138,7 @@ def coarse_comparisons(
     return coarse.astype(np.uint16)
 
 
-def _places(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> list[NDArray[np.intp]]:
+def _texel_indices(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> list[NDArray[np.intp]]:
     """Flat indices [N] into the framed image of the one or four texels that points read."""
     if texels == 1:
         return [nearest_texel(image, x, y)]
@@ -149,7 +148,7 @@ def _places(image: NDArray[np.uint16], x: Floats, y: Floats, texels: int) -> lis
 
 
 def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
-    """What holds for the texels of an image, from what holds for those of the framed one, which repeats its border."""
+    """Values for the texels of an image, joined from those of the framed image, which repeats its border."""
     for inner, outer in ((1, 0), (-2, -1)):
         frame[inner] = join(frame[inner], frame[outer])
         frame[:, inner] = join(frame[:, inner], frame[:, outer])
@@ -157,7 +156,7 @@ def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
 
 
 def facing_bytes(view: ExactView) -> int:
-    """What the facing bit adds to the coded labels, bytes."""
+    """Bytes that the facing bit adds to the coded labels."""
     return _label_bytes(view, view.facing) - _label_bytes(view, np.zeros_like(view.facing))
 
 
@@ -182,17 +181,7 @@ def exact_masks(view: ExactView) -> dict[str, Cost]:
 
     in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
     return {
-        "bit of the label byte": (in_labels, least_seconds(lambda: split_labels(byte), _ROUNDS)),
+        "bit of the label byte": (in_labels, least_time(lambda: split_labels(byte), _ROUNDS)[0]),
         MASK_IMAGE: coded(_NOTHING, _UNLABELLED, lit.astype(np.uint16)),
-        "packed bits, zstd": (len(packed), least_seconds(from_packed, _ROUNDS)),
+        "packed bits, zstd": (len(packed), least_time(from_packed, _ROUNDS)[0]),
     }
-
-
-def least_seconds(work: Callable[[], Any], rounds: int) -> float:
-    """Seconds of processor that `work` takes when the least interferes."""
-    best = float("inf")
-    for _ in range(rounds):
-        start = time.thread_time()
-        work()
-        best = min(best, time.thread_time() - start)
-    return best

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import DEFAULT, METHODS, NEAREST, Images, Method
-from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks, least_seconds
+from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
+from benches.measuring import least_time
 from bodyseg_data.artifacts.occlusion import ShadowTest
 
 WORST_CROP: Final = 100, 80
@@ -34,7 +35,7 @@ _RUNS: Final = 4
 Mask = Callable[[ShadowTest, Images], NDArray[np.bool_]]
 
 
-class Seen:
+class Foreground:
     """A view's foreground inside the projector's frame, and which of its pixels belong to which scene.
 
     pixels: int [N], flat. exact: bool [N], whether lit. scenes: name -> bool [N].
@@ -59,15 +60,15 @@ class Tally:
         self._times: list[tuple[float, float]] = []
         self._bytes: list[int] = []
 
-    def add(self, seen: Seen, storage: Storage) -> None:
+    def add(self, foreground: Foreground, storage: Storage) -> None:
         """Count errors of a view."""
-        answer = self._lit(storage, storage.whole(self.method)).ravel()[seen.pixels]
-        false_lit, false_dark = answer & ~seen.exact, ~answer & seen.exact
-        for scene, mask in seen.scenes.items():
+        answer = self._lit(storage, storage.whole(self.method)).ravel()[foreground.pixels]
+        false_lit, false_dark = answer & ~foreground.exact, ~answer & foreground.exact
+        for scene, mask in foreground.scenes.items():
             counts = [np.count_nonzero(kind & mask) for kind in (false_lit, false_dark)]
             self._errors[scene] += [*counts, np.count_nonzero(mask)]
             if scene == ORDINARY:
-                self._worst = max(self._worst, sum(counts) / max(len(seen.pixels), 1))
+                self._worst = max(self._worst, sum(counts) / max(len(foreground.pixels), 1))
 
     def note_cost(self, storage: Storage, test_s: float) -> None:
         """Note the bytes and times of a view, and whether what is stored gives the mask of the whole image."""
@@ -80,10 +81,10 @@ class Tally:
 
     def seconds(self, storage: Storage) -> float:
         """Processor time of the test in one view, the least of four runs."""
-        return least_seconds(lambda: self._lit(storage, storage.of(self.method)), _RUNS)
+        return least_time(lambda: self._lit(storage, storage.of(self.method)), _RUNS)[0]
 
     def row(self, facing_bytes: int) -> dict[str, Any]:
-        """What the bench writes of this method."""
+        """The method's row of the JSON."""
         method = self.method
         false_lit, false_dark, pixels = (int(count) for count in self._errors[ORDINARY])
         tests, decodings = zip(*self._times, strict=True)
@@ -119,15 +120,15 @@ def time_all(tallies: list[Tally], storage: Storage, start: int) -> None:
     """
     least = [float("inf")] * len(tallies)
     for turn in range(_ROUNDS):
-        for place in range(len(tallies)):
-            index = (place + start + turn * len(tallies) // _ROUNDS) % len(tallies)
+        for offset in range(len(tallies)):
+            index = (offset + start + turn * len(tallies) // _ROUNDS) % len(tallies)
             least[index] = min(least[index], tallies[index].seconds(storage))
     for tally, seconds in zip(tallies, least, strict=True):
         tally.note_cost(storage, seconds)
 
 
 class Compiled:
-    """The default and its closest rival, compiled, at several sizes of the projector's image; none without numba."""
+    """The default and its closest baseline, compiled, at several sizes of the projector's image; none without numba."""
 
     def __init__(self) -> None:
         self._forms: dict[Method, Mask] = {}
@@ -153,11 +154,11 @@ class Compiled:
             images = storage.view.range, stored.image, storage.view.facing
             self._differing[method] += int((lit(test, images) != method.lit(test, images)).sum())
             forms = [partial(form, test, images) for form in (lit, method.lit)]
-            fast, plain = (least_seconds(form, _ROUNDS * _RUNS) for form in forms)
+            fast, plain = (least_time(form, _ROUNDS * _RUNS)[0] for form in forms)
             self._times[method].append((fast, plain, stored.cost[1]))
 
     def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:
-        """What the bench writes; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
+        """Rows of the JSON; plain: the rows of the NumPy forms. differing_pixels: between the two forms."""
         return [
             plain[method]
             | {
@@ -196,14 +197,14 @@ class Masks:
     def method(self) -> dict[str, Any]:
         """The mask as an image of its own, as a row among the methods."""
         cost = self.row()[MASK_IMAGE]
-        unasked = dict.fromkeys(("bias", "projector_scale", "stored"))
+        unused = dict.fromkeys(("bias", "projector_scale", "stored"))
         none = dict.fromkeys(("wrong_pixels", "false_lit", "false_shadow", "worst_view"), 0.0)
         name = f"exact mask, stored as {MASK_IMAGE}"
-        return {"name": name, "family": "exact mask", "form": "numpy", "facing_bit": False, **unasked, **none, **cost}
+        return {"name": name, "family": "exact mask", "form": "numpy", "facing_bit": False, **unused, **none, **cost}
 
 
 class WhereWrong:
-    """Where the default's errors are: beside an exact shadow edge, in which posture, and the worst of every scene."""
+    """Locations of the default's errors: beside exact shadow edges, by posture, and every scene's worst window."""
 
     def __init__(self) -> None:
         self._wrong = self._beside = self._grazing = 0
@@ -211,21 +212,21 @@ class WhereWrong:
         self.pixels = dict.fromkeys(SCENES, 0)
         self._crops: dict[str, dict[str, Any]] = {}
 
-    def add(self, seen: Seen, lit: NDArray[np.bool_]) -> None:
+    def add(self, foreground: Foreground, lit: NDArray[np.bool_]) -> None:
         """Look at the default's mask of a view, bool [H, W]."""
-        view = seen.view
+        view = foreground.view
         wrong = (lit != view.lit) & view.inside
-        for scene, mask in seen.scenes.items():
+        for scene, mask in foreground.scenes.items():
             self.pixels[scene] += int(mask.sum())
             image = np.zeros_like(wrong)
-            image.ravel()[seen.pixels] = mask
-            self._look_for_worst(scene, seen, wrong & image)
-        if seen.group.name == ORDINARY:
+            image.ravel()[foreground.pixels] = mask
+            self._look_for_worst(scene, foreground, wrong & image)
+        if foreground.group.name == ORDINARY:
             self._wrong += int(wrong.sum())
             self._beside += int((wrong & grown(view.lit) & grown(view.inside & ~view.lit)).sum())
             self._grazing += int((wrong & view.grazing).sum())
             counts = self._postures.setdefault(view.ref.pose, [0, 0])
-            counts[0], counts[1] = counts[0] + int(wrong.sum()), counts[1] + len(seen.pixels)
+            counts[0], counts[1] = counts[0] + int(wrong.sum()), counts[1] + len(foreground.pixels)
 
     def row(self) -> dict[str, Any]:
         """Shares of the errors in ordinary views, and the share of wrong pixels by posture."""
@@ -239,7 +240,7 @@ class WhereWrong:
         """For every scene the window that holds the most wrong pixels of it."""
         return [self._crops[scene] for scene in SCENES if scene in self._crops]
 
-    def _look_for_worst(self, scene: str, seen: Seen, wrong: NDArray[np.bool_]) -> None:
+    def _look_for_worst(self, scene: str, foreground: Foreground, wrong: NDArray[np.bool_]) -> None:
         height, width = WORST_CROP
         sums = np.pad(wrong.astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
         windows = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
@@ -248,10 +249,10 @@ class WhereWrong:
         if found > self._crops.get(scene, {"wrong": -1})["wrong"]:
             self._crops[scene] = {
                 "scene": scene,
-                "group": seen.group.name,
-                "pose": seen.view.ref.pose,
-                "distance_cm": seen.view.view.distance_cm,
-                "azimuth_deg": seen.view.view.azimuth_deg,
+                "group": foreground.group.name,
+                "pose": foreground.view.ref.pose,
+                "distance_cm": foreground.view.view.distance_cm,
+                "azimuth_deg": foreground.view.view.azimuth_deg,
                 "top": top,
                 "left": left,
                 "wrong": found,
@@ -259,7 +260,7 @@ class WhereWrong:
 
 
 def share(count: int, total: int) -> float:
-    """Of `total` so many, 0 of nothing."""
+    """`count` as a share of `total`, rounded; 0 if `total` is 0."""
     return round(count / max(total, 1), 6)
 
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import mixed
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import PARTS
@@ -24,7 +25,7 @@ from bodyseg_data.rendering.embree import EmbreeRenderer
 Mask = NDArray[np.bool_]
 
 SCALES: Final = (1, 2, 3)
-"""How many times as many pixels a side as the rig's own the projector's image has."""
+"""Factors by which the projector's image is finer than the rig's own, along each side."""
 
 POSES: Final = (
     "standing",
@@ -109,16 +110,16 @@ class ExactView:
 
     @property
     def range(self) -> NDArray[np.uint16]:
-        """What the camera sees, uint16 [H, W], in steps."""
+        """The camera's range image, uint16 [H, W], in steps."""
         return self.sample.range
 
     @property
     def facing(self) -> Mask:
-        """Whether the surface seen faces the projector."""
+        """True where the surface faces the projector, bool [H, W]."""
         return self.sample.faces_projector
 
     def images(self, scale: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]:
-        """What `ShadowTest.lit` takes, with the whole projector image."""
+        """The arguments of `ShadowTest.lit`, with the whole projector image."""
         return self.range, self.projector_range[scale], self.facing
 
 
@@ -181,7 +182,7 @@ def exact_view(
 def _blocked_by(
     chosen: Mask, faces: NDArray[np.int32], projector: PlacedCamera, points: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the projector sees one of the chosen triangles where points [N, 3] are, bool [N]."""
+    """True where the projector sees one of the chosen triangles at the pixel of a point [N, 3]: bool [N]."""
     pixels, _ = projector.project(points)
     column, row = np.floor(pixels).astype(np.intp).T
     within = (row >= 0) & (row < faces.shape[0]) & (column >= 0) & (column < faces.shape[1])
@@ -220,8 +221,7 @@ def exact_views(
         renderer = EmbreeRenderer(built.mesh)
         parts = partition(built.mesh, built.landmarks) if labelled else None
         for turn in range(index, count, len(bodies)):
-            # 23 has no divisor in common with the 54 views, so few views already mix azimuths and distances.
-            view = grid[turn * 23 % len(grid)]
+            view = mixed(grid, turn)
             yield exact_view(rig, renderer, built, body, view, parts=parts, source=source, scales=scales)
         renderer.close()
 

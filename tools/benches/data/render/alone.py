@@ -1,6 +1,6 @@
-"""What each renderer does alone: the time of a view's two images, and their error against exact rays.
+"""Renderers alone: the time of a view's two images, and their error against exact rays.
 
-The ways are those of `bodyseg shard --renderer` and pyrender as it comes (`render_plain.py`), in turns in one process.
+The renderers are those of `bodyseg shard --renderer` and plain pyrender (`plain.py`), in turns in one process.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _MARGIN_PX: Final = 1e-6
 _EDGE: Final = 1e-12  # of a triangle's sides: no ray slips between two
 
 
-class _Taker(Protocol):
-    def take(self, view: View) -> NDArray[Any]:
+class _ViewRenderer(Protocol):
+    def render(self, view: View) -> NDArray[Any]:
         """Draw the camera's and the projector's image; the camera's ranges [H, W], metres."""
 
     def close(self) -> None: ...
@@ -41,7 +41,7 @@ class _Ours:
         self._renderer: Renderer = open_renderer(name, mesh)
         self._rig, self._centre = rig, mesh.centre
 
-    def take(self, view: View) -> NDArray[Any]:
+    def render(self, view: View) -> NDArray[Any]:
         camera, projector = self._rig.placed(self._centre, view)
         seen = self._renderer.render(camera)
         self._renderer.render(projector)
@@ -57,7 +57,7 @@ class _Plain:
 
         self._scenes = PlainScenes(rig, mesh, np.zeros(len(mesh.vertices), np.uint8))
 
-    def take(self, view: View) -> NDArray[Any]:
+    def render(self, view: View) -> NDArray[Any]:
         return self._scenes.ranges(view)[0]
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class _Plain:
 
 @dataclass
 class _Tally:
-    """Of one way, over all bodies. apart: differences of ranges, mm. outline: pixels that only one sees."""
+    """One renderer's sums over all bodies. apart: differences of ranges, mm. outline: pixels that only one sees."""
 
     seconds: float = 0.0
     apart: list[NDArray[np.float64]] = field(default_factory=list)
@@ -74,16 +74,16 @@ class _Tally:
 
 
 def measure_renderers(
-    packing: Packing, refs: Sequence[BodyRef], views: Sequence[View], judged: Sequence[View]
+    packing: Packing, refs: Sequence[BodyRef], views: Sequence[View], checked: Sequence[View]
 ) -> dict[str, Any]:
     """Each way's figures by its name under "renderers", and one line under "renderers_missing" for each that is not
-    installed. views: all that one body is rendered from. judged: those of which errors are counted.
+    installed. views: all that one body is rendered from. checked: those of which errors are counted.
 
     ms_per_view: of the processor, for the camera's and the projector's image, with what is made once a body; the best
     of three rounds, mean over bodies. range_error_mm, worst_mm: median and largest difference of the camera's ranges
     from `true_range` where both see the body. silhouette_error: share of the body's pixels that only one of them sees.
     """
-    openers: dict[str, Callable[[Rig, Mesh], _Taker]] = {name: partial(_Ours, name) for name in RENDERERS} | {
+    openers: dict[str, Callable[[Rig, Mesh], _ViewRenderer]] = {name: partial(_Ours, name) for name in RENDERERS} | {
         PLAIN: _Plain
     }
     tallies: dict[str, _Tally] = {}
@@ -91,7 +91,7 @@ def measure_renderers(
     seen = 0
     for ref in refs:
         mesh = packing.opened().build(ref).mesh
-        wanted = [true_range(mesh, packing.rig.placed(mesh.centre, view)[0]) for view in judged]
+        wanted = [true_range(mesh, packing.rig.placed(mesh.centre, view)[0]) for view in checked]
         seen += sum(int((image > 0).sum()) for image in wanted)
         best: dict[str, float] = {}
         for turn in range(_ROUNDS):
@@ -100,16 +100,16 @@ def measure_renderers(
                 copy = Mesh(mesh.name, mesh.vertices, mesh.faces)
                 try:
                     start = time.process_time()
-                    taker = openers[name](packing.rig, copy)
+                    renderer = openers[name](packing.rig, copy)
                 except MissingLibrary as error:
                     missing[name] = str(error)
                     continue
                 for view in views:
-                    taker.take(view)
+                    renderer.render(view)
                 best[name] = min(best.get(name, np.inf), time.process_time() - start)
                 if turn == 0:
-                    _compare(tallies.setdefault(name, _Tally()), [taker.take(view) for view in judged], wanted)
-                taker.close()
+                    _compare(tallies.setdefault(name, _Tally()), [renderer.render(view) for view in checked], wanted)
+                renderer.close()
         for name, seconds in best.items():
             tallies[name].seconds += seconds
     renderers = {}
@@ -134,16 +134,16 @@ def _compare(tally: _Tally, images: Sequence[NDArray[Any]], wanted: Sequence[NDA
 def true_range(mesh: Mesh, placed: PlacedCamera) -> NDArray[np.float64]:
     """Range of the nearest triangle through each pixel's centre, float64 [H, W], metres, 0 where there is none.
 
-    For a mesh wholly in front of the camera. Each triangle is asked by the rays of all pixels in the box around it
+    For a mesh wholly in front of the camera. Each triangle is tested with the rays of all pixels in the box around it
     (T. Möller and B. Trumbore, Fast, minimum storage ray/triangle intersection, 1997), in double precision: slower
     than any renderer, and with nothing in common with one.
     """
     device = placed.camera
     corners = placed.to_local(mesh.vertices)[mesh.faces]
-    places = placed.project(mesh.vertices)[0][mesh.faces] - 0.5  # where pixel centres are whole numbers
+    pixels = placed.project(mesh.vertices)[0][mesh.faces] - 0.5  # where pixel centres are whole numbers
     size = np.array([device.columns, device.rows])
-    first = np.clip(np.ceil(places.min(axis=1) - _MARGIN_PX), 0, size).astype(np.intp)
-    spans = np.clip(np.floor(places.max(axis=1) + _MARGIN_PX) + 1, 0, size).astype(np.intp) - first
+    first = np.clip(np.ceil(pixels.min(axis=1) - _MARGIN_PX), 0, size).astype(np.intp)
+    spans = np.clip(np.floor(pixels.max(axis=1) + _MARGIN_PX) + 1, 0, size).astype(np.intp) - first
     counts = spans.clip(0).prod(axis=1)
     face = np.repeat(np.arange(len(counts)), counts)
     inside = np.arange(len(face)) - np.repeat(counts.cumsum() - counts, counts)

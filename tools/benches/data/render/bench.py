@@ -1,7 +1,7 @@
 """Rendering and packing: views a second against the plain way, where the time goes, what each saving brings.
 
 Both ways go from the same bodies and views to files on the disk, in turns, with two processes each: bodies to shards as
-`bodyseg shard` makes them, and bodies to PNG files by pyrender as it comes (`render_plain.py`). A round's clock starts
+`bodyseg shard` makes them, and bodies to PNG files by plain pyrender (`plain.py`). A round's clock starts
 when its first body is done, which is rendered alone.
 """
 
@@ -11,7 +11,7 @@ import operator
 import resource
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +21,7 @@ import numpy as np
 
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
+from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.sample import RANGE_STEP_M
@@ -36,16 +37,14 @@ _WORKERS: Final = 2
 _ROUNDS: Final = 3
 _TETRAHEDRON: Final = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 
-Progress = Callable[[int, int], None]
 
-
-def bench_render(views: int = 486, progress: Progress = lambda done, total: None) -> dict[str, Any]:
+def bench_render(views: int = 486, progress: Progress = silent) -> dict[str, Any]:
     """Views a second of both ways, medians of three rounds of at least `views` views.
 
     range_error_mm: stored camera ranges against pyrender's, drawn with one sample at each pixel's centre, median of the
     absolute difference. silhouette_error: share of the body's pixels that only one of the two sees. "plain_errors" says
-    the same of the plain way, and the share of its labels that differ. stages and steps: see `render_steps.py`. All
-    that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `render_alone.py`.
+    the same of the plain way, and the share of its labels that differ. stages and steps: see `steps.py`. All
+    that needs pyrender is null where it cannot draw, and "plain_missing" says why. renderers: see `alone.py`.
     Raises BadConfig for no views.
     """
     if views < 1:
@@ -61,9 +60,9 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
         nonlocal done
         progress(done := done + 1, total)
 
-    few = _spread(bodies, 4)
+    few = evenly_spaced(bodies, 4)
     with open_engine(PROCESSES, 1, packing) as alone:  # a process of its own: it has other libraries than packing has
-        renderers = alone.executor.submit(measure_renderers, packing, few, grid, _spread(grid, 9)).result()
+        renderers = alone.executor.submit(measure_renderers, packing, few, grid, evenly_spaced(grid, 9)).result()
     tick()
     rates: dict[str, list[float]] = {"ours": [], "plain": []}
     memory: dict[str, float | None] = {"ours": None, "plain": None}
@@ -76,7 +75,7 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
         # In a worker, which has one thread of linear algebra as packing has it.
         stages = ours.executor.submit(measure_stages, packing, few, grid).result()
         tick()
-        chain = ours.executor.submit(measure_steps, packing, few, _spread(grid, 9)).result()
+        chain = ours.executor.submit(measure_steps, packing, few, evenly_spaced(grid, 9)).result()
         tick()
         for _ in range(_ROUNDS):
             for name, way in ways.items():
@@ -86,7 +85,7 @@ def bench_render(views: int = 486, progress: Progress = lambda done, total: None
                 sizes[name] = round(size)
                 memory[name] = max(memory[name] or 0.0, _peak_of(executors[name]))
                 tick()
-    errors = None if missing else _errors(packing, few, _spread(grid, 9))
+    errors = None if missing else _errors(packing, few, evenly_spaced(grid, 9))
     progress(total, total)
     middle = {name: statistics.median(values) if values else None for name, values in rates.items()}
     # Round by round, since what else the machine does changes from one to the next.
@@ -159,7 +158,7 @@ def _warm_up(name: str, executor: Executor, packing: Packing, body: BodyRef, vie
 
 
 def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) -> dict[str, dict[str, float]]:
-    """Of both ways against pyrender with one sample at each pixel's centre."""
+    """Errors of both ways against pyrender with one sample at each pixel's centre."""
     from benches.data.render.plain import PlainScenes
 
     apart: dict[str, list[Any]] = {"ours": [], "plain": []}
@@ -206,11 +205,5 @@ def _peak_of(executor: Executor) -> float:
 
 
 def _peak_mb() -> float:
-    time.sleep(0.02)  # so that one worker does not answer for all
+    time.sleep(0.02)  # so that every worker gets a job
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
-
-
-def _spread(things: Sequence[Any], count: int) -> list[Any]:
-    """`count` of `things`, evenly; all if there are fewer."""
-    count = min(count, len(things))
-    return [things[(2 * number + 1) * len(things) // (2 * count)] for number in range(count)]

@@ -21,7 +21,7 @@ _STAGES: Final = {
 
 
 def draw_render(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG of `bench_render`'s answer: both ways' speed, the stages, the steps.
+    """Write a PNG of `bench_render`'s results: both ways' speed, the stages, the steps.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -38,11 +38,11 @@ def draw_render(figures: dict[str, Any], path: Path) -> None:
 def _speed(axis: Any, figures: dict[str, Any]) -> None:
     speed, size = figures["views_per_second"], figures["bytes_per_view"]
     names = {"ours": "bodyseg shard", "plain": "pyrender, three frames,\nPNG files"}
-    for place, (way, colour) in enumerate((("ours", _OURS), ("plain", _PLAIN))):
+    for position, (way, colour) in enumerate((("ours", _OURS), ("plain", _PLAIN))):
         value = speed[way] or 0.0
-        axis.barh(place, value, color=colour, height=0.62)
+        axis.barh(position, value, color=colour, height=0.62)
         text = f"{value:.1f}   ({size[way] / 1000:.0f} kB a view)" if speed[way] else "pyrender cannot draw here"
-        axis.text(value, place, f" {text}", va="center", fontsize=10)
+        axis.text(value, position, f" {text}", va="center", fontsize=10)
     axis.set_yticks([0, 1], names.values(), fontsize=10)
     axis.set_ylim(1.5, -0.5)
     axis.set_xlim(0, 1.25 * max(value or 0.0 for value in speed.values()))
@@ -75,13 +75,13 @@ def _stages(axis: Any, figures: dict[str, Any]) -> None:
 
 def _steps(axis: Any, steps: list[dict[str, Any]]) -> None:
     longest = max(step["ms_per_view"] for step in steps)
-    for place, step in enumerate(steps):
+    for position, step in enumerate(steps):
         value = step["ms_per_view"]
-        saved = value - steps[place - 1]["ms_per_view"] if place else 0.0
-        axis.barh(place, value, color=_OURS if place == len(steps) - 1 else "#a9bfe8", height=0.62)
-        change = f"  {saved:+.1f} ms" if place else ""
+        saved = value - steps[position - 1]["ms_per_view"] if position else 0.0
+        axis.barh(position, value, color=_OURS if position == len(steps) - 1 else "#a9bfe8", height=0.62)
+        change = f"  {saved:+.1f} ms" if position else ""
         axis.text(
-            value, place, f" {value:.1f} ms{change}, {step['bytes_per_view'] / 1000:.0f} kB", va="center", fontsize=9
+            value, position, f" {value:.1f} ms{change}, {step['bytes_per_view'] / 1000:.0f} kB", va="center", fontsize=9
         )
     axis.set_yticks(range(len(steps)), [step["name"] for step in steps], fontsize=10)
     axis.set_ylim(len(steps) - 0.5, -0.6)

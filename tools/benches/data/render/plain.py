@@ -1,4 +1,4 @@
-"""The plain way to a labelled set: pyrender as it comes, three full frames a view, a PNG file an image.
+"""The baseline that makes a labelled set: plain pyrender, three full frames a view, a PNG file an image.
 
 The bodies, views and parts are those of a packing. Camera range and projector range are depth passes; the labels are a
 pass of flat colours, one a triangle. Files are 16-bit PNGs of 0.1 mm steps and 8-bit PNGs of labels.

@@ -9,6 +9,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Final
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import View, ViewGrid
@@ -21,10 +22,8 @@ _BODIES: Final = 8
 _WRITTEN_BODIES: Final = 80
 _SENT_BODIES: Final = 40
 
-Progress = Callable[[int, int], None]
 
-
-def bench_scaling(views: int = 54, progress: Progress = lambda done, total: None) -> dict[str, Any]:
+def bench_scaling(views: int = 54, progress: Progress = silent) -> dict[str, Any]:
     """Processor milliseconds a view, with `views` views of each body of the open set, and bytes a view.
 
     render_ms: making a sample, in a worker, bodies and labels included. write_ms: in the process that writes shards.
@@ -48,7 +47,7 @@ def bench_scaling(views: int = 54, progress: Progress = lambda done, total: None
 
 
 class _Replay(Executor):
-    """Answers every job at once with the same images under the names that were asked for."""
+    """Executor that returns the same images for every job, under the requested names."""
 
     def __init__(self, rendered: Rendered) -> None:
         self._members = [members for _, members in rendered.samples]
@@ -59,9 +58,9 @@ class _Replay(Executor):
         views: tuple[View, ...]
         packing, body, views, _ = args
         keys = [sample_key(packing.source, body, view) for view in views]
-        answer: Future[Any] = Future()
-        answer.set_result(Rendered(list(zip(keys, self._members, strict=False)), ()))
-        return answer
+        future: Future[Any] = Future()
+        future.set_result(Rendered(list(zip(keys, self._members, strict=False)), ()))
+        return future
 
 
 def _write(packing: Packing, rendered: Rendered) -> dict[str, float]:
@@ -81,7 +80,7 @@ def _write(packing: Packing, rendered: Rendered) -> dict[str, float]:
 
 
 def stand_in(sizes: tuple[tuple[int, ...], ...]) -> Rendered:
-    """Runs on a worker: as many samples, with members as large, as were asked for."""
+    """Run on a worker: samples of the given sizes, one size for each member."""
     members = [{str(number): bytes(size) for number, size in enumerate(sample)} for sample in sizes]
     return Rendered([(f"{number}", sample) for number, sample in enumerate(members)], ())
 
@@ -94,7 +93,8 @@ def _fetch(packing: Packing, rendered: Rendered) -> float:
         message = f"bench scaling needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
         raise MissingLibrary(message) from error
     sizes = tuple(tuple(map(len, members.values())) for _, members in rendered.samples)
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    options["scheduler_kwargs"] = {"dashboard_address": ":0"}  # any free port: another cluster may hold the usual one
     with (
         distributed.LocalCluster(**options) as nodes,
         open_engine(nodes.scheduler_address.replace("tcp", "dask", 1), 1, packing) as engine,

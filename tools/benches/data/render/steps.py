@@ -1,4 +1,4 @@
-"""Where the time of a view goes, and what each saving brings, from every ray of both frames to what packing does.
+"""Time of a view by stage, and the gain of each optimisation, from casting every ray of both frames to packing.
 
 All times are of the processor, so that other work on the machine disturbs them little.
 """
@@ -42,7 +42,7 @@ _QUICK_LEVEL: Final = 1
 _ROUNDS: Final = 3
 
 STAGES: Final = ("build", "partition", "camera", "projector", "labels", "encode", "write")
-"""Of packing: making the mesh, dividing it, both images, the sample made of them, its bytes, the shard."""
+"""Stages of packing: making the mesh, dividing it, both images, the sample made of them, its bytes, the shard."""
 
 Images = list[tuple[NDArray[Any], int]]
 """Images and their backgrounds."""
@@ -209,7 +209,7 @@ class _Timed:
 
 
 def measure_stages(packing: Packing, refs: Sequence[BodyRef], views: Sequence[View]) -> dict[str, float]:
-    """Where packing spends its time in one process, ms a view. `views` are all that one body is rendered from."""
+    """Time of each stage of packing in one process, ms a view. views: all that one body is rendered from."""
     clock, source = _Clock(), packing.opened()
     with (
         TemporaryDirectory() as folder,

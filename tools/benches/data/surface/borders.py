@@ -7,12 +7,12 @@ triangle; a point belongs to the smallest.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.rig import Rig, load_rig
@@ -32,7 +32,7 @@ _POINTS: Final = 20
 Weights = NDArray[np.float64]
 
 
-def bench_borders(views: int = 12, progress: Callable[[int, int], None] = lambda done, total: None) -> dict[str, Any]:
+def bench_borders(views: int = 12, progress: Progress = silent) -> dict[str, Any]:
     """Wrong surface and wrong pixels of every method, over four postures of the open body and `views` views of each.
 
     wrong_surface: share of the body's surface labelled differently from the exact distances, by random points in
@@ -92,7 +92,7 @@ def landmark_fields(body: Body, parts: Partition) -> NDArray[np.float64]:
 
 
 def _labels(body: Body, parts: Partition, faces: NDArray[np.int32], points: NDArray[np.float64]) -> dict[str, Any]:
-    """What each method says of points [N, 3] in triangles [N]."""
+    """Labels by each method of points [N, 3] in triangles [N]."""
     corners = parts.labels[body.mesh.faces[faces]]
     weights = body.mesh.barycentric(faces, points)
     # A triangle's label is the one that most of its corners have.

@@ -1,7 +1,7 @@
 """Bodies broken on purpose, as scans and careless files are, each by seeded steps that leave the surface where it was.
 
-A broken body remembers which triangle of the sound one each of its triangles lies in: so its labels can be compared,
-point by point, with the sound body's.
+A broken body holds, for each of its triangles, the triangle of the sound body that it lies in: so its labels can be
+compared, point by point, with the sound body's.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ class Broken:
         )
 
     def inside(self) -> NDArray[np.bool_]:
-        """Which faces, [F], share all their edges with others."""
+        """True for faces that share all their edges with others, bool [F]."""
         edges = find_edges(self.faces)
         return np.asarray((edges.faces[edges.of_side] > 1).all(axis=1), np.bool_)
 
     def middles(self) -> NDArray[np.float64]:
-        """Of all faces, [F, 3]."""
+        """Centres of all faces, [F, 3]."""
         middle: NDArray[np.float64] = self.vertices[self.faces].mean(axis=1)
         return middle
 
 
 def sound(body: Body) -> Broken:
-    """Where breaking begins: nothing is broken."""
+    """The sound body, from which every broken one is made."""
     faces = body.mesh.faces.astype(np.int64)
     return Broken(body.mesh.vertices, faces, np.arange(len(faces)), body.landmarks)
 
@@ -87,8 +87,8 @@ def flaps_and_pockets(body: Broken, rng: np.random.Generator) -> Broken:
         around = np.bincount(flapped.faces.ravel(), minlength=len(flapped.vertices))[inner]
         free = uses == around  # vertices of this patch alone; the others lie on its rim and are shared
         inward = flapped.vertices[inner] - 0.005 * _normals(flapped, patch)[inner]
-        place = np.where(free, len(flapped.vertices) + np.cumsum(free) - 1, inner)
-        flapped = flapped.grown(place[corners.reshape(-1, 3)], np.full(len(patch), -1), inward[free])
+        renumbered = np.where(free, len(flapped.vertices) + np.cumsum(free) - 1, inner)
+        flapped = flapped.grown(renumbered[corners.reshape(-1, 3)], np.full(len(patch), -1), inward[free])
     return flapped
 
 

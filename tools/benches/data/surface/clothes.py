@@ -1,8 +1,8 @@
-"""`bench clothes`: how rough dressed bodies look to the rig, beside bare ones and beside a scanned man in clothes."""
+"""`bench clothes`: roughness of dressed bodies as the rig sees them, beside bare ones and a scanned man in clothes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
@@ -36,9 +37,7 @@ _BARE: Final = ("Sellion", "Nuchale", "Supramenton", "Dactylion", "Digit II")
 Floats = NDArray[np.float64]
 
 
-def bench_clothes(
-    mit: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def bench_clothes(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Roughness and looseness of the outfits of subjects B and C.
 
     roughness_mm: percentiles of the standard deviation of range in windows of 5 x 5 cm on trunk and limbs, after the

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
@@ -29,7 +30,7 @@ Floats = NDArray[np.float64]
 
 
 def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
-    """How deep every vertex lies inside the body, and in which triangle it would come out.
+    """Depth of every vertex inside the body, and the triangle in which it would come out.
 
     A vertex is inside if the surface first met on the way outwards, along its normal, is seen from behind. Its depth is
     the least of three distances: that way; the way back, against its normal, to the first surface seen from behind,
@@ -50,13 +51,13 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     normals = mesh.vertex_normals
 
     def first(vertices: NDArray[np.intp], side: int) -> tuple[Floats, NDArray[np.int32]]:
-        """Distance to what a ray from just off the skin, outwards or inwards, meets; and which triangle from behind."""
+        """Distance along rays from just off the skin, out or in, and the triangle if it is met from behind."""
         ways = (side * normals[vertices]).astype(np.float32)
         starts = (mesh.vertices[vertices] - mesh.centre + side * _OUTSIDE_M * normals[vertices]).astype(np.float32)
-        answer = scene.run(starts, ways, output=True)
-        faces = answer["primID"].astype(np.int32)
+        hits = scene.run(starts, ways, output=True)
+        faces = hits["primID"].astype(np.int32)
         behind = (faces >= 0) & (np.einsum("ij,ij->i", mesh.normals[faces], ways) > 0)
-        return answer["tfar"].astype(np.float64), np.where(behind, faces, -1).astype(np.int32)
+        return hits["tfar"].astype(np.float64), np.where(behind, faces, -1).astype(np.int32)
 
     used = np.unique(mesh.faces).astype(np.intp)
     outwards, met_outwards = first(used, 1)
@@ -75,10 +76,8 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     return depths, faces
 
 
-def bench_interpenetration(
-    views: int = 5, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
-    """How far the skin of the made bodies goes through itself: every `views`-th frame of each motion, all other poses.
+def bench_interpenetration(views: int = 5, progress: Progress = silent) -> dict[str, Any]:
+    """Measure how deep skin goes through itself: every `views`-th frame of each motion, all other poses.
 
     For every group of poses, in millimetres: "fold_mm", the deepest vertex within 0.45 m of the skin it meets, measured
     along the skin, as in groin, armpit, elbow and knee; "contact_mm", the deepest one farther from it: a limb in
@@ -112,7 +111,7 @@ class Depths:
 
     fold: float
     contact: float
-    place: str
+    location: str
 
 
 class Skin:
@@ -130,12 +129,12 @@ class Skin:
         ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
         lengths = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
         graph = coo_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(mesh.vertices),) * 2).tocsr()
-        # Distances along the skin from one vertex in forty, near enough to tell folds from contacts.
+        # Distances along the skin from one vertex in forty, near enough to distinguish folds from contacts.
         self._along = dijkstra(graph, directed=False, indices=np.flatnonzero(body)[::_SOURCE_STEP]).astype(np.float32)
         self._source = self._along.argmin(axis=0)
 
     def measured(self, mesh: Mesh, bare: Mesh) -> Depths:
-        """How deep a body goes through itself; `bare` is the same one undressed, whose first vertices are the skin's.
+        """Measure how deep a body goes through itself; bare: the same body undressed, its first vertices the skin's.
 
         Vertices that smaller triangles add count as the nearest of those.
         """
@@ -179,7 +178,7 @@ def _summary(bare: Sequence[Depths], dressed: Sequence[Depths]) -> dict[str, Any
         "bodies": len(bare),
         "fold_mm": round(max(depths.fold for depths in bare) * 1e3),
         "contact_mm": round(worst.contact * 1e3),
-        "contact_at": worst.place if worst.contact > 0 else None,
+        "contact_at": worst.location if worst.contact > 0 else None,
         "over_10_mm": round(float((contacts > 0.01).mean()), 3),
         "over_20_mm": round(float((contacts > 0.02).mean()), 3),
         "dressed_contact_mm": round(max(depths.contact for depths in dressed) * 1e3),

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
@@ -33,10 +34,8 @@ _POINTS: Final = 4
 """Random points a triangle."""
 _REPEATS: Final = 3
 
-Progress = Callable[[int, int], None]
 
-
-def bench_partition(mit: Path | None = None, progress: Progress = lambda done, total: None) -> dict[str, Any]:
+def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Time and error of every method on open bodies, MIT frames (if `mit` is their folder) and broken bodies.
 
     wrong_surface: share of the surface's area labelled differently from the exact answer, by random points in every

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
@@ -51,7 +52,7 @@ def draw_partition(figures: dict[str, Any], path: Path) -> None:
 
 def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:
     points = {name: (row["partition_ms"], max(row["wrong_surface"], _NOTHING)) for name, row in methods.items()}
-    front = unbeaten(points.values(), lambda point: point)
+    front = pareto_front(points.values(), lambda point: point)
     axis.plot(*zip(*front, strict=True), color="black", linewidth=1, linestyle="--", zorder=1)
     for name, (x, y) in points.items():
         big = name == default
@@ -67,7 +68,7 @@ def _scatter(axis: Any, methods: dict[str, Any], default: str) -> None:
     axis.set_yticks([_NOTHING, 0.001, 0.01, 0.1], ["none", "0.1 %", "1 %", "10 %"])
     axis.minorticks_off()
     ticks = [tick for tick in _TICKS if low / 2.2 <= tick <= high * 2.2]
-    axis.set_xticks(ticks, [f"{tick:,}".replace(",", " ") for tick in ticks])
+    axis.set_xticks(ticks, [thousands(tick) for tick in ticks])
     axis.set_xlabel("partition of a body, ms; dashed: the front", fontsize=10)
     axis.grid(color="#dddddd", linewidth=0.6)
     axis.set_axisbelow(True)
@@ -106,7 +107,7 @@ def _table(axis: Any, figures: dict[str, Any]) -> None:
     axis.text(
         0.17,
         0.0,
-        f"×: says that it cannot answer.  *: '{figures['falls_back_to']}' answers in its place.  "
+        f"×: it has no answer.  *: '{figures['falls_back_to']}' is used instead.  "
         "Against the sound body's exact answer; the scan against its own.",
         fontsize=9.5,
         transform=axis.transAxes,

@@ -1,14 +1,14 @@
 """`bench proposal`: how far proposed landmarks are from placed ones, and how much of the surface that labels otherwise.
 
-Open bodies are decimated to half their triangles, and vertices and faces shuffled, so that nothing but the shape tells
-where landmarks are. All bodies are turned about the vertical by different angles.
+Open bodies are decimated to half their triangles, and vertices and faces shuffled, so that landmarks can be found by
+shape alone. All bodies are turned about the vertical by different angles.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
+from benches.measuring import Progress, silent
 from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -40,40 +41,38 @@ MIT: Final = ("I_crane_0000", "I_crane_0040", "I_crane_0080", "I_crane_0120")
 _TURN_DEG: Final = 137.5  # from one body to the next, so that none faces as another does
 
 Placed = tuple[str, Mesh, NDArray[np.float64]]
-"""Name, mesh and the places [33, 3] of its landmarks."""
+"""Name, mesh and the positions [33, 3] of its landmarks."""
 
 
-def bench_proposal(
-    mit: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def bench_proposal(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
 
-    swapped: landmarks of a pair that are nearer to the other one's place. wrong_surface: share of the surface that
+    swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that
     proposed landmarks label otherwise. seconds: processor time. mit: folder of MIT frames, measured on as well.
     Raises BadConfig for frames that are not there.
     """
     total = len(OPEN) + len(HARD) + (len(MIT) if mit else 0)
     bodies: dict[str, dict[str, Any]] = {}
-    for done, (name, mesh, places) in enumerate(_bodies(mit), start=1):
+    for done, (name, mesh, positions) in enumerate(_bodies(mit), start=1):
         turn = math.radians(_TURN_DEG * done)
         rotation = np.array([[math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)]])
         turned = Mesh(name, mesh.vertices @ rotation.T, mesh.faces)
         start = time.process_time()
         proposal = propose(turned)
         seconds = round(time.process_time() - start, 1)
-        bodies[name] = measure(turned, places @ rotation.T, proposal) | {"seconds": seconds}
+        bodies[name] = measure(turned, positions @ rotation.T, proposal) | {"seconds": seconds}
         progress(done, total)
     return {"bodies": bodies}
 
 
-def measure(mesh: Mesh, places: NDArray[np.float64], proposal: Proposal) -> dict[str, Any]:
-    """Errors of a proposal for `mesh`, whose landmarks are at `places` [33, 3]."""
+def measure(mesh: Mesh, positions: NDArray[np.float64], proposal: Proposal) -> dict[str, Any]:
+    """Errors of a proposal for `mesh`, whose landmarks are at `positions` [33, 3]."""
     vertices = proposal.landmarks.for_mesh(mesh)
     found = mesh.vertices[vertices]
-    error = 100 * np.linalg.norm(found - places, axis=1)
+    error = 100 * np.linalg.norm(found - positions, axis=1)
     other = [part.mirror for part in PARTS]
-    swapped = np.linalg.norm(found - places[other], axis=1) < np.linalg.norm(found - places, axis=1)
-    true = np.linalg.norm(mesh.surface_vertices[:, None] - places, axis=2).argmin(axis=0)
+    swapped = np.linalg.norm(found - positions[other], axis=1) < np.linalg.norm(found - positions, axis=1)
+    true = np.linalg.norm(mesh.surface_vertices[:, None] - positions, axis=2).argmin(axis=0)
     labels = [partition(mesh, at).labels for at in (vertices, np.unique(mesh.faces)[true])]
     differ = (labels[0] != labels[1]).astype(np.uint8)
     return {
@@ -113,5 +112,5 @@ def shuffled(mesh: Mesh, seed: int) -> Mesh:
     vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(vertices))
-    place = np.argsort(order)
-    return Mesh(mesh.name, vertices[order], place[faces][rng.permutation(len(faces))].astype(np.int32))
+    renumbered = np.argsort(order)
+    return Mesh(mesh.name, vertices[order], renumbered[faces][rng.permutation(len(faces))].astype(np.int32))

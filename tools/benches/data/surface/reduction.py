@@ -7,17 +7,17 @@ reduction, partition, ray tree, and 54 times rendering, labelling and encoding a
 from __future__ import annotations
 
 import statistics
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import scan, sound
+from benches.measuring import Progress, least_time, silent
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -47,13 +47,10 @@ _LABEL_SHARE: Final = 0.25
 _JUMP_M: Final = 0.01  # a pixel this far off sees another surface
 _REF: Final = BodyRef("A", "A", "body", "any", "train")
 
-Value = TypeVar("Value")
 Row = dict[str, Any]
 
 
-def bench_reduction(
-    views: int = 4, mit: Path | None = None, progress: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def bench_reduction(views: int = 4, mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Rows of every kind of body by share of its triangles and by tolerance; then one body, ever more finely divided.
 
     views: of each body, all round, for errors and times. mit: the folder of MIT frames, if there is one. Raises
@@ -63,17 +60,17 @@ def bench_reduction(
         raise BadConfig(f"at least one view must be measured, found {views}")
     kinds = _kinds(mit)
     one = kinds["open"][0]
-    _Whole(one, 1).row(one.mesh, one.landmarks, 0.0)  # what is imported or compiled on first use is no body's cost
+    _Reference(one, 1).row(one.mesh, one.landmarks, 0.0)  # what is imported or compiled on first use is no body's cost
     finer = [("smooth scan", subdivided(one, edge_mm / 1000)) for edge_mm in _GROWN_MM]
     finer.append(("rough scan", _rough(one, _HALF_A_SCAN)))
     total = len(kinds) + len(finer)
     measured: dict[str, Row] = {}
     for name, bodies in kinds.items():
-        measured[name] = _measured([_Whole(body, views) for body in bodies])
+        measured[name] = _measured([_Reference(body, views) for body in bodies])
         progress(len(measured), total)
     pays = [{"kind": name, **kind["pays"]} for name, kind in measured.items()]
     for done, (name, body) in enumerate(finer, start=len(kinds) + 1):
-        whole = _Whole(body, views)
+        whole = _Reference(body, views)
         pays.append(
             {"kind": name, **_compared(whole.row(body.mesh, body.landmarks, 0.0), _reduced(whole, TOLERANCE_M))}
         )
@@ -130,13 +127,13 @@ def subdivided(body: Body, longest_m: float) -> Body:
     return replace(body, mesh=mesh)
 
 
-class _Whole:
-    """A body and what is seen of it from some views, to measure coarser ones against."""
+class _Reference:
+    """A whole body and its images from some views, against which coarser meshes are measured."""
 
     def __init__(self, body: Body, views: int) -> None:
         self.body, self.rig = body, load_rig()
         self.views = list(ViewGrid(span_deg=360, count=views))
-        self.parts, self.partition_s = _timed(lambda: partition(body.mesh, body.landmarks))
+        self.partition_s, self.parts = least_time(lambda: partition(body.mesh, body.landmarks))
         self.seen = self.see(body.mesh, self.parts)
 
     def see(self, mesh: Mesh, parts: Partition) -> list[tuple[NDArray[Any], ...]]:
@@ -155,7 +152,7 @@ class _Whole:
         return images
 
     def errors(self, mesh: Mesh, parts: Partition) -> Row:
-        """What is wrong with a coarser mesh; ranges in mm, counts as shares of pixels."""
+        """Errors of a coarser mesh; ranges in mm, counts as shares of pixels."""
         apart, silhouette, labels, facing = [], 0, 0, 0
         for one, other in zip(self.see(mesh, parts), self.seen, strict=True):
             common = (one[0] > 0) & (other[0] > 0)
@@ -179,17 +176,18 @@ class _Whole:
     def row(self, mesh: Mesh, landmarks: NDArray[np.int64], reduce_s: float) -> Row:
         """Errors, times and views a second with a coarser mesh that took `reduce_s` to make."""
         whole = mesh is self.body.mesh
-        parts, part_s = (self.parts, self.partition_s) if whole else _timed(lambda: partition(mesh, landmarks))
+        part_s, parts = (self.partition_s, self.parts) if whole else least_time(lambda: partition(mesh, landmarks))
         # A copy, so that what a mesh works out once is worked out, and counted, for every row.
         copy = Mesh(mesh.name, mesh.vertices, mesh.faces)
         rays = EmbreeRenderer(copy)
-        renderer, tree_s = _timed(lambda: open_renderer(Packing.renderer, copy))
-        sampler, sampler_s = _timed(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
+        tree_s, renderer = least_time(lambda: open_renderer(Packing.renderer, copy))
+        sampler_s, sampler = least_time(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
         cameras = [self.rig.placed(copy.centre, view)[0] for view in self.views]
         pass_s, rays_s = (
-            statistics.median(_best(partial(one.render, camera)) for camera in cameras) for one in (renderer, rays)
+            statistics.median(least_time(partial(one.render, camera), 2)[0] for camera in cameras)
+            for one in (renderer, rays)
         )
-        view_s = statistics.median(_best(partial(_encoded, sampler, view)) for view in self.views)
+        view_s = statistics.median(least_time(partial(_encoded, sampler, view), 2)[0] for view in self.views)
         body_s = reduce_s + part_s + tree_s + sampler_s + VIEWS_A_BODY * view_s
         seconds = {
             "reduce": reduce_s,
@@ -204,7 +202,7 @@ class _Whole:
         return {"triangles": len(mesh.faces), **errors, **times, "views_per_second": round(VIEWS_A_BODY / body_s, 2)}
 
 
-def _measured(wholes: Sequence[_Whole]) -> Row:
+def _measured(wholes: Sequence[_Reference]) -> Row:
     """All rows of one kind of body, averaged over its bodies."""
     by_share = [_by_share(whole) for whole in wholes]
     by_tolerance = [[_reduced(whole, mm / 1000) for mm in TOLERANCES_MM] for whole in wholes]
@@ -219,21 +217,21 @@ def _measured(wholes: Sequence[_Whole]) -> Row:
     }
 
 
-def _by_share(whole: _Whole) -> list[Row]:
+def _by_share(whole: _Reference) -> list[Row]:
     """As the reducer does it: every stage is made of the one before."""
     mesh, landmarks, seconds, rows = whole.body.mesh, whole.body.landmarks, 0.0, []
     for share in SHARES:
         if share < 1:
             count = round(len(whole.body.mesh.faces) * share)
-            (mesh, landmarks), more = _timed(partial(edges_collapsed, mesh, landmarks, count))
+            more, (mesh, landmarks) = least_time(partial(edges_collapsed, mesh, landmarks, count))
             seconds += more
         rows.append(whole.row(mesh, landmarks, seconds))
     return rows
 
 
-def _reduced(whole: _Whole, tolerance_m: float) -> Row:
+def _reduced(whole: _Reference, tolerance_m: float) -> Row:
     body = whole.body
-    reduction, seconds = _timed(lambda: reduce(body.mesh, body.landmarks, tolerance_m, whole.rig))
+    seconds, reduction = least_time(lambda: reduce(body.mesh, body.landmarks, tolerance_m, whole.rig))
     return whole.row(reduction.mesh, reduction.landmarks, seconds)
 
 
@@ -246,7 +244,7 @@ def _compared(kept: Row, reduced: Row) -> Row:
     }
 
 
-def _label_methods(whole: _Whole) -> dict[str, Row]:
+def _label_methods(whole: _Reference) -> dict[str, Row]:
     """Pixels labelled differently from the whole mesh: by partition of the coarse mesh, or by labels carried to it.
 
     For labels to be carried exactly, what is left must be vertices of the whole mesh.
@@ -272,15 +270,5 @@ def _mean(rows: Sequence[Row]) -> Row:
     return mean
 
 
-def _timed(work: Callable[[], Value]) -> tuple[Value, float]:
-    start = time.process_time()
-    value = work()
-    return value, time.process_time() - start
-
-
 def _encoded(sampler: Sampler, view: View) -> dict[str, bytes]:
     return encode_sample(sampler.take(view), "bsi")
-
-
-def _best(work: Callable[[], Any]) -> float:
-    return min(_timed(work)[1] for _ in range(2))

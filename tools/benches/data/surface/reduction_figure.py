@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.fronts import unbeaten
+from benches.charts.fronts import pareto_front
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 _NOTHING: Final = 0.01  # mm; where "none" is drawn, since a log axis has no zero
@@ -33,7 +33,7 @@ def draw_reduction(figures: dict[str, Any], path: Path) -> None:
         by_size = sorted(rows, key=lambda row: float(row["triangles"]))
         axes[0].plot([row["triangles"] for row in by_size], [_error(row) for row in by_size], label=label, **style)
         axes[1].scatter([_error(row) for row in rows], [row["views_per_second"] for row in rows], **_dots(name))
-        front = unbeaten(rows, lambda row: (_error(row), -row["views_per_second"]))
+        front = pareto_front(rows, lambda row: (_error(row), -row["views_per_second"]))
         axes[1].plot(
             [_error(row) for row in front],
             [row["views_per_second"] for row in front],

@@ -1,1 +1,1 @@
-"""The worth and price of each thing that is modelled."""
+"""Gain and cost of each modelled effect."""

@@ -1,7 +1,7 @@
-"""`bench ablation`: what each thing modelled is worth and costs, and how many bodies and views suffice.
+"""`bench ablation`: the gain and cost of each modelled effect, and how many bodies and views suffice.
 
-Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one thing left out of, or added to, those of all-SEED.
-docs/ablation.md says how to read the answer.
+Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one effect left out of, or added to, those of all-SEED.
+docs/ablation.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any, Final
 
 import torch
 
+from benches.measuring import silent
 from benches.model.ablation.conditions import (
     CONDITIONS,
-    Condition,
+    AblationCondition,
     clothes_conditions,
     coarse_conditions,
     hard_condition,
@@ -30,13 +31,12 @@ from benches.model.ablation.runs import (
     find_runs,
     identities,
     missing,
-    origin,
     plan_of,
     sets_of,
 )
+from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
@@ -44,10 +44,10 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"
-_MEASURES: Final = 4  # of costs, beside the exams
+_MEASURES: Final = 4  # of costs, beside the conditions
 
-Marks = dict[str, list[float]]
-"""Exam -> accuracy of each seed's network."""
+Accuracies = dict[str, list[float]]
+"""AblationCondition -> accuracy of each seed's network."""
 
 
 def bench_ablation(
@@ -56,36 +56,36 @@ def bench_ablation(
     images: int = 200,
     hard: str | None = None,
     clothes: tuple[str, ...] | None = None,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
-    """Judge every training of `runs` by the same test images, and measure what each thing costs.
+    """Evaluate every training of `runs` on the same test images, and measure the cost of each effect.
 
     data: the set that was trained on. runs: folders of trainings, NAME-SEED. images: test images of each kind. hard: a
-    set of hard poses to ask about as well. clothes: two sets of the same views, of dressed bodies and of bare ones, to
-    ask about trainings on either. Trains nothing: "missing" names the command of every training that is not there.
+    set of hard poses to test on as well. clothes: two sets of the same views, of dressed bodies and of bare ones, for
+    trainings on either. Trains nothing: "missing" names the command of every training that is not there.
     Scores are kept in each run's cached_results.json.
 
     Raises BadConfig without a base, for a training that differs from it in something else, for other than two sets of
     `clothes`, or a wrong number; otherwise as `evaluate`.
     """
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     sets = sets_of(data, clothes)
     start = time.perf_counter()
-    things = [thing for thing in ROWS if thing.source in sets]
-    found = find_runs(runs, things)
+    chosen = [row for row in ROWS if row.source in sets]
+    found = find_runs(runs, chosen)
     plan = plan_of(found[0])
-    trained_on = identities(sets, [run.thing for run in found])
+    trained_on = identities(sets, [run.row for run in found])
     for run in found:
-        check_run(run, plan, trained_on[run.thing.name])
+        check_run(run, plan, trained_on[run.row.name])
     conditions = _conditions(data, hard, clothes)
-    coarse = [(thing, condition) for thing in things if thing.step_mm for condition in coarse_conditions(thing.step_mm)]
-    base = [run for run in found if run.thing.name == BASE]
-    jobs = [(run.thing, condition, run) for condition in conditions for run in found]
-    jobs += [(thing, condition, run) for thing, condition in coarse for run in base]
-    marks = _asked(data, images, jobs, progress)
+    coarse = [(row, condition) for row in chosen if row.step_mm for condition in coarse_conditions(row.step_mm)]
+    base = [run for run in found if run.row.name == BASE]
+    jobs = [(run.row, condition, run) for condition in conditions for run in found]
+    jobs += [(row, condition, run) for row, condition in coarse for run in base]
+    accuracies = _evaluated(data, images, jobs, progress)
     costs = _measured(data, plan.settings, progress, len(jobs))
     first = RangeImages(data, BASE, "train")
-    rows = _rows(marks, costs, {name: each["amount"] for name, each in trained_on.items()}, first)
+    rows = _rows(accuracies, costs, {name: each["amount"] for name, each in trained_on.items()}, first)
     figures = {
         "scale": {
             "steps": plan.recipe.steps,
@@ -100,20 +100,20 @@ def bench_ablation(
         "data": {"source": first.manifest.source, "train": trained_on[BASE]["data"]["set"]},
         "rule": RULE,
         "conditions": [{"name": condition.label, "title": condition.title} for condition in conditions],
-        "base": {name: over_seeds(values) for name, values in marks[BASE].items()},
+        "base": {name: over_seeds(values) for name, values in accuracies[BASE].items()},
         "rows": rows,
         "enough": {prefix: enough(rows, f"{prefix}_") for prefix in ("bodies", "views")},
         "costs": costs,
-        "missing": missing(found, things, plan, sets, runs),
-        "networks": [origin(run) for run in found],
+        "missing": missing(found, chosen, plan, sets, runs),
+        "networks": [origin(run.path) for run in found],
         "threads": torch.get_num_threads(),
         "seconds": round(time.perf_counter() - start, 1),
     }
     return {**figures, "table": table(figures)}
 
 
-def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[Condition]:
-    """The exams for which the sets have images."""
+def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) -> list[AblationCondition]:
+    """The conditions for which the sets have images."""
     conditions = [
         *CONDITIONS,
         *([hard_condition(hard)] if hard is not None else []),
@@ -131,20 +131,20 @@ def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) ->
     return found
 
 
-def _asked(
-    data: str, images: int, jobs: Sequence[tuple[AblationRow, Condition, Run]], progress: Callable[..., None]
-) -> dict[str, Marks]:
-    """Thing -> exam -> accuracy of each seed."""
+def _evaluated(
+    data: str, images: int, jobs: Sequence[tuple[AblationRow, AblationCondition, Run]], progress: Callable[..., None]
+) -> dict[str, Accuracies]:
+    """Row -> condition -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
     networks: dict[Path, Network] = {}
-    marks: dict[str, Marks] = {}
-    for done, (thing, condition, run) in enumerate(jobs, start=1):
+    accuracies: dict[str, Accuracies] = {}
+    for done, (row, condition, run) in enumerate(jobs, start=1):
         if run.path not in networks:
             networks[run.path] = load_network(run.path).network.to(device)
         found = evaluator.scores(run.path, networks[run.path], condition, extras=False)
-        marks.setdefault(thing.name, {}).setdefault(condition.label, []).append(found[_ACCURACY])
+        accuracies.setdefault(row.name, {}).setdefault(condition.label, []).append(found[_ACCURACY])
         progress(done, len(jobs) + _MEASURES, f"{run.path.name} on {condition.label}")
-    return marks
+    return accuracies
 
 
 def _measured(data: str, settings: dict[str, Any], progress: Callable[..., None], done: int) -> Tree:
@@ -161,32 +161,34 @@ def _measured(data: str, settings: dict[str, Any], progress: Callable[..., None]
     return costs
 
 
-def _rows(marks: Mapping[str, Marks], costs: Tree, amounts: Mapping[str, Tree], images: RangeImages) -> list[Tree]:
-    spread = deviation_of(marks[BASE])
+def _rows(
+    accuracies: Mapping[str, Accuracies], costs: Tree, amounts: Mapping[str, Tree], images: RangeImages
+) -> list[Tree]:
+    spread = deviation_of(accuracies[BASE])
     bytes_a_sample = images.stored_bytes() / len(images)
     rows = []
-    for thing in ROWS:
-        if thing.name not in marks:
+    for row in ROWS:
+        if row.name not in accuracies:
             continue
-        against = thing.against if thing.against in marks else BASE
-        have, lack = marks[against], marks[thing.name]
-        if thing.added:
+        against = row.against if row.against in accuracies else BASE
+        have, lack = accuracies[against], accuracies[row.name]
+        if row.added:
             have, lack = lack, have
-        value = worth(have, lack, None if thing.step_mm else spread)
-        amount = amounts.get(thing.name, amounts[BASE])
+        value = worth(have, lack, None if row.step_mm else spread)
+        amount = amounts.get(row.name, amounts[BASE])
         rows.append(
             {
-                "name": thing.name,
-                "what": thing.what,
-                "group": thing.group,
-                "added": thing.added,
+                "name": row.name,
+                "what": row.what,
+                "group": row.group,
+                "added": row.added,
                 "against": against,
                 **amount,
-                "accuracy": {name: over_seeds(values) for name, values in marks[thing.name].items()},
+                "accuracy": {name: over_seeds(values) for name, values in accuracies[row.name].items()},
                 "worth": value,
-                "helps": list(thing.helps),
-                **verdict(value, thing.helps),
-                "cost": costs_of(thing, costs, amount["samples"], amounts[against]["samples"], bytes_a_sample),
+                "helps": list(row.helps),
+                **verdict(value, row.helps),
+                "cost": costs_of(row, costs, amount["samples"], amounts[against]["samples"], bytes_a_sample),
             }
         )
     return rows

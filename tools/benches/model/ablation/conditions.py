@@ -1,4 +1,4 @@
-"""The test images that `bench ablation` shows to every network, each kind to ask about one thing."""
+"""Test images of `bench ablation`, the same for every network: each kind tests one effect."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.model.variants.scores import Setting
+from benches.model.variants.scores import Condition
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import SHAPES, lost
 from bodyseg_data.artifacts.strengths import Artifacts
@@ -25,11 +25,11 @@ _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networ
 
 
 @dataclass(frozen=True)
-class Condition(Setting):
-    """Test images of one kind. label: its name in the answer; title: in words.
+class AblationCondition(Condition):
+    """Test images of one kind. label: its name in the results; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
-    step_mm: what ranges are rounded to, last of all. data: another set than that asked about.
+    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench.
     """
 
     label: str = ""
@@ -51,46 +51,49 @@ class Condition(Setting):
 
 
 CONDITIONS: Final = (
-    Condition("all", label="all", title="all artifacts"),
-    Condition("none", label="none", title="no artifact"),
-    Condition("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
-    Condition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
-    *(Condition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}") for kind in SHAPES),
-    Condition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
-    Condition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
-    Condition("all", only=("open-A-*",), label="A", title="subject A, postures"),
-    Condition("all", only=("open-B-*",), label="B", title="subject B, dressed"),
-    Condition("all", only=("open-C-*",), label="C", title="subject C, dressed"),
-    Condition("all", only=("open-P*",), label="people", title="other people"),
+    AblationCondition("all", label="all", title="all artifacts"),
+    AblationCondition("none", label="none", title="no artifact"),
+    AblationCondition("all", noise_mm=80, label="noise_80", title="noise of 80 mm"),
+    AblationCondition("all", missing=0.5, label="missing_50", title="half of the pixels missing"),
+    *(
+        AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
+        for kind in SHAPES
+    ),
+    AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
+    AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
+    AblationCondition("all", only=("open-A-*",), label="A", title="subject A, postures"),
+    AblationCondition("all", only=("open-B-*",), label="B", title="subject B, dressed"),
+    AblationCondition("all", only=("open-C-*",), label="C", title="subject C, dressed"),
+    AblationCondition("all", only=("open-P*",), label="people", title="other people"),
 )
 
 
-def hard_condition(data: str) -> Condition:
-    """The exam of a set of hard poses."""
-    return Condition("all", label="hard", title="hard poses", data=data)
+def hard_condition(data: str) -> AblationCondition:
+    """The condition of a set of hard poses."""
+    return AblationCondition("all", label="hard", title="hard poses", data=data)
 
 
-def clothes_conditions(dressed: str, bare: str) -> tuple[Condition, ...]:
-    """The exams of those who wear something, and of the same bodies bare, of two sets that are alike otherwise."""
+def clothes_conditions(dressed: str, bare: str) -> tuple[AblationCondition, ...]:
+    """The conditions of dressed bodies, and of the same bodies bare, in two sets that are alike otherwise."""
     worn = ("*-B-*", "*-C-*")
     return (
-        Condition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
-        Condition("all", label="bare", title="B and C without clothes", only=worn, data=bare),
+        AblationCondition("all", label="dressed", title="B and C in clothes", only=worn, data=dressed),
+        AblationCondition("all", label="bare", title="B and C without clothes", only=worn, data=bare),
     )
 
 
-def coarse_conditions(step_mm: float) -> tuple[Condition, ...]:
-    """The exams that networks trained on fine steps sit with coarse ones, labelled like those with fine ones."""
-    return tuple(Condition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
+def coarse_conditions(step_mm: float) -> tuple[AblationCondition, ...]:
+    """The conditions with coarse steps, for networks trained on fine steps; labelled like those with fine ones."""
+    return tuple(AblationCondition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
 
 
 class ConditionImages(RangeImages):
-    """Test images as an exam shows them: as the variant does, then with losses, then rounded."""
+    """Test images of a condition: those of the variant, then with losses, then rounded."""
 
-    def __init__(self, path: str, condition: Condition) -> None:
+    def __init__(self, path: str, condition: AblationCondition) -> None:
         fixed = Artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
         super().__init__(path, condition.variant, "test", _SEED, artifacts=fixed, only=condition.only)
-        self._exam = condition
+        self._condition = condition
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """As `RangeImages.write`."""
@@ -105,26 +108,26 @@ class ConditionImages(RangeImages):
 
     def identity(self) -> dict[str, Any]:
         """As `RangeImages.identity`, with what else is done to the images, if anything is."""
-        facts = asdict(self._exam)
+        facts = asdict(self._condition)
         altered = {name: facts[name] for name in ("lost", "share", "step_mm") if facts[name]}
         return super().identity() | ({"altered": altered} if altered else {})
 
     def _alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        if self._exam.lost is not None:
-            gone = self._lost(self._exam.lost, index, epoch)
+        if self._condition.lost is not None:
+            gone = self._lost(self._condition.lost, index, epoch)
             image[gone] = 0
             labels[gone] = BACKGROUND
-        if self._exam.step_mm is not None:
-            image[...] = stepped(image, self._exam.step_mm) * steps_of(self._exam.step_mm)
+        if self._condition.step_mm is not None:
+            image[...] = stepped(image, self._condition.step_mm) * steps_of(self._condition.step_mm)
 
     def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
         draws = generator(self.seed, epoch, clean.key, f"lost {shape}")
-        return lost(shape, clean.range, self._exam.share, self.manifest.rig.camera, draws)
+        return lost(shape, clean.range, self._condition.share, self.manifest.rig.camera, draws)
 
 
 def steps_of(step_mm: float) -> int:
-    """How many stored steps a coarser one has."""
+    """Number of stored steps in one of `step_mm`."""
     return round(step_mm / 1e3 / RANGE_STEP_M)
 
 

@@ -1,6 +1,6 @@
-"""What each thing of `bench ablation` costs, with and without, measured side by side in one process.
+"""Costs of each effect of `bench ablation`, with and without it, measured side by side in one process.
 
-Times are of the processor, all threads together, so that other work on the machine counts for nothing; each is asked
+Times are of the processor, all threads together, so that other work on the machine does not count; each is measured
 once a round, in an order that rotates.
 """
 
@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from benches.measuring import evenly_spaced
 from benches.model.ablation.conditions import stepped
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
@@ -41,7 +42,7 @@ _NETWORK_S: Final = 15.0
 
 
 def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) -> Tree:
-    """Milliseconds of processor of one of the `each` things that a job does: median and quartiles over the rounds."""
+    """Milliseconds of processor of a job, divided by `each`, its number of items: median and quartiles over rounds."""
     names = list(jobs)
     found: dict[str, list[float]] = {name: [] for name in names}
     for number in range(rounds + 1):
@@ -59,33 +60,33 @@ def processor_ms(jobs: Mapping[str, Callable[[], Any]], each: int, rounds: int) 
 
 
 def loader_costs(data: str) -> Tree:
-    """Of a sample made in the loader, from shard to image, for the base, no artifact, and all other artifacts."""
+    """Time of a sample in the loader, from shard to image: the base, no artifact, and each row that differs in them."""
     known = [ROW_OF_BASE, replace(ROW_OF_BASE, name="none", variant="none")]
-    known += [thing for thing in ROWS if thing.group in ("artifacts", "sub-kinds")]
+    known += [row for row in ROWS if row.group in ("artifacts", "sub-kinds")]
     images = {each.name: RangeImages(data, each.variant, "train", artifacts=each.artifacts) for each in known}
     camera = images[BASE].manifest.rig.camera
-    places = _spread(len(images[BASE]), SAMPLES)
+    indices = evenly_spaced(range(len(images[BASE])), SAMPLES)
     image, labels = (np.empty((camera.rows, camera.columns), kind) for kind in (np.uint16, np.uint8))
 
     def read(chosen: RangeImages) -> None:
-        for place in places:
-            chosen.write(place, 0, image, labels)
+        for index in indices:
+            chosen.write(index, 0, image, labels)
 
-    return processor_ms({name: partial(read, chosen) for name, chosen in images.items()}, len(places), ROUNDS)
+    return processor_ms({name: partial(read, chosen) for name, chosen in images.items()}, len(indices), ROUNDS)
 
 
 def byte_costs(data: str) -> Tree:
     """Mean bytes of a sample's images: as stored, without the projector's, and with coarser steps of range."""
     images = RangeImages(data, BASE, "train")
     sizes: dict[str, list[int]] = {}
-    for place in _spread(len(images), SAMPLES):
-        sample = images.clean(place)
+    for index in evenly_spaced(range(len(images)), SAMPLES):
+        sample = images.clean(index)
         labels, occluder = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
         made = {BASE: encode_images(sample.range, labels, occluder)}
         made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(occluder))
-        for thing in ROWS:
-            if thing.step_mm is not None:
-                made[thing.name] = encode_images(stepped(sample.range, thing.step_mm), labels, occluder)
+        for row in ROWS:
+            if row.step_mm is not None:
+                made[row.name] = encode_images(stepped(sample.range, row.step_mm), labels, occluder)
         for name, encoded in made.items():
             sizes.setdefault(name, []).append(len(encoded))
     return {name: round(float(np.mean(values))) for name, values in sizes.items()}
@@ -94,18 +95,18 @@ def byte_costs(data: str) -> Tree:
 def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
     """Milliseconds from a test image to labels and confidences, all threads. settings: of the base's network."""
     networks = {BASE: build("compact", settings, seed=0).eval()}
-    for thing in ROWS:
-        if thing.settings:
-            networks[thing.name] = build("compact", {**settings, **thing.settings}, seed=0).eval()
+    for row in ROWS:
+        if row.settings:
+            networks[row.name] = build("compact", {**settings, **row.settings}, seed=0).eval()
     images = RangeImages(data, BASE, "test")
-    frames = [metres(images.image(place).range) for place in _spread(len(images), FRAMES)]
+    frames = [metres(images.image(index).range) for index in evenly_spaced(range(len(images)), FRAMES)]
     cell = Cell("typical", "labels", "cpu", torch.get_num_threads(), "float32")
     batches = [torch.from_numpy(frame)[None, None] for frame in frames]
     return summary(time_cell(cell, networks, batches, 2 * FRAMES, _NETWORK_S), BASE)
 
 
 def rendering_costs(rig: Rig) -> Tree | None:
-    """Of a sample of a dressed body, from its parameters to images and labels, and of the same bodies undressed.
+    """Time of a sample of a dressed body, from its parameters to images and labels, and of the same bodies undressed.
 
     None without Anny.
     """
@@ -130,27 +131,22 @@ def _render(source: MadeBodies, bodies: Sequence[BodyRef], rig: Rig) -> None:
         renderer.close()
 
 
-def costs_of(thing: AblationRow, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
-    """What a thing costs, one entry a kind: what, with it, without it. samples: trained on, in the row and its base."""
+def costs_of(row: AblationRow, costs: Tree, samples: int, base_samples: int, bytes_a_sample: float) -> list[Tree]:
+    """Costs of a row's effect, one entry a kind: what, with, without. samples: trained on, in the row and its base."""
     found = []
 
     def add(what: str, have: float, lack: float) -> None:
-        found.append({"what": what, "with": lack if thing.added else have, "without": have if thing.added else lack})
+        found.append({"what": what, "with": lack if row.added else have, "without": have if row.added else lack})
 
-    if thing.group in ("artifacts", "sub-kinds"):
-        add("ms a sample in the loader", *(costs["loader"][name]["ms"] for name in (BASE, thing.name)))
-    if thing.name in costs["bytes"]:
-        add("bytes a sample", *(costs["bytes"][name] for name in (BASE, thing.name)))
+    if row.group in ("artifacts", "sub-kinds"):
+        add("ms a sample in the loader", *(costs["loader"][name]["ms"] for name in (BASE, row.name)))
+    if row.name in costs["bytes"]:
+        add("bytes a sample", *(costs["bytes"][name] for name in (BASE, row.name)))
     if samples < base_samples:
         add("training samples", base_samples, samples)
         add("MB of them", *(round(count * bytes_a_sample / 1e6, 1) for count in (base_samples, samples)))
-    if thing.name == "no_clothes" and costs["rendering"] is not None:
+    if row.name == "no_clothes" and costs["rendering"] is not None:
         add("ms to render a sample", *(costs["rendering"][name]["ms"] for name in ("dressed", "bare")))
-    if thing.settings:
-        add("ms from image to labels", *(costs["network"][name]["ms"] for name in (BASE, thing.name)))
+    if row.settings:
+        add("ms from image to labels", *(costs["network"][name]["ms"] for name in (BASE, row.name)))
     return found
-
-
-def _spread(length: int, count: int) -> list[int]:
-    """At most `count` of so many places, evenly."""
-    return sorted({int(place) for place in np.linspace(0, length - 1, count)})

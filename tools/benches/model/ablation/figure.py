@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from benches.model.ablation.rows import BASE, LEAST_POINTS, NEAR_POINTS, Tree
 from bodyseg_data.drawing.style import new_chart, save_chart
 
@@ -29,7 +31,7 @@ _AMOUNTS: Final = {"bodies": "bodies trained on", "views": "views of each body t
 
 
 def draw_ablation(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_ablation`'s answer: a row for each thing, and accuracy by number of bodies and of views.
+    """Write a PNG of `bench_ablation`'s results: a row for each effect, and accuracy by number of bodies and of views.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -41,8 +43,8 @@ def draw_ablation(figures: Tree, path: Path) -> None:
         lines,
         {condition["name"]: condition["title"] for condition in figures["conditions"]},
     )
-    for place, (name, label) in enumerate(_AMOUNTS.items()):
-        _amounts(figure.add_subplot(grid[place, 1]), figures, name, label)
+    for position, (name, label) in enumerate(_AMOUNTS.items()):
+        _amounts(figure.add_subplot(grid[position, 1]), figures, name, label)
     figure.legend(handles=_handles(), loc="outside lower center", ncols=4, fontsize=10, frameon=False)
     figure.suptitle(_scale(figures["scale"]), x=0.005, ha="left", fontsize=10.5)
     save_chart(figure, path, dpi=110)
@@ -60,20 +62,20 @@ def _lines(rows: list[Tree]) -> list[Tree | str]:
 def _dots(axis: Any, lines: list[Tree | str], titles: dict[str, str]) -> None:
     axis.axvspan(-LEAST_POINTS, LEAST_POINTS, color="#efeff2", zorder=0)
     axis.axvline(0, color=_FAINT, linewidth=0.9, zorder=1)
-    for place, line in enumerate(lines):
+    for y, line in enumerate(lines):
         if isinstance(line, str):
             continue
-        axis.axhline(place, color=_GRID, linewidth=0.8, zorder=0)
+        axis.axhline(y, color=_GRID, linewidth=0.8, zorder=0)
         meant = [(line["worth"][name]["points"], name) for name in line["helps"] if name in line["worth"]]
         best = max((each for each in meant if each[1] != BASE), default=(0.0, None))[1]
         if best is not None:
-            _dot(axis, place, line["worth"][best], _WHERE_MEANT, best in line["pays_on"])
-        _dot(axis, place, line["worth"][BASE], _ON_ALL, BASE in line["pays_on"])
+            _dot(axis, y, line["worth"][best], _WHERE_MEANT, best in line["pays_on"])
+        _dot(axis, y, line["worth"][BASE], _ON_ALL, BASE in line["pays_on"])
         note = "" if best is None else f"◆ {titles[best]}"
-        axis.text(1.15, place, note, transform=axis.get_yaxis_transform(), va="center", fontsize=8.5, color="#444444")
+        axis.text(1.15, y, note, transform=axis.get_yaxis_transform(), va="center", fontsize=8.5, color="#444444")
         pays = line["verdict"] == "pays"
         axis.text(
-            1.01, place, line["verdict"], transform=axis.get_yaxis_transform(), va="center", fontsize=9,
+            1.01, y, line["verdict"], transform=axis.get_yaxis_transform(), va="center", fontsize=9,
             fontweight="bold" if pays else "normal", color="black" if pays else "#666666",
         )  # fmt: skip
     names = [line if isinstance(line, str) else _name(line) for line in lines]
@@ -93,17 +95,15 @@ def _dots(axis: Any, lines: list[Tree | str], titles: dict[str, str]) -> None:
         fontsize=10,
     )
     axis.spines[["top", "right", "left"]].set_visible(False)
-    axis.set_title("What each thing is worth", loc="left", fontsize=11)
+    axis.set_title("Gain of each effect", loc="left", fontsize=11)
 
 
-def _dot(axis: Any, place: int, value: Tree, style: tuple[str, str], pays: bool) -> None:
+def _dot(axis: Any, y: int, value: Tree, style: tuple[str, str], pays: bool) -> None:
     """A mark, filled if it counts, and a line of one standard deviation to either side."""
     colour, marker = style
     points, spread = value["points"], value["sd"] or 0.0
-    axis.plot([points - spread, points + spread], [place, place], color=colour, linewidth=2.2, alpha=0.45, zorder=2)
-    axis.plot(
-        points, place, marker, color=colour, markersize=6.5, zorder=3, markerfacecolor=colour if pays else "white"
-    )
+    axis.plot([points - spread, points + spread], [y, y], color=colour, linewidth=2.2, alpha=0.45, zorder=2)
+    axis.plot(points, y, marker, color=colour, markersize=6.5, zorder=3, markerfacecolor=colour if pays else "white")
 
 
 def _name(row: Tree) -> str:
@@ -124,7 +124,7 @@ def _amounts(axis: Any, figures: Tree, name: str, label: str) -> None:
     near = 100 * full["mean"] - NEAR_POINTS
     axis.axhline(near, color=_FAINT, linewidth=1, linestyle=(0, (5, 3)), zorder=1)
     axis.set_xscale("log")
-    axis.set_xticks(counts, [f"{count:,}".replace(",", " ") for count in counts], fontsize=9)
+    axis.set_xticks(counts, [thousands(count) for count in counts], fontsize=9)
     axis.minorticks_off()
     axis.margins(x=0.08, y=0.15)
     axis.set_xlabel(label, fontsize=10)
@@ -136,27 +136,21 @@ def _amounts(axis: Any, figures: Tree, name: str, label: str) -> None:
 
 
 def _handles() -> list[Any]:
-    from matplotlib.lines import Line2D
-
     colour, marker = _ON_ALL
     other, diamond = _WHERE_MEANT
     plain: dict[str, Any] = {"linewidth": 2.2, "markersize": 7}
     return [
-        Line2D([], [], color=colour, marker=marker, label="test images with all artifacts", **plain),
-        Line2D([], [], color=other, marker=diamond, label="those it is meant to help (named at the right)", **plain),
-        Line2D([], [], color="#444444", marker="o", markerfacecolor="#444444", linewidth=0, label="filled: pays there"),
-        Line2D([], [], color="#444444", linewidth=2.2, alpha=0.45, label="± 1 standard deviation of the difference"),
+        legend_line("test images with all artifacts", color=colour, marker=marker, **plain),
+        legend_line("those it is meant to help (named at the right)", color=other, marker=diamond, **plain),
+        legend_line("filled: pays there", color="#444444", marker="o", markerfacecolor="#444444", linewidth=0),
+        legend_line("± 1 standard deviation of the difference", color="#444444", linewidth=2.2, alpha=0.45),
     ]
 
 
 def _scale(scale: Tree) -> str:
     steps, batch, seeds = scale["steps"], scale["images_a_step"], scale["seeds"]
     return (
-        f"Each training has one thing left out (+: added) and {_thousands(steps)} steps of {batch} images of "
-        f"{_thousands(scale['train_samples'])}; the base has {seeds} seed{'s' if seeds > 1 else ''}; "
-        f"{_thousands(scale['test_images'])} test images of each kind; average per-class accuracy"
+        f"Each training has one effect left out (+: added) and {thousands(steps)} steps of {batch} images of "
+        f"{thousands(scale['train_samples'])}; the base has {seeds} seed{'s' if seeds > 1 else ''}; "
+        f"{thousands(scale['test_images'])} test images of each kind; average per-class accuracy"
     )
-
-
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")

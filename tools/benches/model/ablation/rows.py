@@ -1,6 +1,6 @@
-"""The things that may be more than a scene needs, one a row of `bench ablation`, and how a row is judged.
+"""Rows of `bench ablation`: effects that may be more than a scene needs, and the rule that judges a row.
 
-A row is one training, or several by seed, that differs from the base in one thing: left out, or added.
+A row is one training, or several by seed, that differs from the base in one effect: left out, or added.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NEAR_POINTS: Final = 1.0
 LOSSES_SOUGHT_ON: Final = (BASE, "none")  # on fifteen kinds of images some difference would look like a loss by chance
 
 RULE: Final = (
-    f"A thing pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
+    f"An effect pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
     "deviations of the difference above that without it, on at least one kind of test images that it is meant to help. "
     f"Undecided: more than {LEAST_POINTS:g} points above, but within those deviations, so more seeds are wanted. "
     "It harms where accuracy is as much lower with it, on images with all artifacts or with none."
@@ -39,12 +39,12 @@ RULE: Final = (
 
 @dataclass(frozen=True)
 class AblationRow:
-    """One thing that can be left out.
+    """One effect that can be left out.
 
     name: of its trainings' folders, NAME-SEED. what: left out, in words; added, where `added`. helps: labels of the
-    exams that it is meant to help. variant, only, artifacts: of the images trained on. settings: what differs from the
-    base's. against: the row that has all but this thing. arguments: what `bodyseg train` is given; None if
-    nothing trains it: `step_mm` is asked of the base's networks. source: which set it is trained on, if not the base's.
+    conditions that it is meant to help. variant, only, artifacts: of the images trained on. settings: those of the
+    network that differ from the base's. against: the row that has all but this effect. arguments: for `bodyseg train`;
+    None if nothing is trained: the base's networks are tested with `step_mm`. source: of the training set.
     """
 
     name: str
@@ -139,10 +139,10 @@ ROWS: Final = (
 
 
 def deviation_of(base: Mapping[str, Sequence[float]]) -> dict[str, float] | None:
-    """Exam -> standard deviation over seeds, in points; None for one seed. base: exam -> accuracy of each seed.
+    """AblationCondition -> standard deviation over seeds, in points; None for one seed. base: condition -> accuracies.
 
-    The larger one of the exam's own and the root mean square of all: of three seeds, a deviation alone may be small
-    by luck.
+    It is the larger of the condition's own and the root mean square of all: the deviation of three seeds alone may be
+    small by chance.
     """
     if min(map(len, base.values())) < 2:
         return None
@@ -154,10 +154,10 @@ def deviation_of(base: Mapping[str, Sequence[float]]) -> dict[str, float] | None
 def worth(
     have: Mapping[str, Sequence[float]], lack: Mapping[str, Sequence[float]], spread: Mapping[str, float] | None
 ) -> Tree:
-    """What a thing is worth in each exam that both sat, in points of accuracy.
+    """Gain of an effect under each condition that both have, in points of accuracy.
 
-    have, lack: exam -> accuracy of each seed's network with the thing, and without. sd: of the difference of the two
-    means, if every network scatters by `spread`; threshold: above which it counts.
+    have, lack: condition -> accuracy of each seed's network with the effect, and without. sd: of the difference of the
+    two means, if every network scatters by `spread`; threshold: above which it counts.
     """
     found: Tree = {}
     for name in have:
@@ -190,7 +190,7 @@ def enough(rows: Iterable[Tree], prefix: str) -> str | None:
 
 
 def table(figures: Tree) -> str:
-    """The rows of `bench_ablation`'s answer as a table of Markdown."""
+    """The rows of `bench_ablation`'s results as a table of Markdown."""
     titles = {condition["name"]: condition["title"] for condition in figures["conditions"]}
     lines = [
         "| left out (+ added) | seeds | accuracy on `all`, % | worth there, points | worth where it is meant to help "
@@ -207,7 +207,7 @@ def table(figures: Tree) -> str:
             _accuracy(row["accuracy"][BASE]),
             _points(value[BASE]),
             "; ".join(helps),
-            _judged(row, titles),
+            _verdict_text(row, titles),
             "; ".join(map(_cost, row["cost"])),
         )
         lines.append(f"| {' | '.join(cells)} |")
@@ -224,7 +224,7 @@ def _points(value: Tree) -> str:
     return f"{value['points']:+.1f}{spread}".replace("-", "−")
 
 
-def _judged(row: Tree, titles: Mapping[str, str]) -> str:
+def _verdict_text(row: Tree, titles: Mapping[str, str]) -> str:
     text = f"{'**pays**' if row['verdict'] == 'pays' else row['verdict']}"
     if row["against"] != BASE:
         text += f" (beside `{row['against']}`)"

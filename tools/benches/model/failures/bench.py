@@ -1,6 +1,6 @@
 """`bench failures`: where a network fails: a cause for every wrong pixel, the worst images, postures by name.
 
-docs/failures.md says how to read the answer.
+docs/failures.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benches.measuring import Progress, silent
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
-from benches.model.failures.study import CROSSED, Picture, Study
+from benches.model.failures.study import CROSSED, FailureCounts, Picture
 from bodyseg_data.bodies.anny.skeleton import Pose
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
@@ -25,7 +26,7 @@ Tree = dict[str, Any]
 
 
 class Failures(dict[str, Any]):
-    """The bench's answer, plain JSON; and beside it what no JSON should hold, the pictures of the worst images.
+    """The bench's results, plain JSON; and beside them the pictures of the worst images, which no JSON holds.
 
     pictures: name of a set, as in "sets" -> one for each of its "worst", in their order.
     """
@@ -40,7 +41,7 @@ def bench_failures(
     runs: Sequence[Path] = (),
     images: int = 1000,
     hard: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> Failures:
     """Causes, worst images, and accuracy by posture, on variant `all` of the test images.
 
@@ -49,7 +50,7 @@ def bench_failures(
     as in `evaluate`. hard: a second set, all of whose test images are looked at. Raises BadConfig for no image or no
     network, MissingLibrary without scikit-image; otherwise as `RangeImages`.
     """
-    wanted = whole_number("the number of images", images, 1)
+    wanted = check_int("the number of images", images, 1)
     network = load_network(runs[0] if runs else SHIPPED).network
     sets = {"test": (open_images(data), wanted)}
     if hard is not None:
@@ -59,18 +60,18 @@ def bench_failures(
     known = KnownPoses((body.pose, pose()) for body, pose in trained_on)
     names = [body.pose for body, _ in trained_on]
     total, before = sum(min(count, len(chosen)) for chosen, count in sets.values()), 0
-    answers: Tree = {}
+    results: Tree = {}
     pictures: dict[str, list[Picture]] = {}
     for name, (chosen, count) in sets.items():
-        study = Study(chosen, known)
+        counts = FailureCounts(chosen, known)
 
         def show(done: int, _: int, before: int = before) -> None:
             progress(before + done, total)
 
-        evaluate(network, chosen, count, extras=(), progress=show, watch=study.watch)
-        before += study.images
-        answers[name] = study.answer(names)
-        pictures[name] = [failure.picture for failure in study.worst]
+        evaluate(network, chosen, count, extras=(), progress=show, watch=counts.watch)
+        before += counts.images
+        results[name] = counts.results(names)
+        pictures[name] = [failure.picture for failure in counts.worst]
     return Failures(
         {
             "network": runs[0].name if runs else "shipped",
@@ -79,7 +80,7 @@ def bench_failures(
             "training_pose_kinds": dict(Counter(kind_of_pose(name) for name in names).most_common()),
             "training_bodies_with_crossed_arms": sorted({name for name in names if kind_of_pose(name) == CROSSED}),
             "rules": [asdict(cause) for cause in CAUSES],
-            "sets": answers,
+            "sets": results,
         },
         pictures,
     )

@@ -1,7 +1,7 @@
-"""Why a pixel is wrong: eleven causes, each an exact rule; docs/failures.md says why they are asked in this order.
+"""Causes of wrong pixels: eleven, each an exact rule; docs/failures.md says why they are tried in this order.
 
-Rules about a place look at the clean sample and at what the variant left of it; rules about a mistake look at what the
-network said; rules about an image hold for all of its pixels or for none.
+Rules about a place depend on the clean sample and on what the variant left of it; rules about a mistake on the
+network's prediction; rules about an image hold for all of its pixels or for none.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ CAUSES: Final = (
     ),
     Cause("unexplained", "a mistake", "none of the above", "unknown"),
 )
-"""In the order in which they are asked: the first whose rule holds is a pixel's cause."""
+"""In the order in which they are tried: the first whose rule holds is a pixel's cause."""
 
 NAMES: Final = tuple(cause.name for cause in CAUSES)
 
@@ -139,7 +139,7 @@ _JOINED: Final[dict[str, tuple[str, ...]]] = {
 
 
 def _adjoining() -> NDArray[np.bool_]:
-    """Whether two parts adjoin on the body, or are the same, bool [33, 33]."""
+    """True where two parts adjoin on the body, or are the same: bool [33, 33]."""
     labels = {part.landmark: part.label for part in PARTS}
     found = np.eye(PART_COUNT, dtype=np.bool_)
     for name, others in _JOINED.items():
@@ -162,24 +162,24 @@ _STRANGERS: Final[NDArray[np.uint64]] = np.array(
 """The bits of the parts that do not adjoin a part."""
 
 
-class Judged(NamedTuple):
-    """One image and what a network said of it; predicted: uint8 [H, W]. new_pose_deg: NaN if it is not known."""
+class Prediction(NamedTuple):
+    """One image and a network's labels of it, uint8 [H, W]. new_pose_deg: NaN if it is not known."""
 
     clean: Sample
     shown: RangeImage
-    predicted: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
     new_pose_deg: float
 
 
-def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
-    """Which causes' rules hold at the pixels that were measured, bool [11, N], reading order, causes as in `CAUSES`.
+def holds(prediction: Prediction, camera: Camera) -> NDArray[np.bool_]:
+    """Evaluate all causes' rules at the pixels that were measured: bool [11, N], reading order, causes as in `CAUSES`.
 
     Rules about a mistake hold nowhere else than at wrong pixels; "unexplained" holds at all of those. camera: the one
     that took the images.
     """
-    clean, shown = judged.clean, judged.shown
+    clean, shown = prediction.clean, prediction.shown
     where = np.flatnonzero(shown.labels != BACKGROUND)
-    truth, said = shown.labels.ravel()[where], judged.predicted.ravel()[where]
+    truth, predicted = shown.labels.ravel()[where], prediction.labels.ravel()[where]
     body = clean.labels != BACKGROUND
 
     def at(image: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -187,9 +187,9 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
 
     near = parts_within(clean.labels, NEAR_PX).ravel()[where]
     measured = window_sums(shown.labels != BACKGROUND, NEAR_PX)
-    kinds = KIND_OF[truth, said]
+    kinds = KIND_OF[truth, predicted]
     wrong = kinds != KINDS.index("right")
-    moved = wrong & ((_BITS[said] & near) != 0)
+    moved = wrong & ((_BITS[predicted] & near) != 0)
     with np.errstate(invalid="ignore"):
         grazing = viewing_angles(clean.range, camera) > GRAZING_DEG
     everywhere = np.ones(len(where), np.bool_)
@@ -202,7 +202,7 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
         "border": at(distance_bins(clean.labels) <= EDGES.index(BORDER_PX)),
         "left/right": ~moved & (kinds == KINDS.index("left/right")),
         "front/back": ~moved & ((kinds == KINDS.index("front/back")) | (kinds == KINDS.index("both"))),
-        "pose": everywhere & (judged.new_pose_deg > NEW_POSE_DEG),
+        "pose": everywhere & (prediction.new_pose_deg > NEW_POSE_DEG),
         "noise": everywhere & (sigma > NOISE_MM),
         "border_moved": moved,
         "unexplained": wrong,
@@ -211,7 +211,7 @@ def holds(judged: Judged, camera: Camera) -> NDArray[np.bool_]:
 
 
 def parts_within(labels: NDArray[np.uint8], reach: int) -> NDArray[np.uint64]:
-    """Which parts lie within `reach` rows and columns of each pixel: bit n for part n, uint64 [H, W]."""
+    """Parts within `reach` rows and columns of each pixel: bit n for part n, uint64 [H, W]."""
     seen = _BITS[labels]
     for _ in range(2):  # along rows, then columns; each transposes
         seen = np.pad(seen, ((reach, reach), (0, 0)))

@@ -64,7 +64,7 @@ def draw_failures(figures: Tree, path: Path) -> None:
     file cannot be written.
     """
     if not isinstance(figures, Failures):
-        raise BadConfig(f"only an answer of bench_failures itself has images to draw, found a {type(figures).__name__}")
+        raise BadConfig(f"only the results of bench_failures hold images to draw, found a {type(figures).__name__}")
     for name, pictures in figures.pictures.items():
         found = figures["sets"][name]
         file = path if name == "test" else path.with_stem(f"{path.stem}_{name}")
@@ -94,15 +94,15 @@ def _sheet(found: Tree, pictures: list[Picture], title: str) -> Image.Image:
     pen.text((_BETWEEN, 10), title, INK, font=font(18))
     lefts = [_BETWEEN + column * (item_width + _BETWEEN) for column in range(_COLUMNS)]
     for left in lefts[: len(items)]:
-        for place, head in enumerate(_HEADS):
-            pen.text((left + place * (_PANEL_WIDTH + _GAP), 40), head, FAINT, font=font(14))
+        for index, head in enumerate(_HEADS):
+            pen.text((left + index * (_PANEL_WIDTH + _GAP), 40), head, FAINT, font=font(14))
     top = _TITLE
     for row, height in zip(rows, heights, strict=True):
         for left, item in zip(lefts, row, strict=False):
             for line, (text, colour) in enumerate(zip(item.lines, (INK, INK, FAINT), strict=True)):
                 pen.text((left, top + 1 + 17 * line), text, colour, font=font(14))
-            for place, panel in enumerate(item.panels):
-                sheet.paste(panel, (left + place * (_PANEL_WIDTH + _GAP), top + _CAPTION))
+            for index, panel in enumerate(item.panels):
+                sheet.paste(panel, (left + index * (_PANEL_WIDTH + _GAP), top + _CAPTION))
         top += height
     sheet.paste(legend, (_BETWEEN, top + _BETWEEN // 2))
     return sheet
@@ -155,8 +155,8 @@ def _legend(found: Tree, width: int) -> Image.Image:
     legend = Image.new("RGB", (width, 3 * _LINE + 10 + parts.height), PAPER)
     pen = ImageDraw.Draw(legend)
     pen.text((0, 10), "Cause, and its share of the wrong pixels of all images:", INK, font=font(14), anchor="lm")
-    for place, (colour, text) in enumerate(entries):
-        line, column = divmod(place, -(-len(entries) // 2))
+    for index, (colour, text) in enumerate(entries):
+        line, column = divmod(index, -(-len(entries) // 2))
         left, top = column * each, _LINE * (1 + line)
         pen.rectangle((left, top + 2, left + 15, top + 17), colour, FAINT)
         pen.text((left + 22, top + 10), text, INK, font=font(14), anchor="lm")

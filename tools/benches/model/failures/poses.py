@@ -1,4 +1,4 @@
-"""What a pose is called, and how unlike it is to every pose that a network was trained on.
+"""Kinds of poses by name, and the distance of a pose from every pose that a network was trained on.
 
 Only bodies that are made (the sources `open` and `hard`) have joint angles; of bodies from files only the names count.
 """
@@ -35,7 +35,7 @@ POSE_KINDS: Final[dict[str, tuple[str, ...]]] = {
     "arms_spread": ("t_pose", "a_pose", "arms_forward", "arms_back", "throw", "punch", "archer", "fencing", "twist"),
     "standing": ("standing", "turned", "arched_back", "side_bend"),
 }
-"""Kind -> what is in the names of its poses. The first kind that fits is a pose's: blends have two names in one."""
+"""Kind -> words in the names of its poses. The first kind that fits is a pose's: blends have two names in one."""
 
 OTHER: Final = "other"
 
@@ -70,7 +70,7 @@ def body_of(key: str) -> str:
 
 
 def directions(pose: Pose) -> Matrix:
-    """Where a body's segments point, unit vectors [14, 3] in the order of `SEGMENTS`; body frame, heading left out.
+    """Directions of a body's segments, unit vectors [14, 3] in the order of `SEGMENTS`; body frame, heading left out.
 
     Limbs, and trunk and head upside down: along the segment; the last three: where pelvis, chest and face look.
     """
@@ -105,7 +105,7 @@ def _orientations(pose: Pose) -> dict[str, Matrix]:
 
 
 class Nearest(NamedTuple):
-    """How many degrees the nearest pose is away, its name, and the segment that differs so much."""
+    """The nearest pose: its distance in degrees, its name, and the segment that differs so much."""
 
     degrees: float
     pose: str

@@ -1,4 +1,4 @@
-"""What `bench failures` keeps of the images that it sees: counts by cause and by pose, and the worst images."""
+"""Results of `bench failures`, collected image by image: counts by cause and by pose, and the worst images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.model.failures.causes import CAUSES, NAMES, NEW_POSE_DEG, Judged, holds
+from benches.model.failures.causes import CAUSES, NAMES, NEW_POSE_DEG, Prediction, holds
 from benches.model.failures.poses import POSE_KINDS, UNKNOWN, KnownPoses, Nearest, body_of, kind_of_pose, made_bodies
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
 from bodyseg_data.core.sample import SampleInfo
@@ -32,7 +32,7 @@ _CAUSES_TOLD: Final = 3
 
 
 class Picture(NamedTuple):
-    """What a body takes of one image: range uint16, the others uint8, all [h, w]. causes: a cause's place in `CAUSES`,
+    """The part of one image around its body: range uint16, the others uint8, all [h, w]. causes: index in `CAUSES`,
     BACKGROUND where nothing was measured or nothing is wrong.
     """
 
@@ -56,13 +56,13 @@ class _Failure(NamedTuple):
         return self.facts["subject"], self.facts["pose"]
 
 
-class Study:
+class FailureCounts:
     """Counts the images of one set."""
 
     def __init__(self, images: RangeImages, known: KnownPoses) -> None:
         self._images = images
         self._camera = images.manifest.rig.camera
-        self._places = {key: place for place, key in enumerate(images.keys)}
+        self._index = {key: index for index, key in enumerate(images.keys)}
         self._known, self._made = known, made_bodies(images.clean(0).info.source)
         self._nearest: dict[str, Nearest] = {}
         # int64 [11, 33, 33]: pixels where a rule holds, and wrong ones of which it is the cause.
@@ -81,12 +81,12 @@ class Study:
         self.images += 1
         if math.isnan(accuracy):
             return
-        place = self._places[seen.key]
-        clean, shown = self._images.clean(place), self._images.image(place)
+        index = self._index[seen.key]
+        clean, shown = self._images.clean(index), self._images.image(index)
         nearest = self._pose_distance(seen.key)
         pairs = pairs_of(seen.labels, seen.predicted)
         wrong = pairs // len(LANDMARKS) != pairs % len(LANDMARKS)
-        found = holds(Judged(clean, shown, seen.predicted, nearest.degrees), self._camera)
+        found = holds(Prediction(clean, shown, seen.predicted, nearest.degrees), self._camera)
         cause = found.argmax(axis=0).astype(np.uint8)
         counts = count_pairs(pairs)
         for number, held in enumerate(found):
@@ -124,7 +124,7 @@ class Study:
                 kept.append(each)
         self.worst = kept[:WORST]
 
-    def answer(self, training_poses: Sequence[str]) -> Tree:
+    def results(self, training_poses: Sequence[str]) -> Tree:
         """All that was counted, as plain JSON. training_poses: names of the poses of the training bodies."""
         total = self._total
         kinds: dict[str, list[str]] = defaultdict(list)
@@ -237,7 +237,7 @@ def _facts(info: SampleInfo) -> Tree:
 
 
 def _shares(counts: NDArray[np.int64]) -> dict[str, float]:
-    """Of the causes that claim most, the largest first."""
+    """Shares of the causes that claim most, the largest first."""
     order = np.argsort(-counts, kind="stable")[:_CAUSES_TOLD]
     return {NAMES[number]: round(int(counts[number]) / int(counts.sum()), 3) for number in order if counts[number]}
 

@@ -1,7 +1,7 @@
-"""`bench architectures`: networks of several families, trained the same way, one against the other.
+"""`bench architectures`: networks of several families, trained the same way, compared with each other.
 
-All are judged by the same test images of `all` and timed in turns on the same frames, a random forest of depth
-differences among them. docs/architectures.md says how to read the answer.
+All are evaluated on the same test images of `all` and timed in turns on the same frames, a random forest of depth
+differences among them. docs/architectures.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Any, Final
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import silent
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Evaluator
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.machine import processors
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report
@@ -41,7 +41,7 @@ TITLES: Final = {
     "deeplab": "DeepLabV3+ on MobileNetV2",
     FOREST: "forest of depth differences",
 }
-"""Family -> what charts call it."""
+"""Family -> its title in charts."""
 
 _TASKS: Final[tuple[Task, ...]] = ("scores", "labels")
 _HEADLINES: Final = {
@@ -59,7 +59,7 @@ def bench_architectures(
     images: int = 200,
     views: int = 12,
     forest: int = ForestScale.images,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> Tree:
     """Size, milliseconds a frame and accuracy of every network in the folders `runs`, each trained as NAME-SEED.
 
@@ -71,7 +71,7 @@ def bench_architectures(
     `predict` on typical frames, on the processor. Raises BadConfig for wrong numbers, or as `groups_in`, MissingLibrary
     without Anny, what a network needs or, for a forest, scikit-learn and numba.
     """
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     groups = groups_in(runs)
     evaluator = Evaluator(data, images)
     test_images = evaluator.images(TABLE["all"])
@@ -103,11 +103,11 @@ def bench_architectures(
     for name, group in groups.items():
         for run in group:
             scores[name].append(evaluator.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
-            did(f"judged {run.path.name}")
+            did(f"evaluated {run.path.name}")
     if scale is not None:
         answer = evaluate(networks[FOREST], test_images, images, extras=(), batch_size=1)
         scores[FOREST].append(report(answer))
-        did("judged the forest")
+        did("evaluated the forest")
     recipe = next(iter(groups.values()))[0].recipe
     camera = test_images.manifest.rig.camera
     return {
@@ -150,7 +150,7 @@ def _facts(group: Sequence[Run], frame: NDArray[Any]) -> Tree:
 
 
 def _label(run: Run, settings: Tree) -> str:
-    """What charts call a network: its family, then what of the width or of the image it has, or else its own name."""
+    """Label of a network in charts: its family, then its share of the width or of the image, or else its own name."""
     shares = {"width": Fraction(settings.get("width", 1)), "image": Fraction(1, settings.get("shrink", 1))}
     words = [f"{what} {share.limit_denominator(99)}" for what, share in shares.items() if share < 1]
     words = words or [run.name.removeprefix(run.family).strip("_-").replace("_", " ")]
@@ -172,8 +172,8 @@ def _facts_of_forest(forest: DepthForest, scale: ForestScale) -> Tree:
 
 
 def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
-    """None if no forest is asked for. Raises BadConfig unless `data` is what the networks were trained on."""
-    if whole_number("the number of the forest's images", images, 0) == 0:
+    """None for no images. Raises BadConfig unless `data` is what the networks were trained on."""
+    if check_int("the number of the forest's images", images, 0) == 0:
         return None
     theirs, ours = run.trained.card["data"].get("set"), RangeImages(data, "all", "train").identity()["set"]
     if theirs != ours:
@@ -184,7 +184,7 @@ def _forest_scale(data: str, images: int, run: Run) -> ForestScale | None:
 
 
 def _cells() -> list[Cell]:
-    """All ways to ask."""
+    """All cells that are timed."""
     cells = [Cell(frame, task, "cpu", processors(), "float32") for frame in (FILLED, TYPICAL) for task in _TASKS]
     if torch.cuda.is_available():
         cells.append(Cell(FILLED, "scores", "cuda", processors(), "float32"))
@@ -192,7 +192,7 @@ def _cells() -> list[Cell]:
 
 
 def _row(cell: Cell, networks: dict[str, Network], frames: Sequence[NDArray[Any]], reference: str) -> Tree:
-    """What one way of asking took; the forest knows the processor alone."""
+    """Times of all networks in one cell; the forest runs on the processor alone."""
     device = torch.device(cell.device)
     asked = {name: one.to(device) for name, one in networks.items() if cell.device == "cpu" or name != FOREST}
     shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames

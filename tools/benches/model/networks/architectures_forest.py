@@ -1,14 +1,13 @@
-"""The paper's reference [21] as an opponent: a random forest of depth differences.
+"""The paper's reference [21] as a baseline: a random forest of depth differences.
 
 Shotton et al., "Real-time human pose recognition in parts from single depth images", CVPR 2011: every pixel walks down
-a few trees by itself; each split compares the ranges at two places near it, and the leaves' distributions over the
-parts are averaged. scikit-learn grows the trees; they are walked by a compiled loop, which looks only at the places
-that a pixel's own path asks for.
+a few trees by itself; each split compares the ranges at two offsets from it, and the leaves' distributions over the
+parts are averaged. scikit-learn grows the trees; they are walked by a compiled loop, which reads only the pixels
+that a pixel's own path needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +19,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 
+from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
@@ -29,7 +29,7 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 
 FAR_M: Final = np.float32(10.0)
-"""What a place without a range answers: "a large positive constant value", though one that float32 subtracts well."""
+"""Range where nothing was measured: "a large positive constant value", though one that float32 subtracts well."""
 
 SHOTTONS_IMAGES: Final = 900_000
 """300 000 for each of three trees."""
@@ -39,10 +39,10 @@ _AT_ONCE: Final = 100  # images between two reports
 
 @dataclass(frozen=True)
 class ForestScale:
-    """How large a forest is, and how much it sees. The default takes two minutes of one core, and 1.1 GB.
+    """Size of a forest, and of its training data. The default takes two minutes of one core, and 1.1 GB.
 
     images: the first ones of the training's first epoch. pixels: of each, spread evenly over the parts that it shows.
-    candidates: pairs of places, drawn once for all trees; tried: how many of them at each split. reach: of the places
+    candidates: pairs of offsets, drawn once for all trees; tried: how many of them at each split. reach: of the offsets
     in rows and in columns, pixels at 1 m. trees, depth: Shotton's. leaf: pixels that a leaf holds at least.
     """
 
@@ -67,7 +67,7 @@ class ForestScale:
 
 
 def smoothed(range_m: NDArray[np.float32], window: int) -> NDArray[np.float32]:
-    """Every place's mean over what was measured in the square of `window` pixels around it, [H, W]; 0 if nothing was.
+    """Mean of the measured ranges in the square of `window` pixels around each pixel, [H, W]; 0 if none was measured.
 
     Not in Shotton et al., whose sensor lost few pixels: where half of them are missing, every other probe would hit a
     hole.
@@ -82,7 +82,7 @@ def smoothed(range_m: NDArray[np.float32], window: int) -> NDArray[np.float32]:
 
 
 def draw_offsets(scale: ForestScale, seed: int) -> NDArray[np.float32]:
-    """Pairs of places (u, v), float32 [candidates, 4]: u's rows and columns, v's rows and columns, pixels at 1 m.
+    """Pairs of offsets (u, v), float32 [candidates, 4]: u's rows and columns, v's rows and columns, pixels at 1 m.
 
     v is the pixel itself in every other pair.
     """
@@ -96,11 +96,11 @@ def depth_differences(
 ) -> NDArray[np.float32]:
     """Equation (1) of Shotton et al., d(x + u / d(x)) - d(x + v / d(x)), float32 [pixels, offsets].
 
-    range_m: [H, W], metres, 0 where nothing was measured. pixels: places x in the flat image, where something was.
+    range_m: [H, W], metres, 0 where nothing was measured. pixels: indices x in the flat image, where something was.
     d of what was not measured, or lies outside of the image, is FAR_M.
     """
     height, width = range_m.shape
-    padded = np.zeros((height + 1, width + 1), np.float32)  # one place more each way, for all that lies outside
+    padded = np.zeros((height + 1, width + 1), np.float32)  # one row and column more, for all that lies outside
     padded[:height, :width] = range_m
     padded[padded == 0] = FAR_M
     rows, columns = (each[:, None] for each in np.divmod(pixels, width))
@@ -124,8 +124,8 @@ def _steps(offset: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[n
 class Trees(NamedTuple):
     """All trees of a forest in common arrays.
 
-    nodes: float32 [N, 4], the places that a split compares. thresholds: float64 [N]. children: int32 [N, 2], where to
-    go if the difference is at most the threshold, and if not; -1 and the leaf's number in a leaf. leaves: float32
+    nodes: float32 [N, 4], the offsets that a split compares. thresholds: float64 [N]. children: int32 [N, 2], the next
+    node if the difference is at most the threshold, and if not; -1 and the leaf's number in a leaf. leaves: float32
     [L, 33]. roots: int32 [trees].
     """
 
@@ -137,7 +137,7 @@ class Trees(NamedTuple):
 
 
 class DepthForest(Network):
-    """Range image -> logarithms of the parts' probabilities, so that what asks networks can ask it, too.
+    """Range image -> logarithms of the parts' probabilities: used as any other network.
 
     window: see `smoothed`.
     """
@@ -148,14 +148,14 @@ class DepthForest(Network):
 
     @property
     def learned(self) -> int:
-        """How many numbers it has learned: the pair and threshold of every split, and the leaves' distributions."""
+        """Number of learned parameters: the pair and threshold of every split, and the leaves' distributions."""
         leaves = self.trees.leaves
         return 2 * (len(self.trees.nodes) - len(leaves)) + leaves.size
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Logarithms of probabilities, float32 [B, 33, H, W], of range images in metres, float32 [B, 1, H, W].
 
-        Only what was measured is looked at; elsewhere they are 0. Raises BadConfig for any other shape, MissingLibrary
+        They are 0 where nothing was measured. Raises BadConfig for any other shape, MissingLibrary
         without numba.
         """
         check_range_images(range_m)
@@ -168,7 +168,7 @@ class DepthForest(Network):
         return torch.from_numpy(found).permute(0, 3, 1, 2)
 
     def probabilities(self, range_m: NDArray[np.float32], pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Of the parts at measured places in the flat image [H, W], float32 [pixels, 33], with torch's threads."""
+        """Probabilities of the parts at measured pixels of the flat image, float32 [pixels, 33], by torch's threads."""
         found = np.zeros((len(pixels), PART_COUNT), np.float32)
         threads = torch.get_num_threads()
         shares = np.array_split(pixels, threads), np.array_split(found, threads)
@@ -183,8 +183,8 @@ def walk(
     """Add the mean of each pixel's leaves to found, float32 [pixels, 33]. Compiled where it is used."""
     height, width = range_m.shape
     half, share = np.float32(0.5), np.float32(1) / np.float32(len(roots))
-    for place in range(len(pixels)):
-        row, column = pixels[place] // width, pixels[place] % width
+    for index in range(len(pixels)):
+        row, column = pixels[index] // width, pixels[index] % width
         depth = range_m[row, column]
         for root in roots:
             node = root
@@ -200,7 +200,7 @@ def walk(
                 node = children[node, 0] if difference <= thresholds[node] else children[node, 1]
             leaf = children[node, 1]
             for part in range(leaves.shape[1]):
-                found[place, part] += share * leaves[leaf, part]
+                found[index, part] += share * leaves[leaf, part]
 
 
 @cache
@@ -212,7 +212,7 @@ def fit_forest(
     images: RangeImages,
     scale: ForestScale | None = None,
     seed: int = 0,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> DepthForest:
     """A forest grown on pixels of `images` as their epoch shows them, on one processor.
 
@@ -272,7 +272,7 @@ def from_sklearn(forest: Any, offsets: NDArray[np.float32], window: int = 1) -> 
 
 
 def _spread_over_parts(labels: NDArray[np.uint8], count: int, draws: np.random.Generator) -> NDArray[np.int64]:
-    """At most `count` places in the flat image, equally many of every part as far as it has them: [N], rising.
+    """At most `count` indices into the flat image, equally many of every part as far as it has them: [N], rising.
 
     Shotton et al. choose pixels so "to ensure a roughly even distribution across body parts".
     """

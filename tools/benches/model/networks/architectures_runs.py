@@ -13,7 +13,7 @@ from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.networks.network import Network
 
 SHARED: Final = ("steps", "batch_size", "accumulate")
-"""Of a recipe; the rest may be what suits a network."""
+"""Fields of a recipe that all networks share; the others may be tuned to a network."""
 
 _NAME: Final = re.compile(r"(.+)-(\d+)")
 
@@ -31,17 +31,17 @@ class Run:
 
     @property
     def network(self) -> Network:
-        """In evaluation mode."""
+        """The network, in evaluation mode."""
         return self.trained.network
 
     @property
     def family(self) -> str:
-        """Which of `networks.NETWORKS`."""
+        """Its name in `NETWORKS`."""
         return str(self.trained.card["network"])
 
     @property
     def recipe(self) -> Tree:
-        """How it was trained."""
+        """The recipe on its card."""
         return dict(self.trained.card["recipe"])
 
 
@@ -74,7 +74,7 @@ def groups_in(folders: Sequence[Path]) -> dict[str, list[Run]]:
 
 
 def _training_of(run: Run) -> Tree:
-    """What all networks must share."""
+    """Facts of a training that all networks must share."""
     card = run.trained.card
     data, recipe = card.get("data"), card.get("recipe")
     if card.get("variant") != "all" or not isinstance(data, dict) or not isinstance(recipe, dict):
@@ -84,7 +84,7 @@ def _training_of(run: Run) -> Tree:
 
 
 def _everything_of(run: Run) -> Tree:
-    """What the seeds of one name must share."""
+    """Facts of a training that the seeds of one name must share."""
     return {"network": run.family, "settings": run.network.settings, "recipe": run.recipe}
 
 
@@ -99,7 +99,7 @@ def _check_alike(run: Run, other: Run, facts: Callable[[Run], Tree]) -> None:
 
 
 def is_shipped(run: Run) -> bool:
-    """Whether a network is made as the one that ships, whatever its weights."""
+    """True if a network has the kind and settings of the one that ships, whatever its weights."""
     if not SHIPPED.exists():
         return False
     shipped = load_network(SHIPPED)

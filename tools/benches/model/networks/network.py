@@ -1,7 +1,7 @@
 """`bench network`: how large, how quick and how accurate the networks are, measured in one run.
 
 The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/variants.md says how to read
-the answer.
+the results.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -45,7 +46,7 @@ _TOGETHER_ON_GPU: Final = (1, 16)
 
 
 @dataclass(frozen=True)
-class _Contestant:
+class _Candidate:
     """kind: which of `NETWORKS`. run: the name of the folder or file its weights are from; None for new weights."""
 
     kind: str
@@ -57,7 +58,7 @@ def bench_network(
     views: int = 12,
     runs: tuple[Path, ...] = (),
     scores: tuple[Path, ...] = (),
-    progress: Callable[..., None] = lambda done, total: None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
     """Parameters, times and accuracy of every kind of network that is installed, fcn_alexnet at full width.
 
@@ -68,8 +69,8 @@ def bench_network(
     cpu_ms, gpu_ms: of `forward` on one frame of 640 x 329 pixels that a body fills, float32, all threads. Raises
     BadConfig for runs or scores that cannot be read or do not fit, MissingLibrary without Anny.
     """
-    contestants = _contestants(runs)
-    accuracies = _accuracies(scores, contestants)
+    candidates = _candidates(runs)
+    accuracies = _accuracies(scores, candidates)
     load = round(os.getloadavg()[0], 2)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
@@ -81,7 +82,7 @@ def bench_network(
     cells = _cells()
     times = []
     for done, cell in enumerate(cells, start=1):
-        times.append(_row(cell, contestants, frames[cell.frame]))
+        times.append(_row(cell, candidates, frames[cell.frame]))
         progress(done, len(cells))
     return {
         "networks": {
@@ -93,7 +94,7 @@ def bench_network(
                 "giga_operations": operations(one.network, frames[FILLED][0]),
                 "weights": one.run,
             }
-            for name, one in contestants.items()
+            for name, one in candidates.items()
         },
         "frames": {
             FILLED: {"rows": largest.shape[0], "columns": largest.shape[1], "count": 1},
@@ -108,14 +109,14 @@ def bench_network(
     }
 
 
-def _contestants(runs: Sequence[Path]) -> dict[str, _Contestant]:
+def _candidates(runs: Sequence[Path]) -> dict[str, _Candidate]:
     given = [(path, load_network(path)) for path in runs]
     if SHIPPED.exists():
         given.append((SHIPPED, load_network(SHIPPED)))
-    first: dict[str, _Contestant] = {}
-    further: dict[str, _Contestant] = {}
+    first: dict[str, _Candidate] = {}
+    further: dict[str, _Candidate] = {}
     for path, trained in given:
-        one = _Contestant(trained.card["network"], trained.network, path.name)
+        one = _Candidate(trained.card["network"], trained.network, path.name)
         if one.kind not in first:
             first[one.kind] = one
         elif path != SHIPPED:
@@ -132,11 +133,11 @@ def _contestants(runs: Sequence[Path]) -> dict[str, _Contestant]:
     return {kind: first[kind] for kind in NETWORKS if kind in first} | further
 
 
-def _new(kind: str) -> _Contestant:
-    return _Contestant(kind, build(kind, seed=0).eval(), None)
+def _new(kind: str) -> _Candidate:
+    return _Candidate(kind, build(kind, seed=0).eval(), None)
 
 
-def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> dict[str, float]:
+def _accuracies(files: Sequence[Path], candidates: dict[str, _Candidate]) -> dict[str, float]:
     """Name -> average per-class accuracy on the test images of `all`, from files of `bodyseg evaluate`."""
     found = {}
     for file in files:
@@ -147,7 +148,7 @@ def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> d
         if asked != {"variant": "all", "split": "test", "noise_mm": None, "missing": None} or kind is None:
             raise BadConfig(f"{file} must be what bodyseg evaluate found on the test images of all, found {asked}")
         run = content.get("run") or SHIPPED.name
-        names = [name for name, one in contestants.items() if one.kind == kind and one.run in (run, None)]
+        names = [name for name, one in candidates.items() if one.kind == kind and one.run in (run, None)]
         if not names:
             raise BadConfig(f"{file} has the scores of {run}, which is not among the networks measured")
         found[names[0]] = float(content["average_per_class_accuracy"])
@@ -155,7 +156,7 @@ def _accuracies(files: Sequence[Path], contestants: dict[str, _Contestant]) -> d
 
 
 def _cells() -> list[Cell]:
-    """All ways to ask, quick ones first."""
+    """All cells that are timed, quick ones first."""
     threads = sorted({1, processors()})
     small = (FILLED, TYPICAL)
     cells = [
@@ -177,9 +178,9 @@ def _cells() -> list[Cell]:
     return cells
 
 
-def _row(cell: Cell, contestants: dict[str, _Contestant], frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
+def _row(cell: Cell, candidates: dict[str, _Candidate], frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
     device = torch.device(cell.device)
-    networks = {name: one.network.to(device) for name, one in contestants.items()}
+    networks = {name: one.network.to(device) for name, one in candidates.items()}
     shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
     batches = [as_batch(frame, cell.together, device) for frame in shown]
     taken = time_cell(cell, networks, batches, MOST_ROUNDS, BUDGET_S)

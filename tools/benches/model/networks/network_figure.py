@@ -6,6 +6,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -23,7 +25,7 @@ _FAINT: Final = "#8a8a8a"
 
 
 def draw_network(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_network`'s answer: a row for each way to ask, a mark for each network, on a log scale.
+    """Write a PNG of `bench_network`'s results: a row for each cell, a mark for each network, on a log scale.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
@@ -38,7 +40,7 @@ def draw_network(figures: Tree, path: Path) -> None:
         _rows(axis, rows, names)
         axis.set_title(_group(rows[0], figures), loc="left", fontsize=10.5)
     _scale(axes)
-    handles = [_handle(place, name, figures["networks"][name]) for place, name in enumerate(names)]
+    handles = [_handle(position, name, figures["networks"][name]) for position, name in enumerate(names)]
     handles += _reference_lines()
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
     head = f"{', '.join(names[1:])} takes   ({names[0]} does)"
@@ -47,14 +49,14 @@ def draw_network(figures: Tree, path: Path) -> None:
 
 
 def _rows(axis: Any, rows: list[Tree], names: list[str]) -> None:
-    for place, row in enumerate(rows):
-        axis.axhline(place, color=_GRID, linewidth=0.8, zorder=0)
+    for position, row in enumerate(rows):
+        axis.axhline(position, color=_GRID, linewidth=0.8, zorder=0)
         for number, name in enumerate(names):
             colour, marker = _MARKS[number % len(_MARKS)]
             found = row["networks"][name]
-            axis.plot(found["quartiles"], [place, place], color=colour, linewidth=3, alpha=0.45, zorder=2)
-            axis.plot(found["ms"], place, marker, color=colour, markersize=6.5, markeredgecolor="white", zorder=3)
-        axis.text(1.01, place, _beside(row, names), transform=axis.get_yaxis_transform(), va="center", fontsize=9)
+            axis.plot(found["quartiles"], [position, position], color=colour, linewidth=3, alpha=0.45, zorder=2)
+            axis.plot(found["ms"], position, marker, color=colour, markersize=6.5, markeredgecolor="white", zorder=3)
+        axis.text(1.01, position, _beside(row, names), transform=axis.get_yaxis_transform(), va="center", fontsize=9)
     axis.set_yticks(range(len(rows)), [_way(row) for row in rows], fontsize=9)
     axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.tick_params(axis="y", length=0)
@@ -69,9 +71,7 @@ def _scale(axes: Any) -> None:
     low, high = last.get_xlim()
     last.set_xlim(min(low, 20), max(high, 80))
     last.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    last.xaxis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{value:,.0f}".replace(",", " ") if value >= 1 else f"{value:g}")
-    )
+    last.xaxis.set_major_formatter(FuncFormatter(lambda value, _: thousands(value) if value >= 1 else f"{value:g}"))
     last.xaxis.set_minor_formatter(NullFormatter())
     last.set_xlabel("milliseconds a batch: median, and from quartile to quartile", fontsize=10)
     for axis in axes:
@@ -98,24 +98,18 @@ def _way(row: Tree) -> str:
 
 
 def _beside(row: Tree, names: list[str]) -> str:
-    """How many times as long the others took, and how many frames a second the reference does."""
+    """Times of the others as multiples of the reference's, and the reference's frames a second."""
     times = ", ".join(f"{row['networks'][name]['times_as_long']:.3g} ×" for name in names[1:])
     return f"{times}   ({row['networks'][names[0]]['frames_per_second']:.3g} frames/s)"
 
 
-def _handle(place: int, name: str, network: Tree) -> Any:
-    from matplotlib.lines import Line2D
-
-    colour, marker = _MARKS[place % len(_MARKS)]
+def _handle(position: int, name: str, network: Tree) -> Any:
+    colour, marker = _MARKS[position % len(_MARKS)]
     accuracy = network["accuracy_all"]
     right = "" if accuracy is None else f", {accuracy:.1%} per class on all"
     label = f"{name}: {network['parameters'] / 1e6:.3g} million parameters{right}"
-    return Line2D([], [], color=colour, marker=marker, linewidth=3, markersize=7, label=label)
+    return legend_line(label, color=colour, marker=marker, linewidth=3, markersize=7)
 
 
 def _reference_lines() -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], color=_FAINT, linewidth=0.9, linestyle=dashes, label=text) for _, dashes, text in _REFERENCES
-    ]
+    return [legend_line(text, color=_FAINT, linewidth=0.9, linestyle=dashes) for _, dashes, text in _REFERENCES]

@@ -1,4 +1,4 @@
-"""The images that `bench network` shows to networks."""
+"""Frames on which `bench network` times networks."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import mixed
 from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.loading.range_images import metres
 from bodyseg_data.packing.pack import Packing, render_run
 from bodyseg_data.shards.sample_codec import decode_sample
@@ -17,19 +18,17 @@ from bodyseg_data.shards.sample_codec import decode_sample
 SENSOR_SIZE = (1920, 988)
 """Rows and columns of the paper's sensor, before it was down-sampled by three (section 3.1)."""
 
-_STRIDE = 23  # has no divisor in common with the 54 views, so few frames already mix azimuths and distances
-
 
 def typical_frames(count: int) -> list[NDArray[np.float32]]:
     """`count` views of as many open bodies, spread over postures and views, as X_all shows them: [H, W], metres.
 
     Raises BadConfig for no frame, MissingLibrary without Anny.
     """
-    packing = Packing("open", meshes=whole_number("the number of typical frames", count, 1))
+    packing = Packing("open", meshes=check_int("the number of typical frames", count, 1))
     views, show = list(ViewGrid(span_deg=360)), Augmentation(load_rig(), "all")
     frames = []
     for number, body in enumerate(packing.bodies()):
-        rendered = render_run(packing, body, (views[number * _STRIDE % len(views)],))
+        rendered = render_run(packing, body, (mixed(views, number),))
         (sample,) = (decode_sample(key, members) for key, members in rendered.samples)
         frames.append(metres(show(sample).range))
     return frames
@@ -44,11 +43,11 @@ def body_rectangle(frame: NDArray[np.float32]) -> NDArray[np.float32]:
 def stretched(frame: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
     """The body of `frame` [H, W] drawn out to fill [rows, columns], by nearest neighbours: there is nothing to crop."""
     body = body_rectangle(frame)
-    places = (
+    indices = (
         ((np.arange(size) + 0.5) / size * old).astype(np.intp)
         for size, old in zip((rows, columns), body.shape, strict=True)
     )
-    return body[np.ix_(*places)]
+    return body[np.ix_(*indices)]
 
 
 def as_batch(frame: NDArray[np.float32], together: int, device: torch.device) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""Networks timed side by side: in every round each is asked once, in turn, about the same image."""
+"""Networks timed side by side: in every round each runs once, in turn, on the same image."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ BUDGET_S: Final = 20.0
 
 @dataclass(frozen=True)
 class Cell:
-    """One way to ask. frame: which kind of image. task: "scores" is `forward` on the body's rectangle, "labels" all of
-    `predict` on the whole image. threads: of the processor. together: images in a batch.
+    """A cell of the table of times. frame: kind of image. task: "scores" is `forward` on the body's rectangle,
+    "labels" all of `predict` on the whole image. threads: of the processor. together: images in a batch.
     """
 
     frame: str
@@ -50,7 +50,7 @@ def time_cell(
     """Milliseconds of every round, network by network; they must be in evaluation mode and on the cell's device.
 
     batches: float32 [B, 1, H, W], there as well; rounds take them in turn. There are `rounds` of them, or fewer, but
-    at least `LEAST_ROUNDS`, once they have taken `budget_s`. Each network first answers once untimed.
+    at least `LEAST_ROUNDS`, once they have taken `budget_s`. Each network first runs once untimed.
     """
     found: dict[str, list[float]] = {name: [] for name in networks}
     device = torch.device(cell.device)
@@ -101,7 +101,7 @@ def _job(task: Task, network: Network, batch: torch.Tensor) -> Callable[[], Any]
 
 
 def _milliseconds(job: Callable[[], Any], device: torch.device) -> float:
-    """How long it takes until the answer is there: a GPU is told what to do and does it later."""
+    """Time until the result is there; a GPU computes asynchronously, so wait for it."""
     _wait(device)
     start = time.perf_counter()
     answer = job()

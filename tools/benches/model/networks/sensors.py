@@ -1,12 +1,12 @@
-"""`bench sensors`: how well a network labels what other cameras see, by what is made of their frames before.
+"""`bench sensors`: accuracy of a network on frames of other cameras, by how the frames are resampled before.
 
 Bodies of the open set's test split are drawn as each camera would see them, with nothing round them and no artifact:
-what is measured is geometry alone. docs/segment.md says how to read the answer.
+what is measured is geometry alone. docs/segment.md says how to read the results.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import BodyRef
+from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
-from bodyseg_data.loading.batch_order import whole_number
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.packing.sampler import surface_points
@@ -73,21 +73,21 @@ def all_scenes() -> list[Scene]:
 def bench_sensors(
     views: int = 12,
     runs: Sequence[Path] = (),
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Average per-class accuracy in each scene by every one of `METHODS`.
 
-    views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network to ask is in the first of them; without, it
+    views: bodies, each seen from all of `AZIMUTHS_DEG`. runs: the network is in the first of them; without, it
     is the one that ships. in_view: the share of the bodies' vertices that the frames hold, hidden ones counted. Raises
     BadConfig for no body or no network, MissingLibrary without Anny.
     """
-    count = whole_number("the number of bodies", views, 1)
+    count = check_int("the number of bodies", views, 1)
     network = load_network(runs[0] if runs else SHIPPED).network
     scenes = all_scenes()
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
     in_view: list[list[float]] = [[] for _ in scenes]
     source = open_source("open")
-    bodies = _spread([body for body in source.bodies() if body.split == "test"], count)
+    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
     for done, body in enumerate(bodies, start=1):
         built = source.build(body)
         parts, renderer = partition(built.mesh, built.landmarks), open_renderer("raster", built.mesh)
@@ -129,7 +129,7 @@ def label(network: Network, range_m: Image, camera: Camera, method: Method) -> L
 
 
 def _see(renderer: Renderer, mesh: Mesh, parts: Partition, placed: PlacedCamera) -> tuple[Image, Labels]:
-    """What a camera sees of a body, and the parts."""
+    """Range image of a body by a camera, metres, and the labels of its parts."""
     seen = renderer.render(placed)
     rows, columns = np.nonzero(seen.face >= 0)
     truth = np.full(seen.face.shape, BACKGROUND, np.uint8)
@@ -141,9 +141,3 @@ def _share_in_view(mesh: Mesh, placed: PlacedCamera) -> float:
     """The share of a mesh's vertices inside the frame."""
     points, _ = placed.project(mesh.vertices)
     return float(((points >= 0) & (points < (placed.camera.columns, placed.camera.rows))).all(axis=1).mean())
-
-
-def _spread(bodies: Sequence[BodyRef], count: int) -> list[BodyRef]:
-    """`count` of them, or all if there are fewer, evenly over the list."""
-    kept = min(count, len(bodies))
-    return [bodies[(2 * place + 1) * len(bodies) // (2 * kept)] for place in range(kept)]

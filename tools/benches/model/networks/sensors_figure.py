@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from benches.charts.legends import legend_line
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -15,7 +16,7 @@ _ALL_IN_VIEW: Final = 0.99
 
 
 def draw_sensors(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_sensors`'s answer: accuracy over distance and over direction.
+    """Write a PNG of `bench_sensors`'s results: accuracy over distance and over direction.
 
     A hollow mark: a part of the bodies is out of view. Raises MissingLibrary without matplotlib, BadConfig if the file
     cannot be written.
@@ -40,28 +41,22 @@ def draw_sensors(figures: Tree, path: Path) -> None:
     save_chart(figure, path, dpi=110)
 
 
-def _curves(axis: Any, scenes: list[Tree], names: list[str], place: str) -> None:
+def _curves(axis: Any, scenes: list[Tree], names: list[str], key: str) -> None:
     for name, dashes in zip(names, _DASHES, strict=False):
-        row = sorted((scene for scene in scenes if scene["sensor"] == name), key=lambda scene: float(scene[place]))
+        row = sorted((scene for scene in scenes if scene["sensor"] == name), key=lambda scene: float(scene[key]))
         for method, colour in _COLOURS.items():
-            x, y = [scene[place] for scene in row], [scene["accuracy"][method] for scene in row]
+            x, y = [scene[key] for scene in row], [scene["accuracy"][method] for scene in row]
             axis.plot(x, y, color=colour, linestyle=dashes, linewidth=1.6, zorder=2)
             for scene in row:
                 face = colour if scene["in_view"] >= _ALL_IN_VIEW else "white"
-                axis.plot(scene[place], scene["accuracy"][method], "o", color=colour, markerfacecolor=face, zorder=3)
+                axis.plot(scene[key], scene["accuracy"][method], "o", color=colour, markerfacecolor=face, zorder=3)
 
 
 def _handles(names: list[str], known: Tree, top: float) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    lines = [Line2D([], [], color=colour, linewidth=3, label=method) for method, colour in _COLOURS.items()]
-    lines += [
-        Line2D([], [], color="#4d4d4d", linestyle=dashes, label=name)
-        for name, dashes in zip(names, _DASHES, strict=False)
-    ]
+    lines = [legend_line(method, color=colour, linewidth=3) for method, colour in _COLOURS.items()]
+    pairs = zip(names, _DASHES, strict=False)
+    lines += [legend_line(name, color="#4d4d4d", linestyle=dashes) for name, dashes in pairs]
     reference = f"{known['sensor']} camera at {known['distance_m']:g} m: {top:.1%}"
-    lines.append(Line2D([], [], color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2)), label=reference))
-    hollow = Line2D(
-        [], [], color="#4d4d4d", marker="o", markerfacecolor="white", linestyle="", label="cut by the frame"
-    )
+    lines.append(legend_line(reference, color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2))))
+    hollow = legend_line("cut by the frame", color="#4d4d4d", marker="o", markerfacecolor="white", linestyle="")
     return [*lines, hollow]

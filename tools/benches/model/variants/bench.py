@@ -1,7 +1,7 @@
-"""`bench variants`: what training with each artifact is worth, and how robust that makes a network (Figs. 7 and 8).
+"""`bench variants`: the gain of training with each artifact, and the robustness that it gives (Figs. 7 and 8).
 
-One network for each of the five variants and each seed, alike in everything else, is judged on the test images of all
-five variants and on two sweeps of exact strengths. docs/variants.md says how to read the answer.
+One network for each of the five variants and each seed, alike in everything else, is evaluated on the test images of
+all five variants and on two sweeps of exact strengths. docs/variants.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import torch
 
-from benches.model.variants.claims import Ask, Tree, accuracies, claims
-from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, runs_in, train
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Evaluator, Setting, Sweep
+from benches.measuring import silent
+from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
+from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
@@ -27,7 +27,7 @@ from bodyseg_model.training.distributed import ProcessGroup, find_device
 from bodyseg_model.training.loop import Metrics
 
 _PASSES: Final = 3
-"""An image trained on takes about as long as so many that are only looked at: forwards, and twice as much backwards."""
+"""Forward passes that take as long as training on one image: one forward, and a backward of about two."""
 
 
 def bench_variants(
@@ -37,9 +37,9 @@ def bench_variants(
     steps: int | None = None,
     images: int = 500,
     alone: bool = False,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: Callable[..., None] = silent,
 ) -> dict[str, Any]:
-    """Train what is missing in the folder `runs`, then judge every network by the same `images` test images of `data`.
+    """Train what is missing in the folder `runs`, then evaluate every network on the first `images` of `data`.
 
     Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
     the preset's. Scores are kept in each run's cached_results.json. alone: sweep noise and missing data by themselves,
@@ -50,32 +50,33 @@ def bench_variants(
     """
     if len(runs) != 1:
         raise BadConfig(f"bench variants keeps its trainings in one folder, found {len(runs)} with --runs")
-    whole_number("the number of test images", images, 1)
+    check_int("the number of test images", images, 1)
     trainings = runs_in(runs[0], seeds)
     plan = common_plan(trainings, data, steps)
     sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})
-    settings = list(dict.fromkeys([*TABLE.values(), *(each for sweep in sweeps.values() for each in sweep.settings)]))
+    swept = (condition for sweep in sweeps.values() for condition in sweep.conditions)
+    conditions = list(dict.fromkeys([*TABLE.values(), *swept]))
     evaluator = Evaluator(data, images)
-    test_images = min(images, len(evaluator.images(settings[0])))
-    work = _Work(trainings, plan, test_images * len(settings), progress)
+    test_images = min(images, len(evaluator.images(conditions[0])))
+    work = _Progress(trainings, plan, test_images * len(conditions), progress)
     start = time.perf_counter()
     device = find_device()
     for run in work.missing:
         train(run, plan, data, ProcessGroup(0, 1, device), work.report(run))
         work.trained(run)
-    found: dict[tuple[Run, Setting], Tree] = {}
+    found: dict[tuple[Run, Condition], Tree] = {}
     networks = {run: load_network(run.path) for run in trainings}
-    for setting in settings:  # the outer loop, so that every set of test images is opened once
+    for condition in conditions:  # the outer loop, so that every set of test images is opened once
         for run, trained in networks.items():
             network = trained.network.to(device)
-            extras = run.variant == "all" and setting == TABLE["all"]
-            found[run, setting] = evaluator.scores(run.path, network, setting, extras)
-            work.judged(run, setting, test_images)
+            extras = run.variant == "all" and condition == TABLE["all"]
+            found[run, condition] = evaluator.scores(run.path, network, condition, extras)
+            work.evaluated(run, condition, test_images)
 
-    def ask(variant: VariantName, setting: Setting) -> list[Tree]:
-        return [found[run, setting] for run in trainings if run.variant == variant]
+    def scores_of(variant: VariantName, condition: Condition) -> list[Tree]:
+        return [found[run, condition] for run in trainings if run.variant == variant]
 
-    manifest = evaluator.images(settings[0]).manifest
+    manifest = evaluator.images(conditions[0]).manifest
     return {
         "scale": {
             "steps": plan.recipe.steps,
@@ -95,13 +96,13 @@ def bench_variants(
         "threads": torch.get_num_threads(),
         "seconds": round(time.perf_counter() - start, 1),
         "table": {
-            variant: {test: over_seeds(accuracies(ask, variant, setting)) for test, setting in TABLE.items()}
+            variant: {test: over_seeds(accuracies(scores_of, variant, condition)) for test, condition in TABLE.items()}
             for variant in VARIANTS
         },
-        "subsets": _subsets(ask),
-        "sweeps": {name: _curves(ask, sweep) for name, sweep in sweeps.items()},
-        "claims": claims(ask, alone),
-        "networks": [_origin(run, networks[run].card) for run in trainings],
+        "subsets": _subsets(scores_of),
+        "sweeps": {name: _curves(scores_of, sweep) for name, sweep in sweeps.items()},
+        "claims": claims(scores_of, alone),
+        "networks": [origin(run.path) for run in trainings],
     }
 
 
@@ -109,11 +110,11 @@ def _images_a_step(plan: Plan) -> int:
     return plan.recipe.batch_size * plan.recipe.accumulate
 
 
-def _curves(ask: Ask, sweep: Sweep) -> Tree:
-    others = list(VARIANTS[sweep.settings[0].variant])
+def _curves(scores_of: ScoresOf, sweep: Sweep) -> Tree:
+    others = list(VARIANTS[sweep.conditions[0].variant])
     curves = {}
     for variant in VARIANTS:
-        points = [over_seeds(accuracies(ask, variant, setting)) for setting in sweep.settings]
+        points = [over_seeds(accuracies(scores_of, variant, condition)) for condition in sweep.conditions]
         seeds = [list(values) for values in zip(*(point["seeds"] for point in points), strict=True)]
         curves[variant] = {name: [point[name] for point in points] for name in ("mean", "sd")} | {"seeds": seeds}
     return {
@@ -124,23 +125,19 @@ def _curves(ask: Ask, sweep: Sweep) -> Tree:
     }
 
 
-def _subsets(ask: Ask) -> Tree:
+def _subsets(scores_of: ScoresOf) -> Tree:
     """Accuracy on each subset of the test images of `all`, by training variant (Fig. 6); null for one too small."""
     found: Tree = {}
     for variant in VARIANTS:
-        rows = [each["subsets"] for each in ask(variant, TABLE["all"])]
+        rows = [each["subsets"] for each in scores_of(variant, TABLE["all"])]
         values = {name: [row[name]["average_per_class_accuracy"] for row in rows] for name in rows[0]}
         found[variant] = {name: None if None in each else over_seeds(each) for name, each in values.items()}
     return found
 
 
-def _origin(run: Run, card: dict[str, Any]) -> dict[str, Any]:
-    return {"name": run.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
-
-
 @dataclass
-class _Work:
-    """How much of the whole is done, in images looked at, for whoever watches."""
+class _Progress:
+    """Progress of the whole bench, counted in images that networks have processed."""
 
     trainings: list[Run]
     plan: Plan
@@ -166,8 +163,8 @@ class _Work:
     def trained(self, run: Run) -> None:
         self._add(self._of_training(self.plan.recipe.steps), f"trained {run.name}")
 
-    def judged(self, run: Run, setting: Setting, images: int) -> None:
-        self._add(images, f"{run.name} on {setting.name}")
+    def evaluated(self, run: Run, condition: Condition, images: int) -> None:
+        self._add(images, f"{run.name} on {condition.name}")
 
     def _add(self, images: int, note: str) -> None:
         self.done += images

@@ -1,6 +1,6 @@
-"""What section 4 of the paper claims of Figs. 5 to 8, as statements that our figures bear out or do not.
+"""Claims of section 4 of the paper about Figs. 5 to 8, as statements that our figures bear out or do not.
 
-Where the paper gives no number ("highly robust"), the bound is ours and stands in the statement. A statement is judged
+Where the paper gives no number ("highly robust"), the bound is ours and stands in the statement. A statement is tested
 by means over seeds; differences are taken between networks of one seed.
 """
 
@@ -10,12 +10,12 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Setting, Sweep
+from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_model.evaluation.report import over_seeds
 
 Tree = dict[str, Any]
-Ask = Callable[[VariantName, Setting], list[Tree]]
+ScoresOf = Callable[[VariantName, Condition], list[Tree]]
 """(training variant, test images) -> the scores of its networks, one a seed."""
 
 ROBUST_POINTS: Final = 2.0
@@ -26,25 +26,25 @@ _EDGE_BINS: Final = ("1", "1-2", "2-4")
 _ACCURACY: Final = "average_per_class_accuracy"
 
 
-def accuracies(ask: Ask, variant: VariantName, setting: Setting) -> list[float]:
+def accuracies(scores_of: ScoresOf, variant: VariantName, condition: Condition) -> list[float]:
     """Average per-class accuracy of the networks trained on `variant`, one a seed."""
-    return [found[_ACCURACY] for found in ask(variant, setting)]
+    return [found[_ACCURACY] for found in scores_of(variant, condition)]
 
 
-def claims(ask: Ask, alone: bool) -> list[Tree]:
+def claims(scores_of: ScoresOf, alone: bool) -> list[Tree]:
     """Every statement with the section it is from, the paper's number if it gives one, ours, and whether it holds.
 
-    holds: None where it cannot be judged, for want of a subset. alone: whether the sweeps without other artifacts may
-    be asked for.
+    holds: None where a subset that it needs is missing. alone: whether the sweeps without other artifacts were
+    measured.
     """
     return [
-        *_whole_set(ask),
-        *_edges(ask),
-        *_confidence(ask),
-        *_subsets(ask),
-        *_noise(ask, alone),
-        *_missing_data(ask, alone),
-        *_everything(ask),
+        *_whole_set(scores_of),
+        *_edges(scores_of),
+        *_confidence(scores_of),
+        *_subsets(scores_of),
+        *_noise(scores_of, alone),
+        *_missing_data(scores_of, alone),
+        *_everything(scores_of),
     ]
 
 
@@ -52,15 +52,15 @@ def _claim(section: str, statement: str, paper: Any, ours: Any, holds: bool | No
     return {"section": section, "claim": statement, "paper": paper, "ours": ours, "holds": holds}
 
 
-def _whole_set(ask: Ask) -> list[Tree]:
-    ours = over_seeds(accuracies(ask, "all", TABLE["all"]))
+def _whole_set(scores_of: ScoresOf) -> list[Tree]:
+    ours = over_seeds(accuracies(scores_of, "all", TABLE["all"]))
     statement = "trained on X_all, the average per-class accuracy on its test images is at least 81.3 %"
     return [_claim("4.1", statement, 0.813, ours, ours["mean"] >= 0.813)]
 
 
-def _edges(ask: Ask) -> list[Tree]:
+def _edges(scores_of: ScoresOf) -> list[Tree]:
     wrong, pixels = [], []
-    for found in ask("all", TABLE["all"]):
+    for found in scores_of("all", TABLE["all"]):
         bins = {row["distance"]: row for row in found["border_distance_px"]}
         count = {name: row["pixels"] * (row["wrong"] or 0) for name, row in bins.items()}
         wrong.append(sum(count[name] for name in _EDGE_BINS) / max(1, sum(count.values())))
@@ -72,8 +72,8 @@ def _edges(ask: Ask) -> list[Tree]:
     return [_claim("4.1, Fig. 5", statement, None, ours, ours["wrong_pixels_at_edges"]["mean"] > 0.5)]
 
 
-def _confidence(ask: Ask) -> list[Tree]:
-    found = ask("all", TABLE["all"])
+def _confidence(scores_of: ScoresOf) -> list[Tree]:
+    found = scores_of("all", TABLE["all"])
     above = [each["confidence"]["above_70_percent"] for each in found]
     before, after = (
         over_seeds([each[_ACCURACY] for each in found]),
@@ -98,8 +98,8 @@ def _confidence(ask: Ask) -> list[Tree]:
     ]
 
 
-def _subsets(ask: Ask) -> list[Tree]:
-    found = ask("all", TABLE["all"])
+def _subsets(scores_of: ScoresOf) -> list[Tree]:
+    found = scores_of("all", TABLE["all"])
     whole = statistics.mean(each[_ACCURACY] for each in found)
     ours = {
         name: over_seeds([each["subsets"][name][_ACCURACY] for each in found])
@@ -126,11 +126,11 @@ def _subsets(ask: Ask) -> list[Tree]:
     ]
 
 
-def _noise(ask: Ask, alone: bool) -> list[Tree]:
+def _noise(scores_of: ScoresOf, alone: bool) -> list[Tree]:
     sweep = SWEEPS["noise"]
-    lost = _lost(ask, ("noise", "all"), sweep, _SIGMA_MM)
-    others = _lost(ask, ("none", "occ", "md"), sweep, _SIGMA_MM)
-    gains = _gains(ask, sweep)
+    lost = _lost(scores_of, ("noise", "all"), sweep, _SIGMA_MM)
+    others = _lost(scores_of, ("none", "occ", "md"), sweep, _SIGMA_MM)
+    gains = _gains(scores_of, sweep)
     found = [
         _loses_little("4.2, Fig. 7", f"noise and all lose at most {{}} points at a sigma of {_SIGMA_MM} mm", lost),
         _loses_little(
@@ -149,20 +149,20 @@ def _noise(ask: Ask, alone: bool) -> list[Tree]:
         ),
     ]
     if alone:
-        lost = _lost(ask, ("noise", "all"), SWEEPS_ALONE["noise_alone"], _SIGMA_MM)
+        lost = _lost(scores_of, ("noise", "all"), SWEEPS_ALONE["noise_alone"], _SIGMA_MM)
         statement = f"without other artifacts, noise and all lose at most {{}} points at a sigma of {_SIGMA_MM} mm"
         found.append(_loses_little("4.2", statement, lost))
     return found
 
 
-def _missing_data(ask: Ask, alone: bool) -> list[Tree]:
+def _missing_data(scores_of: ScoresOf, alone: bool) -> list[Tree]:
     sweep = SWEEPS["missing"]
     start, half = _at(sweep, 0), _at(sweep, _MISSING)
     none = {
-        "0 % missing": over_seeds(accuracies(ask, "none", start)),
-        "50 % missing": over_seeds(accuracies(ask, "none", half)),
+        "0 % missing": over_seeds(accuracies(scores_of, "none", start)),
+        "50 % missing": over_seeds(accuracies(scores_of, "none", half)),
     }
-    gains = _gains(ask, sweep)
+    gains = _gains(scores_of, sweep)
     found = [
         _claim(
             "4.3, Fig. 8",
@@ -174,7 +174,7 @@ def _missing_data(ask: Ask, alone: bool) -> list[Tree]:
         _loses_little(
             "4.3, Fig. 8",
             "md and all lose at most {} points at 50 % missing data",
-            _lost(ask, ("md", "all"), sweep, _MISSING),
+            _lost(scores_of, ("md", "all"), sweep, _MISSING),
         ),
         _claim(
             "4.3",
@@ -185,16 +185,16 @@ def _missing_data(ask: Ask, alone: bool) -> list[Tree]:
         ),
     ]
     if alone:
-        lost = _lost(ask, ("md", "all"), SWEEPS_ALONE["missing_alone"], _MISSING)
+        lost = _lost(scores_of, ("md", "all"), SWEEPS_ALONE["missing_alone"], _MISSING)
         statement = "without other artifacts, md and all lose at most {} points at 50 % missing data"
         found.append(_loses_little("4.3", statement, lost))
     return found
 
 
-def _everything(ask: Ask) -> list[Tree]:
+def _everything(scores_of: ScoresOf) -> list[Tree]:
     behind: Tree = {}
-    for name, setting in TABLE.items():
-        means = {train: statistics.mean(accuracies(ask, train, setting)) for train in VARIANTS}
+    for name, condition in TABLE.items():
+        means = {train: statistics.mean(accuracies(scores_of, train, condition)) for train in VARIANTS}
         best = max(means, key=lambda train: means[train])
         behind[name] = {"best": best, "points_behind": round(100 * (means[best] - means["all"]), 2)}
     holds = all(row["points_behind"] <= NEAR_BEST_POINTS for row in behind.values())
@@ -202,16 +202,16 @@ def _everything(ask: Ask) -> list[Tree]:
     return [_claim("4.2 to 4.4", statement, None, behind, holds)]
 
 
-def _at(sweep: Sweep, strength: float) -> Setting:
-    return sweep.settings[sweep.strengths.index(strength)]
+def _at(sweep: Sweep, strength: float) -> Condition:
+    return sweep.conditions[sweep.strengths.index(strength)]
 
 
-def _lost(ask: Ask, variants: Sequence[VariantName], sweep: Sweep, strength: float) -> Tree:
+def _lost(scores_of: ScoresOf, variants: Sequence[VariantName], sweep: Sweep, strength: float) -> Tree:
     """Points of accuracy between strength 0 and `strength`."""
     ends = _at(sweep, 0), _at(sweep, strength)
     found: Tree = {}
     for variant in variants:
-        pairs = zip(*(accuracies(ask, variant, setting) for setting in ends), strict=True)
+        pairs = zip(*(accuracies(scores_of, variant, condition) for condition in ends), strict=True)
         found[variant] = over_seeds([100 * (clean - worse) for clean, worse in pairs], decimals=2)
     return found
 
@@ -221,12 +221,12 @@ def _loses_little(section: str, statement: str, lost: Tree) -> Tree:
     return _claim(section, statement.format(f"{ROBUST_POINTS:g}"), None, {"points lost": lost}, holds)
 
 
-def _gains(ask: Ask, sweep: Sweep) -> dict[str, Tree]:
+def _gains(scores_of: ScoresOf, sweep: Sweep) -> dict[str, Tree]:
     """Points of accuracy, mean over the strengths of a sweep, that training with one artifact gains on none."""
     means = {
         variant: [
             statistics.mean(seed)
-            for seed in zip(*(accuracies(ask, variant, setting) for setting in sweep.settings), strict=True)
+            for seed in zip(*(accuracies(scores_of, variant, condition) for condition in sweep.conditions), strict=True)
         ]
         for variant in VARIANTS
     }

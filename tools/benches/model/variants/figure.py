@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from benches.charts.legends import legend_line
+from benches.charts.scales import thousands
 from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
@@ -40,7 +42,7 @@ _GRID: Final = "#e2e2e2"
 
 
 def draw_variants(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_variants`'s answer: a panel for each sweep, five curves each, and the table of test sets.
+    """Write a PNG of `bench_variants`'s results: a panel for each sweep, five curves each, and the table of test sets.
 
     Bands are one standard deviation over seeds. Raises MissingLibrary without matplotlib, BadConfig if the file cannot
     be written.
@@ -49,23 +51,17 @@ def draw_variants(figures: Tree, path: Path) -> None:
     figure = new_chart(16.5, 1.6 + 3.9 * rows)
     grid = figure.add_gridspec(rows, 3, width_ratios=(1, 1, 1.08))
     lowest = min(value for sweep in figures["sweeps"].values() for c in sweep["curves"].values() for value in c["mean"])
-    for place, (name, sweep) in enumerate(figures["sweeps"].items()):
-        axis = figure.add_subplot(grid[place // 2, place % 2])
+    for position, (name, sweep) in enumerate(figures["sweeps"].items()):
+        axis = figure.add_subplot(grid[position // 2, position % 2])
         _sweep(axis, name, sweep)
         axis.set_ylim(max(0.0, 0.1 * (10 * lowest // 1)), 1)
-        if place % 2 == 0:
+        if position % 2 == 0:
             axis.set_ylabel("average per-class accuracy", fontsize=10)
     _table(figure.add_subplot(grid[:, 2]), figures["table"])
-    handles = [_line(name, label=f"trained on {name}") for name in _STYLES]
+    handles = [legend_line(f"trained on {name}", **_drawn(name)) for name in _STYLES]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=10.5, handlelength=4.5, frameon=False)
     figure.suptitle(_scale(figures["scale"]), x=0.005, ha="left", fontsize=10.5)
     save_chart(figure, path, dpi=110)
-
-
-def _line(name: str, **options: Any) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], **_drawn(name), **options)
 
 
 def _drawn(name: str) -> dict[str, Any]:
@@ -130,10 +126,6 @@ def _scale(scale: Tree) -> str:
     rows, columns = scale["image"]
     steps, batch, views = scale["steps"], scale["images_a_step"], scale["train_images"]
     return (
-        f"{seeds}; {_thousands(steps)} steps of {batch} images ({_thousands(steps * batch)} images of "
-        f"{_thousands(views)} views); {_thousands(scale['test_images'])} test images of {rows} × {columns} pixels"
+        f"{seeds}; {thousands(steps)} steps of {batch} images ({thousands(steps * batch)} images of "
+        f"{thousands(views)} views); {thousands(scale['test_images'])} test images of {rows} × {columns} pixels"
     )
-
-
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.commands.options import place_name
+from bodyseg_data.commands.options import last_name
 from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import whole_number
+from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build
@@ -42,11 +41,11 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        """Whether its network is there: the card is written last."""
+        """True if its network is there: the card is written last."""
         return RunFolder(self.path).network.with_suffix(".json").exists()
 
     def plan(self) -> dict[str, Any] | None:
-        """What its folder says is trained there on what; None if nothing is. Raises BadConfig for a damaged file."""
+        """The card, or the plan of an unfinished training; None if there is neither. Raises BadConfig if damaged."""
         for name in ("network.json", "run.json"):
             if (self.path / name).exists():
                 return read_json(self.path / name)
@@ -55,14 +54,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """What all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
+    """Facts that all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
 
     recipe: Recipe
     settings: dict[str, Any]
     data: dict[str, Any]
 
     def of(self, run: Run) -> dict[str, Any]:
-        """What the folder of `run` has to say."""
+        """Facts that the card in the folder of `run` must have."""
         return {
             "network": NETWORK,
             "settings": self.settings,
@@ -75,12 +74,12 @@ class Plan:
 
 def runs_in(folder: Path, seeds: int) -> list[Run]:
     """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
-    numbers = range(whole_number("the number of seeds", seeds, 1))
+    numbers = range(check_int("the number of seeds", seeds, 1))
     return [Run(variant, seed, folder / f"{variant}-{seed}") for seed in numbers for variant in VARIANTS]
 
 
 def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
-    """What the trainings that are there share, and what the others will; the preset recipe if there is none.
+    """The plan of the trainings that are there, to be that of the others too; the preset recipe if there is none.
 
     Raises BadConfig, naming the folder, if one is of other data, of another network, recipe or number of steps.
     """
@@ -106,6 +105,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     return shared
 
 
+def origin(folder: Path) -> dict[str, Any]:
+    """Name of a training's folder, and the command, commit and hardware on its card."""
+    card = read_json(folder / "network.json")
+    return {"name": folder.name, **{name: card.get(name) for name in ("command", "commit", "hardware")}}
+
+
 def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Report) -> None:
     """Train to the end, from the folder's last checkpoint if there is one, as `bodyseg train` would.
 
@@ -114,5 +119,5 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, _RUN_OPTIONS)
-    command = f"tools/bench variants --data {place_name(data)} --runs {run.path.parent.name}"
+    command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})

@@ -1,4 +1,4 @@
-"""What `bench variants` asks every network, and the answers, kept beside the network.
+"""Conditions under which `bench variants` evaluates every network, and the scores, kept beside the network.
 
 Section 3.6 of the paper: "test images always include random additive noise, missing data, and occlusions". So where it
 sweeps one artifact (Figs. 7 and 8), the other two are as in X_all: the images of that set, each with the same strength
@@ -27,13 +27,13 @@ SIGMAS_MM: Final = (0, 10, 20, 30, 40, 50, 60, 80, 100)
 MISSING: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
-_BATCH: Final = 1  # as a sensor gives them: what is cut out of a batch, and so its answers, depends on all its bodies
+_BATCH: Final = 1  # as a sensor gives them: the crop of a batch, and so its scores, depend on all its bodies
 _KEPT: Final = ("images", "pixels", "average_per_class_accuracy", "pixel_accuracy", "mean_iou", "swaps", "subsets")
 _KEPT_OF_EXTRAS: Final = ("confidence", "border_distance_px")
 
 
 @dataclass(frozen=True)
-class Setting:
+class Condition:
     """Test images of one kind: a variant, with one strength of noise or of missing data for all if it is not None."""
 
     variant: VariantName
@@ -42,7 +42,7 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The condition in words."""
         strengths = [f"sigma {self.noise_mm:g} mm"] if self.noise_mm is not None else []
         strengths += [f"{self.missing:.0%} missing"] if self.missing is not None else []
         return ", ".join([self.variant, *strengths])
@@ -54,58 +54,58 @@ class Setting:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One artifact in rising strength; the settings belong to the strengths, one by one."""
+    """One artifact in rising strength; the conditions belong to the strengths, one by one."""
 
     title: str
     strengths: tuple[float, ...]
-    settings: tuple[Setting, ...]
+    conditions: tuple[Condition, ...]
 
 
-TABLE: Final = {name: Setting(name) for name in VARIANTS}
+TABLE: Final = {name: Condition(name) for name in VARIANTS}
 """The test sets of Table 1."""
 
 SWEEPS: Final = {
-    "noise": Sweep("noise", SIGMAS_MM, tuple(Setting("all", noise_mm=sigma) for sigma in SIGMAS_MM)),
-    "missing": Sweep("missing data", MISSING, tuple(Setting("all", missing=share) for share in MISSING)),
+    "noise": Sweep("noise", SIGMAS_MM, tuple(Condition("all", noise_mm=sigma) for sigma in SIGMAS_MM)),
+    "missing": Sweep("missing data", MISSING, tuple(Condition("all", missing=share) for share in MISSING)),
 }
 """Figs. 7 and 8: the other artifacts as in X_all."""
 
 SWEEPS_ALONE: Final = {
-    "noise_alone": Sweep("noise alone", SIGMAS_MM, tuple(Setting("noise", noise_mm=sigma) for sigma in SIGMAS_MM)),
-    "missing_alone": Sweep("missing data alone", MISSING, tuple(Setting("md", missing=share) for share in MISSING)),
+    "noise_alone": Sweep("noise alone", SIGMAS_MM, tuple(Condition("noise", noise_mm=sigma) for sigma in SIGMAS_MM)),
+    "missing_alone": Sweep("missing data alone", MISSING, tuple(Condition("md", missing=share) for share in MISSING)),
 }
 """The same without the other artifacts, which the paper does not show."""
 
 
 class Evaluator:
-    """Asks one network after the other, and does not ask again what is kept in its folder."""
+    """Evaluates networks, each condition once: scores are kept in the network's folder."""
 
     def __init__(self, data: str, images: int) -> None:
         self._data, self._count = data, images
-        self._opened: tuple[Setting, RangeImages] | None = None
+        self._opened: tuple[Condition, RangeImages] | None = None
         self._caches: dict[tuple[Path, str], ResultCache] = {}
 
-    def images(self, setting: Setting) -> RangeImages:
-        """The test images of a setting; the last ones stay open."""
-        if self._opened is None or self._opened[0] != setting:
-            self._opened = setting, setting.open(self._data)
+    def images(self, condition: Condition) -> RangeImages:
+        """The test images of a condition; the last ones stay open."""
+        if self._opened is None or self._opened[0] != condition:
+            self._opened = condition, condition.open(self._data)
         return self._opened[1]
 
-    def scores(self, folder: Path, network: Network, setting: Setting, extras: bool) -> dict[str, Any]:
+    def scores(self, folder: Path, network: Network, condition: Condition, extras: bool) -> dict[str, Any]:
         """Scores of the network of a run's folder, as of `evaluation_report.report` but for its tables.
 
         extras: count confidences and distances to borders as well. Raises as `ResultCache` and `evaluate`.
         """
-        images = self.images(setting)
+        images = self.images(condition)
         query = {
-            "setting": setting.name,
+            "condition": condition.name,
             "images": images.identity(),
             "count": self._count,
             "batch": _BATCH,
             "extras": extras,
             "device": device_of(network).type,
         }
-        cache = self._cache(folder, type(setting).__module__)
+        cache = self._cache(folder, type(condition).__module__)
         found = cache.get(query)
         if found is None:
             chosen = EXTRAS if extras else ()
@@ -114,9 +114,9 @@ class Evaluator:
             cache.put(query, found)
         return found
 
-    def _cache(self, folder: Path, settings: str) -> ResultCache:
-        """Of a run's folder. settings: the module that makes the images."""
-        key = folder, settings
+    def _cache(self, folder: Path, conditions: str) -> ResultCache:
+        """The cache in a run's folder. conditions: the module that makes the images."""
+        key = folder, conditions
         if key not in self._caches:
-            self._caches[key] = ResultCache(folder / FILE, network_identity(folder), __name__, settings)
+            self._caches[key] = ResultCache(folder / FILE, network_identity(folder), __name__, conditions)
         return self._caches[key]
