@@ -218,7 +218,9 @@ def test_a_bad_body_is_one_error_whatever_the_cluster(nodes: Nodes, tmp_path: Pa
     assert contents(out) == contents(figures_set)
 
 
-def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_would_give_other_bytes_are_named(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ours = tuple((name, "0.1" if name == "embreex" else version) for name, version in workers.installed())
     with monkeypatch.context() as patch:
         patch.setattr(cluster, "expected", lambda packing: replace(workers.expected(packing), installed=ours))
@@ -237,8 +239,16 @@ def test_workers_that_would_give_other_bytes_are_named(nodes: Nodes, monkeypatch
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
-    assert workers.fault(replace(workers.expected(Packing("open", Path("/there"))), seen="other")) == (
-        "sees other bodies in /there than this machine: share one folder with the workers"
+    monkeypatch.setitem(SOURCES, "folder", FiguresEntry(reads="meshes"))
+    here = workers.expected(Packing("folder", tmp_path))
+    assert workers.fault(here) is None
+    assert workers.fault(replace(here, seen="other")) == (
+        f"sees other bodies in {tmp_path} than this machine: share one folder with the workers"
+    )
+    there = tuple((name, "other" if name == "shadow thresholds" else version) for name, version in here.installed)
+    assert workers.fault(replace(here, installed=there)) == (
+        "has shadow thresholds ShadowThresholds(surface_gap_m=0.006, edge_m=0.02), this machine has other: "
+        "install the same versions on both"
     )
 
 
