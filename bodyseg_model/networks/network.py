@@ -57,7 +57,7 @@ class Network(nn.Module, ABC):
     def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Compute scores at some pixels only, float [B, 33, h, w]; for networks whose output stride is 1.
 
-        rows, columns: int64 [h] and [w]. A network overrides this where that is cheaper than all of `scores`.
+        rows: int64 [h]; columns: int64 [w]. A network overrides this where that is cheaper than all of `scores`.
         """
         return self.scores(range_m)[:, :, rows][..., columns]
 

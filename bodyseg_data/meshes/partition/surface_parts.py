@@ -53,7 +53,7 @@ class Partition:
 def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact") -> Partition:
     """Label every vertex of `mesh` with its nearest landmark along the surface.
 
-    landmarks: int64 [33], one vertex for each of `parts.PARTS`, in that order. method: of measuring distances
+    landmarks: vertex indices [33] of any integer dtype, one for each of `parts.PARTS`, in that order. method: of measuring distances
     (`geodesics.nearest_sources`).
 
     Defects that prevent distances along the surface are mended first (`mending.mend`): seams that are not welded,
