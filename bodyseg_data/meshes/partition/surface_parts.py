@@ -53,8 +53,8 @@ class Partition:
 def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact") -> Partition:
     """Label every vertex of `mesh` with its nearest landmark along the surface.
 
-    landmarks: vertex indices [33] of any integer dtype, one for each of `parts.PARTS`, in that order. method: of measuring distances
-    (`geodesics.nearest_sources`).
+    landmarks: vertex indices [33] of any integer dtype, one for each of `parts.PARTS`, in that order. method: of
+    measuring distances (`geodesics.nearest_sources`).
 
     Defects that prevent distances along the surface are mended first (`mending.mend`): seams that are not welded,
     duplicate and degenerate faces, edges with more than two faces. If `method` fails even so,
