@@ -50,7 +50,7 @@ def missing_library(feature: str, error: BaseException, needs: Iterable[str] = (
     if isinstance(error, ModuleNotFoundError):
         return MissingLibrary(f"{feature} needs the package {error.name!r}: pip install 'bodyseg[render]' ({cause})")
     names = dict.fromkeys([*needs, *_named_in(error)])
-    absent = [name for name in names if not _loads(name)]
+    absent = [name for name in names if not can_load(name)]
     if absent:
         return MissingLibrary(f"{_needs(feature, absent)} ({cause})")
     return MissingLibrary(f"{feature} cannot be loaded: {cause}")
@@ -61,12 +61,13 @@ def require_libraries(feature: str, needs: Iterable[str]) -> None:
 
     For packages whose import succeeds without a library that they need later.
     """
-    absent = [name for name in needs if not _loads(name)] if sys.platform.startswith("linux") else []
+    absent = [name for name in needs if not can_load(name)] if sys.platform.startswith("linux") else []
     if absent:
         raise MissingLibrary(_needs(feature, absent))
 
 
-def _loads(name: str) -> bool:
+def can_load(name: str) -> bool:
+    """Load a shared library as a test; `name` as in "GL" for libGL."""
     try:
         ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so")
     except OSError:

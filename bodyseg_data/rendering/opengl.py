@@ -41,7 +41,7 @@ except (ImportError, OSError, AttributeError) as error:
 
 _NEAR_PLANE_M = 1e-2
 _MARGIN_M = 1e-3
-_MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
+MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
 
 
 class OpenGLRenderer:
@@ -55,8 +55,8 @@ class OpenGLRenderer:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        if len(mesh.faces) > _MOST_FACES:
-            raise BadMesh(f"mesh {mesh.name}: OpenGL draws at most {_MOST_FACES} faces, found {len(mesh.faces)}")
+        if len(mesh.faces) > MOST_FACES:
+            raise BadMesh(f"mesh {mesh.name}: OpenGL draws at most {MOST_FACES} faces, found {len(mesh.faces)}")
         # Graphics hardware computes in single precision, so coordinates are kept small: relative to the body's centre.
         self._origin = mesh.centre
         self._surface_vertices = mesh.surface_vertices

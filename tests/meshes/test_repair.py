@@ -186,7 +186,7 @@ def test_a_filter_that_fails_is_a_bad_mesh(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = ball(subdivisions=1)
-    monkeypatch.setattr(system_libraries, "_loads", lambda name: name != "OpenGL")
+    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match=r"mesh repair needs libOpenGL: apt-get install libopengl0$"):
         repair("ball", whole.vertices, whole.faces)
 

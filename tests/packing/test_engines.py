@@ -383,7 +383,7 @@ def frail_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
 
 
 def test_a_scheduler_without_workers(frail_nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
     assert "has no workers; start some with: dask worker 127.0.0.1:" in connecting_to(frail_nodes.port)
 
 
@@ -500,7 +500,7 @@ class _Silent(BaseHTTPRequestHandler):
 
 
 def test_somebody_else_there(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
     with HTTPServer(("127.0.0.1", 0), _Silent) as server:

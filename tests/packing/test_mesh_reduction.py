@@ -313,6 +313,6 @@ def test_probes_see_the_body_from_all_sides() -> None:
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "_loads", lambda name: name != "OpenGL")
+    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match=r"--tolerance-mm 0 keeps meshes whole\) needs libOpenGL"):
         reduce(BALL, MARKS, 5e-4, RIG)

@@ -143,12 +143,12 @@ def test_mesh_repair_does_not_start_half_working() -> None:
     ],
 )
 def test_messages(error: Exception, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "_loads", lambda name: False)
+    monkeypatch.setattr(system_libraries, "can_load", lambda name: False)
     assert str(missing_library("x", error)).startswith(told)
 
 
 def test_a_library_named_by_the_cause_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "_loads", lambda name: name != "EGL")
+    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "EGL")
     error = ImportError("no luck")
     error.__cause__ = OSError("libEGL.so.1: cannot open; libGL.so.1 is fine")
     assert str(missing_library("x", error)) == "x needs libEGL: apt-get install libegl1 (no luck)"

@@ -93,7 +93,7 @@ def test_a_hundred_meshes_leave_nothing_behind() -> None:
 
 
 def test_too_many_faces_for_three_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bodyseg_data.rendering.opengl._MOST_FACES", 1000)
+    monkeypatch.setattr("bodyseg_data.rendering.opengl.MOST_FACES", 1000)
     with pytest.raises(BadMesh, match="mesh ball: OpenGL draws at most 1000 faces, found 5120"):
         open_renderer("opengl", ball())
 

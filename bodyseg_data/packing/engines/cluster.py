@@ -23,7 +23,7 @@ from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
 from bodyseg_data.packing.pack import Packing
 
-_PATIENCE_S: Final = 5.0
+CONNECT_TIMEOUT_S: Final = 5.0
 """The time that a scheduler may take to answer, and a first worker to appear."""
 
 
@@ -50,7 +50,7 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
                 executor.shutdown(cancel_futures=True)
         finally:
             with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
-                client.close(_PATIENCE_S)
+                client.close(CONNECT_TIMEOUT_S)
 
 
 @contextmanager
@@ -70,7 +70,7 @@ def _connect(distributed: Any, address: tuple[str, int]) -> Any:
     host, port = address
     try:
         # Dask tries for as long as it may, whatever the reason; a plain connection says it at once.
-        socket.create_connection((host.strip("[]"), port), _PATIENCE_S).close()
+        socket.create_connection((host.strip("[]"), port), CONNECT_TIMEOUT_S).close()
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise BadConfig(f"no Dask scheduler at {host}:{port}: {reason}; start one with: dask scheduler") from error
@@ -78,7 +78,7 @@ def _connect(distributed: Any, address: tuple[str, int]) -> Any:
         with ThreadPoolExecutor(1) as thread:  # in this one a loop may run already, as in a notebook
             kind = thread.submit(asyncio.run, _identify(distributed, f"tcp://{host}:{port}")).result()
         if kind == "Scheduler":
-            return distributed.Client(f"tcp://{host}:{port}", timeout=_PATIENCE_S, set_as_default=False)
+            return distributed.Client(f"tcp://{host}:{port}", timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except Exception as error:  # whatever the other side's bytes lead to
         kind = type(error).__name__
     raise BadConfig(f"what answers at {host}:{port} is no Dask scheduler ({kind})")
@@ -86,15 +86,15 @@ def _connect(distributed: Any, address: tuple[str, int]) -> Any:
 
 async def _identify(distributed: Any, address: str) -> str:
     """The kind of Dask server at an address. A client itself would wait without end for one that does not answer."""
-    async with distributed.rpc(address, timeout=_PATIENCE_S) as server:
-        identity = await asyncio.wait_for(server.identity(), _PATIENCE_S)
+    async with distributed.rpc(address, timeout=CONNECT_TIMEOUT_S) as server:
+        identity = await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT_S)
     return str(identity["type"])
 
 
 def _workers(client: Any, scheduler: str) -> dict[str, int]:
     """Address -> threads, of every worker of the cluster."""
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE_S)
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         threads: dict[str, int] = client.nthreads()
     except Exception as error:
         raise BadConfig(

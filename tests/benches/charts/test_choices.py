@@ -143,7 +143,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(BadConfig, match=r"^cannot read .*codec.json: Is a directory$"):
         read_fields(tmp_path / "codec.json")
     (tmp_path / "loader.json").write_text('{"a": "long"}')
-    monkeypatch.setattr("benches.charts.fields._LARGEST", 5)
+    monkeypatch.setattr("benches.charts.fields.LARGEST_FILE_BYTES", 5)
     with pytest.raises(BadConfig, match=r"loader.json is larger than 5 bytes$"):
         read_fields(tmp_path / "loader.json")
 

@@ -35,8 +35,8 @@ def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loader_mds, "streaming", absent)
         patch.setattr(bench, "LitData", loader_mds.Mds)
-        patch.setattr(loader_limits, "_PNG_SAMPLES", 2)
-        patch.setattr(bench, "_PACKAGES", ("torch", "no-such-package"))
+        patch.setattr(loader_limits, "PNG_SAMPLES", 2)
+        patch.setattr(bench, "PACKAGES", ("torch", "no-such-package"))
         found = bench.measure(
             figures_set,
             tmp_path_factory.mktemp("sets"),

@@ -74,9 +74,9 @@ def test_wrong_surface_is_the_share_of_the_area() -> None:
 def figures() -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "open_source", lambda *name: Balls())
-        patch.setattr(bench, "_OPEN_BODIES", 2)
-        patch.setattr(bench, "_MIT_FRAMES", 1)
-        patch.setattr(bench, "_REPEATS", 1)
+        patch.setattr(bench, "OPEN_BODIES", 2)
+        patch.setattr(bench, "MIT_FRAMES", 1)
+        patch.setattr(bench, "REPEATS", 1)
         cases = {"doubled faces": CASES["doubled faces"], "scan of 200 000 triangles": scan}
         patch.setattr(scan, "__defaults__", (8000, 0.0003))
         patch.setattr(bench, "CASES", cases)

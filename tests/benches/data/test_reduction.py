@@ -29,10 +29,10 @@ def figures() -> dict[str, Any]:
         patch.setattr(benches, "_open_bodies", lambda: [BODY])
         patch.setattr(benches, "SHARES", (1.0, 0.5))
         patch.setattr(benches, "TOLERANCES_MM", (0.2,))
-        patch.setattr(benches, "_EDGE_MM", 40)
-        patch.setattr(benches, "_GROWN_MM", ())
-        patch.setattr(benches, "_SCAN", 9000)
-        patch.setattr(benches, "_HALF_A_SCAN", 8000)
+        patch.setattr(benches, "EDGE_MM", 40)
+        patch.setattr(benches, "GROWN_MM", ())
+        patch.setattr(benches, "SCAN", 9000)
+        patch.setattr(benches, "HALF_A_SCAN", 8000)
         made = benches.bench_reduction(1, progress=lambda done, total: steps.append((done, total)))
     assert steps == [(done, 4) for done in range(1, 5)]
     return made

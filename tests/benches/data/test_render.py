@@ -46,7 +46,7 @@ def test_every_step_makes_the_same_images() -> None:
 
 
 def test_steps_and_stages_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(render_steps, "_ROUNDS", 1)
+    monkeypatch.setattr(render_steps, "ROUNDS", 1)
     chain = measure_steps(PACKING, PACKING.bodies(), VIEWS[:1])
     assert [set(step) for step in chain] == [{"name", "ms_per_view", "bytes_per_view"}] * 8
     assert all(step["ms_per_view"] > 0 for step in chain)
@@ -74,7 +74,7 @@ def test_the_true_range_is_that_of_a_box() -> None:
 
 
 def test_renderers_are_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(render_alone, "_ROUNDS", 1)
+    monkeypatch.setattr(render_alone, "ROUNDS", 1)
     told = measure_renderers(PACKING, PACKING.bodies(), VIEWS[:1], VIEWS[:1])
     assert told["default_renderer"] == "raster" and set(told["renderers"]) >= {"raster", "embree"}
     for name, row in told["renderers"].items():

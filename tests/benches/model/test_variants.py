@@ -59,7 +59,7 @@ def small() -> Iterator[None]:
         for sweeps in (SWEEPS, SWEEPS_ALONE):
             for name, sweep in sweeps.items():
                 patch.setitem(sweeps, name, short(sweep, 0, *(s for s in sweep.strengths if s in (40, 0.5))))
-        patch.setattr(variants_runs, "_RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, num_workers=0))
+        patch.setattr(variants_runs, "RUN_OPTIONS", RunOptions(log_every=1, checkpoint_every=1, num_workers=0))
         yield
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final, NoReturn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import contents
 
-_LARGEST: Final = 1 << 26
+LARGEST_FILE_BYTES: Final = 1 << 26
 _SHOWN: Final = 60
 
 
@@ -82,11 +82,11 @@ class Field:
 def read_fields(file: Path) -> Field:
     """The object in a JSON file. Raises BadConfig if it cannot be read or is none."""
     try:
-        data = contents(file, packed=False, limit=_LARGEST)
+        data = contents(file, packed=False, limit=LARGEST_FILE_BYTES)
     except OSError as error:
         raise BadConfig(f"cannot read {file}: {error.strerror or error}") from error
     if data is None:
-        raise BadConfig(f"{file} is larger than {_LARGEST} bytes")
+        raise BadConfig(f"{file} is larger than {LARGEST_FILE_BYTES} bytes")
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:

@@ -40,7 +40,7 @@ from bodyseg_data.packing.pack import Packing, pack
 _BATCH: Final = 20
 _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
-_PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
+PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
 
 
 def baselines() -> dict[str, Baseline]:
@@ -195,7 +195,7 @@ def _results(
         "limits": limits(rounds, sizes, five_pngs),
         "rounds_of": table(lambda one: [round(rate, 1) for rate in one.rates]),
         "missing": [name for name, size in stored.items() if size is None],
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": {name: _version(name) for name in PACKAGES},
         **counts,
     }
 

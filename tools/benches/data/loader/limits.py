@@ -11,7 +11,7 @@ from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.loading.range_images import RangeImages
 
-_PNG_SAMPLES: Final = 60
+PNG_SAMPLES: Final = 60
 
 Rounds = Mapping[str, Mapping[str, Sequence[float]]]
 """Name -> number of workers -> samples a second, round by round."""
@@ -52,6 +52,6 @@ def _limit(what: str, measured: float | None, target: float, most: bool = False)
 
 def five_png_bytes(images: Mapping[VariantName, RangeImages]) -> float:
     """Bytes that PNG images of all five variants take per sample, on at most 60 samples of the set."""
-    chosen = evenly_spaced(range(len(images["all"])), _PNG_SAMPLES)
+    chosen = evenly_spaced(range(len(images["all"])), PNG_SAMPLES)
     made = (seen.image(index, 0) for seen in images.values() for index in chosen)
     return sum(len(png(image.range)) + len(png(image.labels)) for image in made) / len(chosen)

@@ -24,7 +24,7 @@ from bodyseg_data.rendering import RENDERERS, open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 
 PLAIN: Final = "pyrender as it comes"
-_ROUNDS: Final = 3
+ROUNDS: Final = 3
 _MARGIN_PX: Final = 1e-6
 _EDGE: Final = 1e-12  # of a triangle's sides: no ray slips between two
 
@@ -94,7 +94,7 @@ def measure_renderers(
         wanted = [true_range(mesh, packing.rig.placed(mesh.centre, view)[0]) for view in checked]
         seen += sum(int((image > 0).sum()) for image in wanted)
         best: dict[str, float] = {}
-        for turn in range(_ROUNDS):
+        for turn in range(ROUNDS):
             for name in [name for name in openers if name not in missing]:
                 # A copy, so that what a mesh works out once is worked out, and counted, for every way.
                 copy = Mesh(mesh.name, mesh.vertices, mesh.faces)

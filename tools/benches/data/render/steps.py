@@ -39,7 +39,7 @@ from bodyseg_data.shards.tar import ShardWriter
 
 _FORMER_LEVEL: Final = 9
 _QUICK_LEVEL: Final = 1
-_ROUNDS: Final = 3
+ROUNDS: Final = 3
 
 STAGES: Final = ("build", "partition", "camera", "projector", "labels", "encode", "write")
 """Stages of packing: making the mesh, dividing it, both images, the sample made of them, its bytes, the shard."""
@@ -161,7 +161,7 @@ def measure_steps(packing: Packing, refs: Sequence[BodyRef], views: Sequence[Vie
         scene = _Scene(packing.rig, packing.opened(), ref)
         for view in views:
             best = [float("inf")] * len(chain)
-            for turn in range(_ROUNDS * len(chain)):
+            for turn in range(ROUNDS * len(chain)):
                 number = turn % len(chain)
                 start = time.process_time()
                 size = chain[number].store(chain[number].images(scene, view))

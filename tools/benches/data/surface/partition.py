@@ -28,11 +28,11 @@ from bodyseg_data.packing.pack import evenly_sampled
 METHODS: Final[tuple[GeodesicMethod, ...]] = get_args(GeodesicMethod)
 DEFAULT: Final[GeodesicMethod] = "exact"
 
-_OPEN_BODIES: Final = 8
-_MIT_FRAMES: Final = 3
+OPEN_BODIES: Final = 8
+MIT_FRAMES: Final = 3
 _POINTS: Final = 4
 """Random points a triangle."""
-_REPEATS: Final = 3
+REPEATS: Final = 3
 
 
 def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
@@ -43,9 +43,9 @@ def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dic
     the whole partition. Raises BadConfig for a folder without frames.
     """
     source = open_source("open")
-    chosen = evenly_sampled(source.bodies(), _OPEN_BODIES)
+    chosen = evenly_sampled(source.bodies(), OPEN_BODIES)
     frames = None if mit is None else open_source("mit", mit)
-    frame_refs = [] if frames is None else evenly_sampled(frames.bodies(), min(_MIT_FRAMES, len(frames.bodies())))
+    frame_refs = [] if frames is None else evenly_sampled(frames.bodies(), min(MIT_FRAMES, len(frames.bodies())))
     total = len(chosen) + len(frame_refs) + len(CASES)
     steps = iter(range(1, total + 1))
 
@@ -130,7 +130,7 @@ def _on_broken(name: str, broken: Broken, whole: Body, exact: Partition, is_scan
     return {"triangles": len(mesh.faces), "reference": reference, "methods": rows}
 
 
-def _timed(run: Callable[[], Any], repeats: int = _REPEATS) -> tuple[float, Any]:
+def _timed(run: Callable[[], Any], repeats: int = REPEATS) -> tuple[float, Any]:
     """Processor time, ms, the median of some runs, and what it returns."""
     seconds = []
     for _ in range(repeats):

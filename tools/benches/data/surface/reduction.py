@@ -39,10 +39,10 @@ TOLERANCES_MM: Final = (0.1, 0.2, 0.5, 1.0)
 VIEWS_A_BODY: Final = 54
 
 _POSES: Final = ("arms_crossed", "deep_squat")
-_EDGE_MM: Final = 8  # subdivided until no edge is longer, the open body has 200 000 triangles
-_GROWN_MM: Final = (16, 12, 10)  # 63 000, 101 000, 133 000
-_SCAN: Final = 200_000
-_HALF_A_SCAN: Final = 100_000
+EDGE_MM: Final = 8  # subdivided until no edge is longer, the open body has 200 000 triangles
+GROWN_MM: Final = (16, 12, 10)  # 63 000, 101 000, 133 000
+SCAN: Final = 200_000
+HALF_A_SCAN: Final = 100_000
 _LABEL_SHARE: Final = 0.25
 _JUMP_M: Final = 0.01  # a pixel this far off sees another surface
 _REF: Final = BodyRef("A", "A", "body", "any", "train")
@@ -61,8 +61,8 @@ def bench_reduction(views: int = 4, mit: Path | None = None, progress: Progress 
     kinds = _kinds(mit)
     one = kinds["open"][0]
     _Reference(one, 1).row(one.mesh, one.landmarks, 0.0)  # what is imported or compiled on first use is no body's cost
-    finer = [("smooth scan", subdivided(one, edge_mm / 1000)) for edge_mm in _GROWN_MM]
-    finer.append(("rough scan", _rough(one, _HALF_A_SCAN)))
+    finer = [("smooth scan", subdivided(one, edge_mm / 1000)) for edge_mm in GROWN_MM]
+    finer.append(("rough scan", _rough(one, HALF_A_SCAN)))
     total = len(kinds) + len(finer)
     measured: dict[str, Row] = {}
     for name, bodies in kinds.items():
@@ -91,8 +91,8 @@ def _kinds(mit: Path | None) -> dict[str, list[Body]]:
     return {
         "open": bodies,
         **({"mit": frames} if frames else {}),
-        "smooth scan": [subdivided(bodies[0], _EDGE_MM / 1000)],
-        "rough scan": [_rough(bodies[0], _SCAN)],
+        "smooth scan": [subdivided(bodies[0], EDGE_MM / 1000)],
+        "rough scan": [_rough(bodies[0], SCAN)],
     }
 
 

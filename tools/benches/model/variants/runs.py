@@ -23,7 +23,7 @@ from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
 NETWORK: Final = "compact"
-_RUN_OPTIONS: Final = RunOptions()
+RUN_OPTIONS: Final = RunOptions()
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,6 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     """
     network = build(NETWORK, plan.settings, run.seed)
     images = RangeImages(data, run.variant, "train", run.seed)
-    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, _RUN_OPTIONS)
+    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, RUN_OPTIONS)
     command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, {**provenance(command), "pretrained": None})
