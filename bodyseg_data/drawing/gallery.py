@@ -82,7 +82,7 @@ def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image
         picture.paste(tile, (left, upper))
         info = sample.info
         pen.text((left + 2, upper + _TILE_ROWS + 2), f"{info.subject}, {info.pose}"[:26], INK, font=font(11))
-        where = f"{info.distance_cm / 100:.2f} m, {info.azimuth_deg}°, {info.split}"
+        where = f"{info.view.words}, {info.split}"
         pen.text((left + 2, upper + _TILE_ROWS + 15), where, FAINT, font=font(11))
     picture.paste(legend, (_GAP, picture.height - legend.height - _GAP))
     return picture
