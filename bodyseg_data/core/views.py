@@ -15,6 +15,7 @@ DISTANCES_CM: Final = (50, 600)
 """Least and greatest distance of a view."""
 
 _LIMITS: Final = {"pitch_deg": (-90, 90), "roll_deg": (-179, 180), "height_cm": (-300, 300)}
+_KEY: Final = re.compile(r"(.+)-(d[0-9]{3}-a[0-9]{3}(?:-p-?[0-9]+)?(?:-r-?[0-9]+)?(?:-h-?[0-9]+)?)")
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,4}")
 _RANGE: Final = re.compile(rf"({_WHOLE.pattern})\.\.({_WHOLE.pattern})")
 
@@ -54,6 +55,12 @@ class View:
         marks = ((self.pitch_deg, "pitch", "°"), (self.roll_deg, "roll", "°"), (self.height_cm, "height", " cm"))
         more = "".join(f", {what} {value}{unit}" for value, what, unit in marks if value)
         return f"{self.distance_cm / 100:.2f} m, {self.azimuth_deg}°{more}"
+
+
+def split_key(key: str) -> tuple[str, str]:
+    """Body and `View.name` of a sample's key; the whole key and "" if it does not end in a view's name."""
+    match = _KEY.fullmatch(key)
+    return (match[1], match[2]) if match else (key, "")
 
 
 @dataclass(frozen=True)
