@@ -185,8 +185,9 @@ def _draw(drawn: Drawn, key: str, purpose: str) -> int:
 
 def _check(name: str, choice: Choice) -> None:
     """Raise BadConfig for values of a view that are out of range, or for an empty range."""
-    what, unit = name.split("_")
+    what, _, unit = name.partition("_")
     low, high = _LIMITS[name]
+    unit = unit.replace("deg", "degrees")
     values = (choice.low, choice.high) if isinstance(choice, Drawn) else choice
     if not values or any(not low <= value <= high for value in values):
         raise BadConfig(f"a view's {what} must be between {low} and {high} {unit}, found {list(values)}")
@@ -194,7 +195,7 @@ def _check(name: str, choice: Choice) -> None:
         if choice.low >= choice.high:
             raise BadConfig(f"a range of {what} must go up, found {choice.low}..{choice.high}")
     elif len(set(choice)) != len(choice):
-        raise BadConfig(f"a view's {what} must differ from the others', found {list(choice)}")
+        raise BadConfig(f"each {what} of views must be given once, found {list(choice)}")
 
 
 def parse_choice(words: Sequence[str], flag: str) -> Choice:
