@@ -316,8 +316,8 @@ def test_views_from_above_and_turned_are_within_one_percent_of_exact_shadow_rays
     assert_forms_agree(rig, seen.images(1))
     wrong = (ShadowTest(rig).lit(*seen.images(1)) != seen.lit) & seen.inside
     dark = ~seen.lit & seen.inside & (seen.images(1)[0] > 0)
-    assert seen.inside.sum() > 10_000 and dark.sum() > 1000
-    assert wrong.sum() / seen.inside.sum() < 0.01
+    assert seen.inside.sum() > 10_000 and dark.sum() > 200
+    assert wrong.sum() / seen.inside.sum() < 0.005  # required: 0.01
 
 
 def test_fifty_views_of_ten_real_postures_are_within_one_percent_of_exact_shadow_rays() -> None:

@@ -60,25 +60,25 @@ def test_shard_size_changes_how_samples_are_cut_and_nothing_else(
 
 def test_views_drawn_from_ranges_are_the_same_however_they_are_packed(tmp_path: Path, pack_figures: Pack) -> None:
     views = ViewGrid(span_deg=360, count=3, pitch_deg=Drawn(-30, 10), roll_deg=(0, 5), height_cm=Drawn(-20, 20))
-    once = pack_figures(tmp_path / "once", views=views, shard_samples=5)
+    once = pack_figures(tmp_path / "once", views=views, meshes=3, shard_samples=4)
     rendered: dict[Any, Any] = {}
     with pytest.raises(Interrupted):
-        pack_figures(tmp_path / "again", Renders(rendered, 3), views=views, shard_samples=5)
+        pack_figures(tmp_path / "again", Renders(rendered, 2), views=views, meshes=3, shard_samples=4)
     with ThreadPoolExecutor(2) as two:
-        pack_figures(tmp_path / "again", two, views=views, shard_samples=5)
+        pack_figures(tmp_path / "again", two, views=views, meshes=3, shard_samples=4)
     assert contents(tmp_path / "again") == contents(once)
     keys = [key for shard in read_manifest(once).shards for key in shard.keys]
     drawn = {key.partition("-d")[2] for key in keys}
-    assert len(keys) == 18 and len(drawn) == 18, "every body has views of its own"
+    assert len(keys) == 9 and len(drawn) == 9, "every body has views of its own"
     for variant in ("none", "all"):
-        assert len(list(RangeImages(once, variant))) == 18
+        assert len(list(RangeImages(once, variant))) == 9
     images = RangeImages(once, "none")
-    assert [images.clean(index).info.view.name for index in range(18)] == [
+    assert [images.clean(index).info.view.name for index in range(9)] == [
         f"d{key.rpartition('-d')[2]}" for key in images.keys
     ]
     other = replace(views, pitch_deg=Drawn(-30, 11))
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-        pack_figures(once, views=other, shard_samples=5)
+        pack_figures(once, views=other, meshes=3, shard_samples=4)
 
 
 def test_no_mesh_has_views_on_both_sides(figures_set: Path) -> None:
