@@ -25,4 +25,4 @@ ADDED: Final[dict[str, Artifact]] = {
     "grazing surfaces lost": GrazingLoss(70.0, 0.7),
     "edges lost": EdgeLoss(2, 0.5),
 }
-"""In words -> the artifact, as strong as on sensors that have it: those of Kinect v1, and of RealSense D435's stereo."""
+"""In words -> the artifact, as strong as on sensors that have it: Kinect v1, and RealSense D435 for its stereo."""
