@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from benches.data.loader.baselines import (
 )
 from benches.data.loader.pngs import Decode, by_pillow
 from bodyseg_data.loading.range_images import Batch
-
-_BUFFER: Final = 100
 
 
 class HfParquet:
@@ -48,7 +46,9 @@ class HfParquet:
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
         """Its IterableDataset with a map, under PyTorch's DataLoader."""
-        return torch_loader(_stream("parquet", folder).map(partial(_from_bytes, self._shape)), batch, workers, False)
+        return torch_loader(
+            _stream("parquet", folder, batch).map(partial(_from_bytes, self._shape)), batch, workers, False
+        )
 
     def close(self) -> None:
         """Nothing is held."""
@@ -67,21 +67,22 @@ class HfWebdataset:
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
         """Its IterableDataset without its own decoder, Pillow's, and with a map, under PyTorch's DataLoader."""
-        images = _stream("webdataset", folder).decode(False).map(partial(_from_pngs, self._decode))
+        images = _stream("webdataset", folder, batch).decode(False).map(partial(_from_pngs, self._decode))
         return torch_loader(images, batch, workers, False)
 
     def close(self) -> None:
         """Nothing is held."""
 
 
-def _stream(kind: str, folder: Path) -> Any:
+def _stream(kind: str, folder: Path, buffer: int) -> Any:
     allow_read_only()
     files = [str(path) for path in sorted(folder.iterdir()) if path.is_file()]
     datasets = importlib.import_module("datasets")
     cache = str(folder / "cache")  # gets a lock file even where nothing is kept
     images = datasets.load_dataset(kind, data_files=files, split="train", streaming=True, cache_dir=cache)
     # One file at a time, as webdataset reads: with several, threads read them, and Parquet sleeps 5 s after each pass.
-    return images.shuffle(seed=0, buffer_size=_BUFFER, max_buffer_input_shards=1)
+    # And a buffer of one batch: one that holds much of a small set would be read before the clock starts.
+    return images.shuffle(seed=0, buffer_size=buffer, max_buffer_input_shards=1)
 
 
 def _from_bytes(shape: tuple[int, ...], row: dict[str, Any]) -> dict[str, Any]:
