@@ -46,7 +46,7 @@ class Runs:
         Returns the flat indices of the pixels other than 0, ascending.
         """
         box.crop(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
-        return np.flatnonzero(image).astype(np.int32)
+        return np.flatnonzero(image != 0).astype(np.int32)  # of booleans it is several times as fast
 
 
 def bounding_box(used: NDArray[np.bool_]) -> Box:
