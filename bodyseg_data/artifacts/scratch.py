@@ -56,7 +56,9 @@ def scratch_for(pixels: int, texels: int) -> Scratch:
 
 def constant(array: NDArray[Any]) -> NDArray[Any]:
     """`array`, flat and read-only, so that loops always get one kind of array and are compiled once."""
-    flat = (array if array.flags.carray else np.require(array, requirements=("C", "A"))).reshape(-1)
+    flat = (
+        array if array.flags.c_contiguous and array.flags.aligned else np.require(array, requirements=("C", "A"))
+    ).reshape(-1)
     flat.flags.writeable = False
     return flat
 

@@ -173,8 +173,9 @@ class RangeImages(Dataset[dict[str, Any]]):
             number = operator.index(index)
         except TypeError:
             raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"index {number} of {len(self)} samples")
+        count = len(self._samples)
+        if not -count <= number < count:
+            raise IndexError(f"index {number} of {count} samples")
         shard, within = self._samples[number].tolist()
         return shard, within
 
