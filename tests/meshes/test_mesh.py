@@ -5,8 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from shapes import ball, figure
+from spheres import icosphere
 
 from bodyseg_data.core.errors import BadMesh, MissingLibrary
 from bodyseg_data.meshes.mesh import Mesh
@@ -131,3 +133,11 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
     with pytest.raises(MissingLibrary, match=r"checking a mesh needs .*: pip install 'bodyseg\[render\]'"):
         ball()
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1, 3, 5])
+def test_the_spheres_of_these_tests_are_those_of_trimesh(subdivisions: int) -> None:
+    expected = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.3)
+    vertices, faces = icosphere(subdivisions, 0.3)
+    np.testing.assert_array_equal(vertices, expected.vertices)
+    np.testing.assert_array_equal(faces, expected.faces)
