@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -109,24 +109,31 @@ def field(number: int, content: bytes | int) -> bytes:
     return varint(number << 3 | 2) + varint(len(content)) + content
 
 
-def alexnet() -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.float32]]]:
+Layers = list[tuple[str, NDArray[np.float32], NDArray[np.float32]]]
+
+
+@pytest.fixture(scope="module")
+def alexnet() -> Layers:
+    """Name, weight and bias of each layer, drawn at random."""
     draw = np.random.default_rng(5)
-    for name, shape in SHAPES.items():
-        yield name, draw.random(shape, np.float32) - 0.5, draw.random(shape[0], np.float32)
+    return [
+        (name, draw.random(shape, np.float32) - 0.5, draw.random(shape[0], np.float32))
+        for name, shape in SHAPES.items()
+    ]
 
 
-def onnx_file() -> bytes:
+def onnx_file(alexnet: Layers) -> bytes:
     graph = b""
-    for name, weight, bias in alexnet():
+    for name, weight, bias in alexnet:
         for array, kind in ((weight, "w"), (bias, "b")):
             dims = b"".join(field(1, size) for size in array.shape)
             graph += field(5, dims + field(2, 1) + field(8, f"{name}_{kind}_0".encode()) + field(9, array.tobytes()))
     return field(1, 7) + field(2, b"maker") + field(7, field(2, b"graph") + graph)
 
 
-def caffe_file() -> bytes:
+def caffe_file(alexnet: Layers) -> bytes:
     layers = field(100, field(1, b"data") + field(2, b"Input"))
-    for name, weight, bias in alexnet():
+    for name, weight, bias in alexnet:
         blobs = b""
         for array in (weight, bias):
             shape = b"".join(varint(size) for size in array.shape)
@@ -135,9 +142,9 @@ def caffe_file() -> bytes:
     return field(1, b"AlexNet") + layers
 
 
-def old_caffe_file() -> bytes:
+def old_caffe_file(alexnet: Layers) -> bytes:
     layers = b""
-    for name, weight, bias in alexnet():
+    for name, weight, bias in alexnet:
         blobs = b""
         for array in (weight, bias):
             sizes = (1, 1, 1, 1, *array.shape)[-4:]
@@ -151,14 +158,16 @@ def old_caffe_file() -> bytes:
     ("name", "make"),
     [("a.onnx", onnx_file), ("a.caffemodel", caffe_file), ("b.caffemodel", old_caffe_file)],
 )
-def test_alexnet_is_imported_weight_by_weight(tmp_path: Path, name: str, make: Callable[[], bytes]) -> None:
+def test_alexnet_is_imported_weight_by_weight(
+    alexnet: Layers, tmp_path: Path, name: str, make: Callable[[Layers], bytes]
+) -> None:
     path = tmp_path / name
-    path.write_bytes(make())
+    path.write_bytes(make(alexnet))
     network = FcnAlexnet(normalise=True)
     new = {key: value.clone() for key, value in network.state_dict().items() if key[:5] in ("conv8", "upfea", "score")}
     import_alexnet(network, path)
     got = {key: value.numpy() for key, value in network.state_dict().items()}
-    for layer, weight, bias in alexnet():
+    for layer, weight, bias in alexnet:
         kept = {"fc6": "conv6", "fc7": "conv7"}.get(layer, layer)
         if layer == "conv1":
             np.testing.assert_allclose(got["conv1.weight"][:, 0], weight.mean(axis=1), atol=1e-7)
