@@ -30,11 +30,11 @@ Ints = NDArray[np.int32]
 
 def coarsened(image: Range, x: Floats, y: Floats, away: Floats) -> Range:
     """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`reached`) as with `image`."""
-    texels = _four_indices(image.shape, x, y)
+    texels = texel_indices(image.shape, x, y)
     read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
     texels, points = texels[:, read], (x[read], y[read], away[read])
     answers = reached(image, *points)
-    coarse = _simplest(image, *_bounds(image, texels, points, answers))
+    coarse = _simplest(image, *texel_bounds(image, texels, points, answers))
     while len(wrong := np.flatnonzero(reached(coarse, *points) != answers)):
         coarse.ravel()[texels[:, wrong]] = image.ravel()[texels[:, wrong]]
     return coarse
@@ -45,7 +45,7 @@ def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return answer
 
 
-def _four_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
     """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
@@ -53,7 +53,7 @@ def _four_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.in
     return np.stack([row + column for row in rows for column in columns])
 
 
-def _bounds(
+def texel_bounds(
     image: Range, texels: NDArray[np.intp], points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
 ) -> tuple[Ints, Ints]:
     """The least and the greatest value of every texel, flat [Hp * Wp], less one step as in the test, if all texels that

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -179,10 +180,10 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
 
 
 def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(size: int) -> int:
+    def full(file: int, size: int) -> None:
         raise OSError(12, "Cannot allocate memory")
 
-    monkeypatch.setattr("bodyseg_data.loading.slots._anonymous_file", full)
+    monkeypatch.setattr(os, "ftruncate", full)
     with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be allocated: Cannot"):
         list(loader(images, 3))
 

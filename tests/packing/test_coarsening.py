@@ -43,12 +43,12 @@ def test_light_reaches_the_same_points(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(60))
-def test_texels_anywhere_within_their_bounds_give_the_same_answers(number: int) -> None:
+def test_texels_anywhere_within_theirtexel_bounds_give_the_same_answers(number: int) -> None:
     """So the bounds alone prove it, and the question asked afterwards is never needed."""
     image, x, y, away = scene(number)
-    texels = coarsening._four_indices(image.shape, x, y)
+    texels = coarsening.texel_indices(image.shape, x, y)
     answers = reached(image, x, y, away)
-    lowest, highest = coarsening._bounds(image, texels, (x, y, away), answers)
+    lowest, highest = coarsening.texel_bounds(image, texels, (x, y, away), answers)
     assert (lowest <= highest).all()
     generator = np.random.default_rng(number)
     for _ in range(20):
@@ -74,13 +74,13 @@ def test_what_shades_nothing_is_not_kept() -> None:
 
 
 @pytest.mark.parametrize("number", range(5))
-def test_were_the_bounds_wrong_exact_ranges_would_come_back(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_were_thetexel_bounds_wrong_exact_ranges_would_come_back(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     image, *points = scene(number)
 
     def wrong(*_: object) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         return np.full(image.size, 999, np.int32), np.full(image.size, 999, np.int32)
 
-    monkeypatch.setattr(coarsening, "_bounds", wrong)
+    monkeypatch.setattr(coarsening, "texel_bounds", wrong)
     coarse = coarsened(image, *points)
     assert np.array_equal(reached(coarse, *points), reached(image, *points))
     assert (coarse == 1000).any() and (coarse == image).any()

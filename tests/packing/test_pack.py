@@ -383,20 +383,16 @@ def _shard(out: Path, workers: int, command: list[str] = COMMAND) -> list[str]:
     return [sys.executable, *command, "--workers", str(workers), "--out", str(out)]
 
 
-@pytest.fixture(scope="module")
-def real_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Real bodies, packed by the command with one worker."""
-    out = tmp_path_factory.mktemp("real") / "shards"
-    done = subprocess.run(_shard(out, 1), capture_output=True, text=True, timeout=200, check=False)
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+    """Real bodies, by the command with two workers and in this process."""
+    done = subprocess.run(_shard(tmp_path / "two", 2), capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     assert "8 samples in 3 shards" in done.stdout
     assert "packing: 8 of 8 views" in done.stderr
-    return out
-
-
-def test_any_number_of_workers_gives_the_same_bytes(real_set: Path, tmp_path: Path) -> None:
-    subprocess.run(_shard(tmp_path / "two", 2), check=True, capture_output=True, timeout=200)
-    assert contents(tmp_path / "two") == contents(real_set)
+    with ThreadPoolExecutor(1) as thread:
+        bodies = Packing("open", meshes=4, views=ViewGrid(count=2), shard_samples=3)
+        packing.pack(bodies, tmp_path / "here", thread, 1)
+    assert contents(tmp_path / "two") == contents(tmp_path / "here")
 
 
 def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
@@ -433,8 +429,9 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: 
 def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     signals: list[signal.Signals], said: str, status: int, tmp_path: Path
 ) -> None:
-    command = _shard(tmp_path / "shards", 2)
-    process = start_interruptible(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    command, environment = _shard(tmp_path / "shards", 2, FIGURES), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    (tmp_path / "slow").touch()
+    process = start_interruptible(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 60
     while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
         assert time.monotonic() < deadline
