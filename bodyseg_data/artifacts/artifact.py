@@ -32,7 +32,7 @@ Kind = Literal["occlusion", "noise", "missing_data"]
 class RangeImage:
     """A sample as a sensor would deliver it.
 
-    range: uint16 [H, W], steps of 0.1 mm, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
+    range: uint16 [H, W], in the rig's steps, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
     drawn: the quantities drawn for this image by name (`Artifact.drawn`): "sigma_mm", "missing_rate".
     """
 
@@ -53,6 +53,11 @@ class Scene:
 
     sample: Sample
     rig: Rig
+
+    @property
+    def step_m(self) -> float:
+        """One step of the range images, metres."""
+        return self.rig.range_step_m
 
     @cached_property
     def pixels(self) -> NDArray[np.intp]:

@@ -99,7 +99,7 @@ def small_rig(scale: int = 1, baseline_m: float = 0.75) -> Rig:
 def masks(scene: Scene, rig: Rig) -> tuple[Mask, Mask, Mask]:
     """The test's answer, the exact one, and where both can be asked."""
     exact, facing, inside = scene.exact(rig)
-    images = (steps(scene.range(device), "scene") for device in (rig.camera, rig.projector))
+    images = (steps(scene.range(device), rig.range_step_m, "scene") for device in (rig.camera, rig.projector))
     return ShadowTest(rig).lit(*images, facing), exact, inside
 
 
@@ -253,7 +253,9 @@ def test_a_shadow_test_travels_as_its_rig() -> None:
 def assert_forms_agree(rig: Rig, images: tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]) -> Mask:
     test = ShadowTest(rig)
     lit = test.lit(*images)
-    np.testing.assert_array_equal(lit, lit_by_pixel(*images, test.slopes, test.offsets))
+    np.testing.assert_array_equal(
+        lit, lit_by_pixel(*images, test.slopes, test.offsets, (test.gap_steps, test.edge_steps))
+    )
     np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
     return lit
 

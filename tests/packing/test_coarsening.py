@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import reached
+from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.packing import coarsening
 from bodyseg_data.packing.coarsening import COARSEST_STEP, coarsened
 
 SHAPE = (24, 18)
+TEST = ShadowTest(replace(load_rig(), range_step_mm=0.1))
 
 
 def scene(number: int) -> tuple[NDArray[np.uint16], Any, Any, Any]:
@@ -36,8 +39,8 @@ def scene(number: int) -> tuple[NDArray[np.uint16], Any, Any, Any]:
 @pytest.mark.parametrize("number", range(60))
 def test_light_reaches_the_same_points(number: int) -> None:
     image, *points = scene(number)
-    coarse = coarsened(image, *points)
-    assert np.array_equal(reached(coarse, *points), reached(image, *points))
+    coarse = coarsened(TEST, image, *points)
+    assert np.array_equal(TEST.reached(coarse, *points), TEST.reached(image, *points))
     assert not coarse[image == 0].any(), "nothing is put where nothing was"
     assert (coarse[coarse > 0] % 8 == 0).mean() > 0.5, "rounded"
 
@@ -47,22 +50,22 @@ def test_texels_anywhere_within_their_bounds_give_the_same_answers(number: int) 
     """So the bounds alone prove it, and the question asked afterwards is never needed."""
     image, x, y, away = scene(number)
     texels = coarsening._four_indices(image.shape, x, y)
-    answers = reached(image, x, y, away)
-    lowest, highest = coarsening._bounds(image, texels, (x, y, away), answers)
+    answers = TEST.reached(image, x, y, away)
+    lowest, highest = coarsening._bounds(TEST, image, texels, (x, y, away), answers)
     assert (lowest <= highest).all()
     generator = np.random.default_rng(number)
     for _ in range(20):
         part = generator.choice((0, 1, generator.random(lowest.shape).mean()), lowest.shape)
         other = np.where(highest < 65535, lowest + np.rint(part * (highest - lowest)) + 1, 0)
         other = other.astype(np.uint16).reshape(SHAPE)
-        assert np.array_equal(reached(other, x, y, away), answers)
+        assert np.array_equal(TEST.reached(other, x, y, away), answers)
 
 
 def test_ranges_become_as_round_as_they_may() -> None:
     """One point, deep in the shadow of a plane: its four texels may be anything up to 2 cm before it."""
     image = np.full(SHAPE, 20_123, np.uint16)
     point = np.array([3.3], np.float32), np.array([5.5], np.float32), np.array([29_000], np.float32)
-    coarse = coarsened(image, *point)
+    coarse = coarsened(TEST, image, *point)
     assert np.flatnonzero(coarse).tolist() == [5 * 18 + 3, 5 * 18 + 4, 6 * 18 + 3, 6 * 18 + 4]
     assert set(coarse[coarse > 0].tolist()) == {round(20_123 / COARSEST_STEP) * COARSEST_STEP}
 
@@ -70,7 +73,7 @@ def test_ranges_become_as_round_as_they_may() -> None:
 def test_what_shades_nothing_is_not_kept() -> None:
     image = np.full(SHAPE, 20_000, np.uint16)
     point = np.array([3.3], np.float32), np.array([5.5], np.float32), np.array([20_050], np.float32)
-    assert not coarsened(image, *point).any()
+    assert not coarsened(TEST, image, *point).any()
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -81,6 +84,6 @@ def test_were_the_bounds_wrong_exact_ranges_would_come_back(number: int, monkeyp
         return np.full(image.size, 999, np.int32), np.full(image.size, 999, np.int32)
 
     monkeypatch.setattr(coarsening, "_bounds", wrong)
-    coarse = coarsened(image, *points)
-    assert np.array_equal(reached(coarse, *points), reached(image, *points))
+    coarse = coarsened(TEST, image, *points)
+    assert np.array_equal(TEST.reached(coarse, *points), TEST.reached(image, *points))
     assert (coarse == 1000).any() and (coarse == image).any()
