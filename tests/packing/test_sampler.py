@@ -168,5 +168,7 @@ def test_a_sample_is_named_and_described_by_body_and_view() -> None:
 
 
 def test_a_body_beyond_what_16_bits_hold_is_refused() -> None:
-    with pytest.raises(BadSample, match=r"open-P007-ball-1-d700-a000: a range must be 0 to 6.5535 m, found"):
+    with pytest.raises(
+        BadSample, match=r"open-P007-ball-1-d700-a000: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found"
+    ):
         sample_of("embree", View(700, 0), replace(RIG, range_step_mm=0.1))
