@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from bodyseg_data.artifacts import variants
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
 from bodyseg_data.artifacts.strengths import Artifacts
@@ -114,6 +115,26 @@ def test_noise_at_the_ends_of_16_bits_stays_within(start: int) -> None:
     assert noisy.min() >= 1
     assert np.count_nonzero(noisy == start) > 4_000, "half of the draws point outwards and stop at the end"
     assert np.abs(noisy.astype(int) - start).max() < 6_500
+
+
+@pytest.mark.parametrize("step_mm", [0.1, 0.5, 1.0, 4.0])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_sigma_is_in_millimetres_whatever_the_step(
+    step_mm: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounding adds a uniform error: its variance is a twelfth of the step's square."""
+    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+    sigma_mm, at = 40.0, round(2500 / step_mm)
+    wall_in_steps, full = np.full((SIDE, SIDE), at, np.uint16), np.ones((SIDE, SIDE), np.bool_)
+    sample = Sample("a", wall_in_steps, wall_in_steps, np.zeros((SIDE, SIDE), np.uint8), full, INFO)
+    rig = Rig("wall", 2.5, CAMERA, CAMERA, range_step_mm=step_mm)
+    made = Augmentation(rig, "noise", 0, Artifacts(Noise(sigma_mm, sigma_mm)))(sample, 0)
+    change_mm = (made.range.astype(np.float64) - at) * step_mm
+    expected = np.sqrt(sigma_mm**2 + step_mm**2 / 12)
+    assert np.std(change_mm) == pytest.approx(expected, rel=SIGMAS / np.sqrt(2) / SIDE)
+    assert abs(change_mm.mean()) < SIGMAS * expected / SIDE
+    exact = normals(pixel_draws(stream(0, 0, "a", "noise"), SIDE * SIDE, np.uint32)) * sigma_mm
+    assert np.abs(change_mm.ravel() - exact).max() <= step_mm / 2 + 1e-3
 
 
 def test_noise_of_no_strength_changes_nothing() -> None:

@@ -214,11 +214,13 @@ def test_thin_things_are_not_lost_where_the_view_is_coarser() -> None:
         assert set(sums) in ({0, 1, 10}, {0, 1, 11}) and (sums >= 10).sum() == 1
 
 
-def test_ranges_stay_what_a_range_can_be() -> None:
-    image = np.array([[0.5, 9.0, 9.0, 9.0, 30.0]], np.float32)
-    view = viewed(image, camera(1, 5, 50.0))
-    assert view.range_m[view.range_m > 0].min() == pytest.approx(NEAREST_M)
-    assert view.range_m.max() == pytest.approx(min(FARTHEST_M, 2.5 + 21))
+@pytest.mark.parametrize("step_mm", [0.1, 1.0])
+def test_ranges_stay_what_a_range_of_the_rig_can_be(step_mm: float) -> None:
+    image = np.array([[0.5, 9.0, 9.0, 9.0, 300.0 * step_mm]], np.float32)
+    rig = replace(PAPER, range_step_mm=step_mm)
+    view = view_body(image, np.arange(5), camera(1, 5, 50.0), rig)
+    assert view.range_m[view.range_m > 0].min() == pytest.approx(step_mm / 1000)
+    assert view.range_m.max() == pytest.approx(65.535 * step_mm)
     assert (view.back(view.range_m) > 0).all()
 
 
