@@ -115,8 +115,8 @@ def test_what_was_packed_in_another_step_is_another_set(
 def test_views_beyond_16_bits_are_refused_before_packing() -> None:
     rig = replace(load_rig(), range_step_mm=0.05)
     message = (
-        r"^rig paper: 65535 steps of 'range_step_mm' must reach 0.5 m behind a body 2.95 m away, 3.541 m: found 0.05 mm, which "
-        r"reach 3.277 m$"
+        r"^rig paper: 65535 steps of 'range_step_mm' must reach 0.5 m behind a body 2.95 m away, 3.541 m: found "
+        r"0.05 mm, which reach 3.277 m$"
     )
     with pytest.raises(BadConfig, match=message):
         Packing("open", rig=rig)
