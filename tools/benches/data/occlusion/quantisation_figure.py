@@ -1,4 +1,4 @@
-"""Draws what `tools/bench range_step` measured: `--figure FILE.png`."""
+"""Draws what `tools/bench quantisation` measured: `--figure FILE.png`."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _PANELS: Final = (
 """Figure of a step, factor to the unit drawn, caption."""
 
 
-def draw_range_step(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG of `bench_range_step`'s results: bytes, wrong shadows and grazing losses against the step.
+def draw_quantisation(figures: dict[str, Any], path: Path) -> None:
+    """Write a PNG of `bench_quantisation`'s results: bytes, wrong shadows and grazing losses against the step.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""`bench range_step`: bytes, decoding time and errors of the shadow test against the step of stored range.
+"""`bench quantisation`: bytes, decoding time and errors of the shadow test against the step of stored range.
 
 The error is that against exact shadow rays: a ray from the point that the camera sees, before any rounding, to the
 projector meets nothing.
@@ -78,7 +78,7 @@ class _Tally:
         }
 
 
-def bench_range_step(views: int = 40, progress: Progress = silent) -> dict[str, Any]:
+def bench_quantisation(views: int = 40, progress: Progress = silent) -> dict[str, Any]:
     """Every step in `STEPS_MM` of the default rig on the same `views` ordinary views of `bench occlusion`.
 
     steps: step in millimetres -> mean bytes of a sample's images and of the projector's among them; decode_ms:
