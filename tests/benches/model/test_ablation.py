@@ -43,7 +43,7 @@ TRAINED = ("losses", "no_noise", "no_context", "views_1")
 
 def make_run(data: Path, out: Path, row: AblationRow, weights: int) -> None:
     """A run whose card says what `row` does, with new weights."""
-    images = RangeImages(data, row.variant, "train", int(out.name[-1]), artifacts=row.artifacts, only=row.only)
+    images = RangeImages(data, row.variant, "train", int(out.name[-1]), sensor=row.sensor, only=row.only)
     recipe = asdict(PRESETS["compact"]) | {"steps": 1, "batch_size": 2}
     network = build("compact", {**SETTINGS, **row.settings}, seed=weights)
     out.mkdir(parents=True)
@@ -119,8 +119,8 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     for each in ROWS:
         if each.arguments is not None:
             options = parse(train.Options, ["--data", "x", "--out", "y", *each.arguments], "train", "", "")
-            artifacts = train._artifacts(options)
-            assert (options.variant, options.only, artifacts) == (each.variant, each.only, each.artifacts), each
+            sensor = train._sensor(options)
+            assert (options.variant, options.only, sensor) == (each.variant, each.only, each.sensor), each
             assert json.loads(options.settings) == each.settings
 
 
@@ -237,9 +237,11 @@ def test_coarse_steps_round_to_the_nearest(figures_set: Path) -> None:
     )
     (condition, _) = coarse_conditions(8)
     assert (condition.variant, condition.step_mm, condition.name) == ("all", 8, "all")
-    coarse, fine = condition.open(str(figures_set)).image(0).range, CONDITIONS[0].open(str(figures_set)).image(0).range
-    assert np.array_equal(coarse > 0, fine > 0) and set(np.unique(coarse % 80)) == {0}
-    assert np.abs(coarse.astype(int) - fine).max() == 40
+    images = condition.open(str(figures_set))
+    coarse, fine = images.image(0).range, CONDITIONS[0].open(str(figures_set)).image(0).range
+    eight = steps_of(8, images.step_m)
+    assert np.array_equal(coarse > 0, fine > 0) and set(np.unique(coarse % eight)) == {0}
+    assert np.abs(coarse.astype(int) - fine).max() == eight // 2
 
 
 def test_deviations_are_not_small_by_luck() -> None:

@@ -47,8 +47,8 @@ class _Tally:
     def add(self, view: ExactView) -> None:
         sample, inside = view.sample, view.inside
         lit = self.test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
-        wrong = (lit & ~view.lit & inside, ~lit & view.lit & inside)
-        self.counts.append((*(int(kind.sum()) for kind in wrong), int(inside.sum())))
+        false_lit, false_dark = lit & ~view.lit & inside, ~lit & view.lit & inside
+        self.counts.append((int(false_lit.sum()), int(false_dark.sum()), int(inside.sum())))
         labels = join_labels(sample.labels, sample.faces_projector)
         self.data.append(encode_images(sample.range, labels, sample.occluder_range()))
         without = encode_images(sample.range, labels, np.zeros_like(sample.occluder_range()))
