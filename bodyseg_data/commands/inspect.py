@@ -69,8 +69,8 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
         sample = images.clean(_pick(number, count, len(images)))
         variants = {name: make(sample, images.epoch) for name, make in augmentations.items()}
         lines.append(Row(sample, images.step_m, variants))
-    rig, sensor = images.manifest.rig.name, images.augmentation.sensor.name
-    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {rig}, sensor {sensor}"
+    sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
+    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor)
 
 

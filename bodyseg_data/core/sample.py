@@ -47,8 +47,7 @@ SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
-_NUMBERS: Final = {"distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm"}
-_OPTIONAL: Final = {"pitch_deg", "roll_deg", "height_cm"}
+_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm"})
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,10 @@ class SampleInfo:
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON object; pitch, roll and height are in it only where they are not 0."""
         return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
+
+
+_KINDS: Final = {name: int if name.endswith(("_cm", "_deg")) else str for name in SampleInfo.__dataclass_fields__}
+_REQUIRED: Final = _KINDS.keys() - _OPTIONAL
 
 
 @dataclass(frozen=True)
@@ -176,14 +179,13 @@ def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDAr
 
 def info_from_json(tree: Any, key: str) -> SampleInfo:
     """Check and read a sample's description. Raises BadSample."""
-    fields = SampleInfo.__dataclass_fields__
-    if not isinstance(tree, dict) or set(tree) | _OPTIONAL != set(fields):
-        required, optional = sorted(set(fields) - _OPTIONAL), sorted(_OPTIONAL)
-        raise BadSample(f"{key}: the description must have exactly {required}, and may have {optional}")
-    for field in tree:
-        kind = int if field in _NUMBERS else str
-        if not isinstance(tree[field], kind) or isinstance(tree[field], bool):
-            raise BadSample(f"{key}: {field!r} must be {kind.__name__}, found {tree[field]!r}")
+    if not isinstance(tree, dict) or (tree.keys() != _REQUIRED and tree.keys() | _OPTIONAL != _KINDS.keys()):
+        raise BadSample(
+            f"{key}: the description must have exactly {sorted(_REQUIRED)}, and may have {sorted(_OPTIONAL)}"
+        )
+    for field, value in tree.items():
+        if type(value) is not _KINDS[field]:
+            raise BadSample(f"{key}: {field!r} must be {_KINDS[field].__name__}, found {value!r}")
     if tree["split"] not in SPLITS:
         raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
     return SampleInfo(**tree)

@@ -353,6 +353,25 @@ def test_sources_say_what_they_need() -> None:
         open_source("open", Path())
 
 
+@pytest.mark.parametrize(
+    ("words", "views", "error"),
+    [
+        ("--pitch 0 -15 -30 --roll 0 90 --azimuths 2", 36, ""),
+        ("--pitch -30..10 --roll -5..5 --height -20..20 --azimuths 2", 6, ""),
+        ("--pitch -91", 0, "bodyseg shard: a view's pitch must be between -90 and 90 degrees, found [-91]\n"),
+        ("--height 1.5", 0, "bodyseg shard: --height takes whole numbers, or one range like -30..10, found '1.5'\n"),
+        ("--roll 5..5", 0, "bodyseg shard: a range of roll must go up, found 5..5\n"),
+    ],
+)
+def test_views_are_options_of_the_command(
+    words: str, views: int, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main(["shard", "--source", "open", "--meshes", "4", "--plan", *words.split()])
+    said = capsys.readouterr()
+    assert (status, said.err) == (2 if error else 0, error)
+    assert error or json.loads(said.out)["views_per_mesh"] == views
+
+
 COMMAND = ["-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "4", "--views", "2", "--shard-samples", "3"]
 
 
