@@ -135,9 +135,9 @@ CASES: dict[str, Case] = {
         "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'a.b'",
     ),
     "store a range beyond 16 bits": (
-        lambda: steps(np.array([[7.0]]), "here"),
+        lambda: steps(np.array([[7.0]]), 1e-4, "here"),
         BadSample,
-        "here: a range must be 0 to 6.5535 m, found 7 m",
+        "here: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found 7 m",
     ),
     "decode no members": (
         lambda: decode_sample("k", {}),

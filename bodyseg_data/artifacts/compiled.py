@@ -113,7 +113,7 @@ def apply(
 _NO_FACING, _NO_TEXELS = constant(np.zeros(0, np.uint8)), constant(np.zeros(0, np.uint16))
 _NO_INDICES: Final = constant(np.zeros(0, np.int32))
 _NO_SLOPES: Final = constant(np.zeros(0, np.float32))
-_NO_OFFSETS: Final = (np.float32(0),) * 3
+_NO_OFFSETS: Final = (np.float32(0),) * 5
 _NO_STREAM: Final = constant(np.zeros(2, np.uint64))
 
 
@@ -153,7 +153,8 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
         shadow = Shadow(
             constant(sample.range), _NO_FACING, _NO_TEXELS, _NO_INDICES, 0, 0, *(_NO_SLOPES,) * 3, *_NO_OFFSETS
         )
-    strengths = Strengths(noise[0], noise[1], steps_of(sigma_mm), missing[0], missing[1], np.uint32(threshold(rate)))
+    sigma = steps_of(sigma_mm, scene.step_m)
+    strengths = Strengths(noise[0], noise[1], sigma, missing[0], missing[1], np.uint32(threshold(rate)))
     scratch = scratch_for(sample.range.size, shadow.projector_range.size)
     runs = -1
     if occupancy is not None and occupancy.edges is not None:

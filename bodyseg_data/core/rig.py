@@ -45,6 +45,14 @@ RIG_FORMAT: Final = "bodyseg rig 1"
 PAPER: Final = "paper"
 """The default rig."""
 
+RANGE_STEP_MM: Final = 0.1
+"""The step of stored ranges where a rig does not say, millimetres."""
+FINEST_STEP_MM: Final = 0.01
+COARSEST_STEP_MM: Final = 10.0
+BODY_REACH_M: Final = 0.5
+"""Depth of a body behind its centre with which a step is checked, metres; ranges beyond 16 bits fail when rendered."""
+
+_MAX_STEPS: Final = 65535
 _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 
@@ -53,12 +61,14 @@ class Rig:
     """A structured-light rig: a camera and a projector. The rig's frame is the camera's when its pose is the default.
 
     stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
+    range_step_mm: one step of its stored ranges, millimetres, 0.01 to 10. Raises BadConfig for values out of range.
     """
 
     name: str
     stand_off_m: float
     camera: Camera
     projector: Camera
+    range_step_mm: float = RANGE_STEP_MM
 
     def __post_init__(self) -> None:
         _check_name(self.name)
@@ -66,6 +76,30 @@ class Rig:
             raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
         if self.projector.distortion is not None:
             raise BadConfig(f"a projector has no lens distortion, found {self.projector.distortion}")
+        if not FINEST_STEP_MM <= self.range_step_mm <= COARSEST_STEP_MM:
+            raise BadConfig(
+                f"'range_step_mm' must be {FINEST_STEP_MM:g} to {COARSEST_STEP_MM:g}, found {self.range_step_mm:g}"
+            )
+        self.check_reach(self.stand_off_m)
+
+    @property
+    def range_step_m(self) -> float:
+        """One step of the rig's uint16 range images, metres: range in metres = steps * range_step_m."""
+        return self.range_step_mm / 1000
+
+    def check_reach(self, distance_m: float) -> None:
+        """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.
+
+        Both devices must reach `BODY_REACH_M` behind its centre.
+        """
+        centre = np.asarray(self.camera.position_m) + distance_m * self.camera.axes[2]
+        away = float(self.projector.axes[2] @ (centre - self.projector.position_m))
+        needed, reach = max(distance_m, away) + BODY_REACH_M, _MAX_STEPS * self.range_step_m
+        if needed > reach:
+            raise BadConfig(
+                f"{_MAX_STEPS} steps of 'range_step_mm' must reach {BODY_REACH_M:g} m behind a body {distance_m:g} m "
+                f"away, {needed:.4g} m: found {self.range_step_mm:g} mm, which reach {reach:.4g} m"
+            )
 
     @property
     def baseline_m(self) -> float:
@@ -187,11 +221,13 @@ def parse_sensor(text: str, where: str) -> Sensor:
     title = table.text("title") if table.has("title") else name
     assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False
     camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
-    if table.has("projector") or table.has("stand_off_m"):
-        lighting = table.number("stand_off_m"), camera_from_table(table.table("projector"), posed=True)
+    if any(map(table.has, ("projector", "stand_off_m", "range_step_mm"))):
+        stand_off = table.number("stand_off_m")
+        projector = camera_from_table(table.table("projector"), posed=True)
+        lighting = stand_off, projector, _range_step_mm(table)
     table.finish()
     try:
-        rig = None if lighting is None else Rig(name, lighting[0], camera, lighting[1])
+        rig = None if lighting is None else Rig(name, lighting[0], camera, *lighting[1:])
         return Sensor(name, title, camera, rig, assumed)
     except BadConfig as error:
         raise BadConfig(f"rig {where}: {error}") from None
@@ -205,8 +241,13 @@ def rig_from_json(tree: Any) -> Rig:
     name, stand_off = table.text("name"), table.number("stand_off_m")
     camera = camera_from_table(table.table("camera"), posed=True, lens=True)
     projector = camera_from_table(table.table("projector"), posed=True)
+    step_mm = _range_step_mm(table)
     table.finish()
-    return Rig(name, stand_off, camera, projector)
+    return Rig(name, stand_off, camera, projector, step_mm)
+
+
+def _range_step_mm(table: Table) -> float:
+    return table.number("range_step_mm") if table.has("range_step_mm") else RANGE_STEP_MM
 
 
 def _check_name(name: str) -> None:

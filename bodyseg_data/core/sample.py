@@ -14,11 +14,8 @@ from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View
 
-RANGE_STEP_M: Final = 1e-4
-"""One step of a stored range image, metres; with 16 bits it reaches 6.5535 m."""
-
 FARTHEST_STEPS: Final = np.float32(65535)
-"""The largest range that a stored image can hold, in steps."""
+"""The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
 
 _KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
 
@@ -37,15 +34,13 @@ class ShadowThresholds:
     surface_gap_m: float = 0.006
     edge_m: float = 0.020
 
-    @property
-    def gap_steps(self) -> np.float32:
-        """`surface_gap_m` in steps of a stored range."""
-        return np.float32(round(self.surface_gap_m / RANGE_STEP_M))
+    def gap_steps(self, step_m: float) -> np.float32:
+        """`surface_gap_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.surface_gap_m / step_m)))
 
-    @property
-    def edge_steps(self) -> np.float32:
-        """`edge_m` in steps of a stored range."""
-        return np.float32(round(self.edge_m / RANGE_STEP_M))
+    def edge_steps(self, step_m: float) -> np.float32:
+        """`edge_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.edge_m / step_m)))
 
 
 SHADOW_THRESHOLDS: Final = ShadowThresholds()
@@ -104,7 +99,7 @@ class Occupancy:
 class Sample:
     """A clean rendering of one body from one view.
 
-    range: uint16 [H, W], the camera's range in steps of 0.1 mm along its optical axis; 0 is background.
+    range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
@@ -167,12 +162,17 @@ def check_key(key: str) -> None:
         raise BadSample(f"a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found {key!r}")
 
 
-def steps(range_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.uint16]:
-    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest. Raises BadSample beyond 6.5535 m."""
-    rounded = np.rint(np.asarray(range_m, np.float64) / RANGE_STEP_M)
+def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDArray[np.uint16]:
+    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest; of foreground, none becomes 0.
+
+    step_m: one step, metres (`Rig.range_step_m`). where: origin of the ranges, for the message. Raises BadSample for a
+    range below 0 or beyond 65535 steps.
+    """
+    rounded = np.rint(np.asarray(range_m, np.float64) / step_m)
     fits = (rounded >= 0) & (rounded <= 65535)  # False for NaN too
     if not fits.all():
-        raise BadSample(f"{where}: a range must be 0 to 6.5535 m, found {range_m[~fits][0]:.5g} m")
+        reach = f"{65535 * step_m:.5g} m, 65535 steps of {1e3 * step_m:g} mm"
+        raise BadSample(f"{where}: a range must be 0 to {reach}, found {range_m[~fits][0]:.5g} m")
     foreground = np.asarray(range_m) > 0
     return np.where(foreground, np.maximum(rounded, 1), 0).astype(np.uint16)
 

@@ -80,6 +80,10 @@ class Packing:
         check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
         check_codec(self.codec)
+        try:
+            self.rig.check_reach(max(self.views.distances_cm) / 100)
+        except BadConfig as error:
+            raise BadConfig(f"rig {self.rig.name}: {error}") from None
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""

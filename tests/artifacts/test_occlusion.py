@@ -99,7 +99,7 @@ def small_rig(scale: int = 1, baseline_m: float = 0.75) -> Rig:
 def masks(scene: Scene, rig: Rig) -> tuple[Mask, Mask, Mask]:
     """The test's answer, the exact one, and where both can be asked."""
     exact, facing, inside = scene.exact(rig)
-    images = (steps(scene.range(device), "scene") for device in (rig.camera, rig.projector))
+    images = (steps(scene.range(device), rig.range_step_m, "scene") for device in (rig.camera, rig.projector))
     return ShadowTest(rig).lit(*images, facing), exact, inside
 
 
@@ -119,30 +119,40 @@ def random_images(rig: Rig, draws: np.random.Generator) -> tuple[NDArray[np.uint
     return images[0], images[1], draws.random(images[0].shape) < 0.8
 
 
-def test_a_plane_that_faces_both_is_lit_wherever_the_projector_reaches() -> None:
-    lit, exact, inside = masks(Scene((0.0, 0.0, 1.0), 3.6), load_rig())
+STEPS_MM = 0.1, 1.0, 2.0
+
+
+def paper_rig(step_mm: float) -> Rig:
+    return replace(load_rig(), range_step_mm=step_mm)
+
+
+@pytest.mark.parametrize("step_mm", STEPS_MM)
+def test_a_plane_that_faces_both_is_lit_wherever_the_projector_reaches(step_mm: float) -> None:
+    lit, exact, inside = masks(Scene((0.0, 0.0, 1.0), 3.6), paper_rig(step_mm))
     assert inside.any() and not inside.all()
     np.testing.assert_array_equal(lit, inside)
     np.testing.assert_array_equal(lit, exact)
 
 
+@pytest.mark.parametrize("step_mm", STEPS_MM[:2])
 @pytest.mark.parametrize("degrees", [75.0, 80.0, 84.0])
-def test_a_plate_under_grazing_light_has_no_false_shadow_but_at_its_rim(degrees: float) -> None:
+def test_a_plate_under_grazing_light_has_no_false_shadow_but_at_its_rim(degrees: float, step_mm: float) -> None:
     # Turned away from the projector, towards the camera: the angle is that between normal and light.
     turn = np.arctan2(-0.75, -2.5) - np.radians(degrees)
     normal = (float(np.sin(turn)), 0.0, float(np.cos(turn)))
     rim, inner = (Scene(normal, 2.5 * normal[2], plate_m=radius) for radius in (0.3, 0.28))
-    lit, exact, inside = masks(rim, load_rig())
+    lit, exact, inside = masks(rim, paper_rig(step_mm))
     assert exact.sum() > 5000 and inside[exact].all()
     surface = inner.range(load_rig().camera) > 0
     np.testing.assert_array_equal(lit[surface], exact[surface])
     assert (lit != exact).sum() < 0.02 * exact.sum()
 
 
+@pytest.mark.parametrize("step_mm", STEPS_MM)
 @pytest.mark.parametrize(("scale", "tolerance"), [(1, 0.03), (2, 0.02)])
-def test_a_ball_throws_its_shadow_on_a_plane(scale: int, tolerance: float) -> None:
+def test_a_ball_throws_its_shadow_on_a_plane(scale: int, tolerance: float, step_mm: float) -> None:
     scene = Scene((0.0, 0.0, 1.0), 2.8, (np.array([0.0, 0.1, 2.3]), 0.15))
-    lit, exact, inside = masks(scene, load_rig().with_projector_scale(scale))
+    lit, exact, inside = masks(scene, paper_rig(step_mm).with_projector_scale(scale))
     on_plane = np.abs(scene.range(load_rig().camera) - 2.8) < 1e-6
     shadow, exact_shadow = (~mask & inside & on_plane for mask in (lit, exact))
     assert exact_shadow.sum() > 1000
@@ -150,9 +160,10 @@ def test_a_ball_throws_its_shadow_on_a_plane(scale: int, tolerance: float) -> No
     assert (shadow ^ exact_shadow).sum() < tolerance * exact_shadow.sum()
 
 
-def test_balls_that_touch_the_plane_and_thin_ones_keep_their_shadows() -> None:
+@pytest.mark.parametrize("step_mm", STEPS_MM)
+def test_balls_that_touch_the_plane_and_thin_ones_keep_their_shadows(step_mm: float) -> None:
     touching, thin = (np.array([-0.1, -0.2, 2.7]), 0.1), [(np.array([0.05 * i, 0.3, 2.3]), 0.008) for i in range(-3, 4)]
-    lit, exact, inside = masks(Scene((0.0, 0.0, 1.0), 2.8, touching, *thin), load_rig())
+    lit, exact, inside = masks(Scene((0.0, 0.0, 1.0), 2.8, touching, *thin), paper_rig(step_mm))
     assert (lit != exact)[inside].mean() < 0.002
     dark = ~exact & inside
     assert (~lit & dark).sum() > 0.8 * dark.sum()
@@ -253,7 +264,9 @@ def test_a_shadow_test_travels_as_its_rig() -> None:
 def assert_forms_agree(rig: Rig, images: tuple[NDArray[np.uint16], NDArray[np.uint16], Mask]) -> Mask:
     test = ShadowTest(rig)
     lit = test.lit(*images)
-    np.testing.assert_array_equal(lit, lit_by_pixel(*images, test.slopes, test.offsets))
+    np.testing.assert_array_equal(
+        lit, lit_by_pixel(*images, test.slopes, test.offsets, (test.gap_steps, test.edge_steps))
+    )
     np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
     return lit
 

@@ -68,7 +68,7 @@ def test_shading_follows_the_surface() -> None:
     depth = 2.5 * normal[2] / (normal[0] * x + normal[1] * y + normal[2])
     image = np.rint(depth * 1e4).astype(np.uint16)
     image[:100] = 0
-    shade = surface_shading(image, CAMERA)
+    shade = surface_shading(image, 1e-4, CAMERA)
     light = np.array([-0.3, -0.45, -1.0])
     expected = normal @ light / np.linalg.norm(normal) / np.linalg.norm(light)
     assert np.all(shade[:100] == 0)
@@ -78,7 +78,7 @@ def test_shading_follows_the_surface() -> None:
 def test_a_step_in_range_does_not_darken_its_edge() -> None:
     image = np.full((20, 20), 20000, np.uint16)
     image[:, 10:] = 30000
-    shade = surface_shading(image, CAMERA)
+    shade = surface_shading(image, 1e-4, CAMERA)
     assert shade.min() > 0.8
 
 

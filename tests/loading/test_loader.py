@@ -76,7 +76,7 @@ def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int) -> No
     pairs = zip(loader(images, 5, workers, metres=False), loader(images, 5), strict=True)
     for steps, metres in pairs:
         assert steps["range"].dtype == torch.uint16
-        assert torch.equal(steps["range"].to(torch.float32).mul_(1e-4), metres["range"])
+        assert torch.equal(steps["range"].to(torch.float32).mul_(images.step_m), metres["range"])
         assert torch.equal(steps["labels"], metres["labels"])
 
 

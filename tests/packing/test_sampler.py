@@ -18,7 +18,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadSample, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample, info_from_json
+from bodyseg_data.core.sample import Sample, info_from_json
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
@@ -80,7 +80,7 @@ def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: i
     foreground = sample.range > 0
     assert np.array_equal(foreground[sure], (discriminant > 0)[sure])
     inner = foreground & sure
-    assert np.abs(sample.range[inner] * RANGE_STEP_M - z[inner]).max() < 0.002
+    assert np.abs(sample.range[inner] * rig.range_step_m - z[inner]).max() < 0.002
     points = camera.to_body(rays * z[..., None])
     left = points[..., 0] > 0
     clear = inner & (np.abs(points[..., 0]) > 0.002)
@@ -193,5 +193,7 @@ def test_a_sample_from_above_is_named_and_described_by_its_pitch_roll_and_height
 
 
 def test_a_body_beyond_what_16_bits_hold_is_refused() -> None:
-    with pytest.raises(BadSample, match=r"open-P007-ball-1-d700-a000: a range .* found 6\.[67]"):
-        sample_of("embree", View(700, 0))
+    with pytest.raises(
+        BadSample, match=r"open-P007-ball-1-d700-a000: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found"
+    ):
+        sample_of("embree", View(700, 0), replace(RIG, range_step_mm=0.1))

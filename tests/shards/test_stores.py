@@ -392,7 +392,7 @@ def test_workers_read_remote_sets_however_they_are_started(
     local = torch.stack(
         [torch.frombuffer(bytearray(image[1]), dtype=torch.uint16).view(1, 640, -1) for image in expected]
     )
-    assert torch.equal(ranges, local.to(torch.float32) * 1e-4)
+    assert torch.equal(ranges, local.to(torch.float32) * images.step_m)
     assert len(web.log(".tar")) == len(manifest.shards), "each shard is fetched once, whoever needs it"
 
 

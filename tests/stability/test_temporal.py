@@ -301,7 +301,7 @@ def plainly(network: Network, source: Walk, frames: int, window: int) -> dict[st
     taken = list(render_shot(source, choose_shots(source, 1, frames)[0], SMALL))
     labels: list[NDArray[np.uint8]] = []
     for frame in taken:
-        image = torch.from_numpy(frame.sample.range * np.float32(1e-4))[None, None]
+        image = torch.from_numpy(frame.sample.range * np.float32(SMALL.range_step_m))[None, None]
         labels.append(predict(network.eval(), image).labels[0].numpy().ravel())
     both: dict[int, list[int]] = {part: [0, 0, 0] for part in range(PART_COUNT)}
     for first, later, here, there in zip(taken, taken[1:], labels, labels[1:], strict=False):

@@ -115,7 +115,7 @@ def test_four_bodies_are_learned(tmp_path: Path) -> None:
     matrix = ConfusionMatrix()
     for index in range(len(images)):
         image = images.image(index)
-        range_m = torch.from_numpy(image.range.astype("float32") * 1e-4)[None, None]
+        range_m = torch.from_numpy(image.range.astype("float32") * images.step_m)[None, None]
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
     assert matrix.average_per_class_accuracy() > 0.95
     assert trained.card["variant"] == "occ"

@@ -43,6 +43,7 @@ class Bench:
 
 BENCHES: Final = {
     "occlusion": Bench("data.occlusion.bench", "figure", "views in all, 60"),
+    "quantisation": Bench("data.occlusion.quantisation", "quantisation_figure", "views of each step, 40"),
     "borders": Bench("data.surface.borders", "borders_figure", "views of each body, 12"),
     "partition": Bench("data.surface.partition", "partition_figure", optional=("mit",)),
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),

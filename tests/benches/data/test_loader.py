@@ -11,7 +11,7 @@ import torch
 from benches.data.loader import bench
 from benches.data.loader import limits as loader_limits
 from benches.data.loader import mds as loader_mds
-from benches.data.loader.baselines import Premade, folder_bytes
+from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
 from benches.data.loader.figure import draw_loader
 from benches.data.loader.limits import limits, ratio
 from benches.data.loader.passes import _check, checksum_of
@@ -143,7 +143,7 @@ def test_a_decoder_that_changes_pixels_is_refused(kind: type[np.generic], figure
 
 
 def batch_of(images: list[Any]) -> Batch:
-    ranges = [torch.from_numpy(image.range[None].astype(np.float32) * np.float32(1e-4)) for image in images]
+    ranges = [torch.from_numpy(image.range[None].astype(np.float32) * np.float32(STEP_M)) for image in images]
     labels = [torch.from_numpy(image.labels.copy()) for image in images]
     return {"range": torch.stack(ranges), "labels": torch.stack(labels), "key": [image.key for image in images]}
 

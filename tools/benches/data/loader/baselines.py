@@ -19,8 +19,11 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 
 from benches.data.loader.pngs import Decode, by_pillow, png
 from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.loading.range_images import Batch, RangeImages
+
+STEP_M: Final = load_rig().range_step_m
+"""One step of the images that are measured, metres: all are of the default rig."""
 
 SHARDS: Final = 16
 """Files of baselines that store few large ones, so that up to sixteen workers have equal work."""
@@ -58,7 +61,7 @@ def example(key: str, steps: NDArray[np.uint16], labels: NDArray[np.uint8]) -> d
     """One sample as a data set gives it to the collation: float32 [1, H, W] metres with the bits that this project's
     loader gives, uint8 [H, W] labels, key.
     """
-    metres = np.multiply(steps, np.float32(RANGE_STEP_M), dtype=np.float32)
+    metres = np.multiply(steps, np.float32(STEP_M), dtype=np.float32)
     return {"range": torch.from_numpy(metres[None]), "labels": torch.from_numpy(labels), "key": key}
 
 

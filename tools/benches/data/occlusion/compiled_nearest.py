@@ -13,7 +13,7 @@ from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
 from bodyseg_data.artifacts.scratch import scratch_for
 from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
@@ -70,5 +70,5 @@ def lit(test: ShadowTest, images: Images, bias_mm: float) -> NDArray[np.bool_]:
     shadow = shadow_of(test, *images)
     lit_mask = np.empty(images[0].shape, np.bool_)
     scratch = scratch_for(images[0].size, images[1].size)
-    nearest_image(shadow, np.float32(round(bias_mm / 1000 / RANGE_STEP_M)), scratch, lit_mask.ravel())
+    nearest_image(shadow, np.float32(round(bias_mm / 1000 / test.rig.range_step_m)), scratch, lit_mask.ravel())
     return lit_mask

@@ -15,12 +15,11 @@ from bodyseg_data.artifacts.losses import SHAPES, lost
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import fixed_artifacts
 
 STEPS_MM: Final = (1, 2, 4, 8)
-"""Steps of range, coarser than the stored 0.1 mm."""
+"""Steps of range, coarser than the stored ones."""
 
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
 
@@ -124,7 +123,8 @@ class ConditionImages(RangeImages):
             image[gone] = 0
             labels[gone] = BACKGROUND
         if self._condition.step_mm is not None:
-            image[...] = stepped(image, self._condition.step_mm) * steps_of(self._condition.step_mm)
+            steps = steps_of(self._condition.step_mm, self.step_m)
+            image[...] = stepped(image, steps) * steps
 
     def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
@@ -132,13 +132,12 @@ class ConditionImages(RangeImages):
         return lost(shape, clean.range, self._condition.share, self.manifest.rig.camera, draws)
 
 
-def steps_of(step_mm: float) -> int:
-    """Number of stored steps in one of `step_mm`."""
-    return round(step_mm / 1e3 / RANGE_STEP_M)
+def steps_of(step_mm: float, step_m: float) -> int:
+    """Number of stored steps, of `step_m` metres each, in one of `step_mm`; at least 1."""
+    return max(1, round(step_mm / 1e3 / step_m))
 
 
-def stepped(image: NDArray[np.uint16], step_mm: float) -> NDArray[np.uint16]:
-    """A stored range image in coarser steps, uint16 [H, W], to the nearest of them; a body stays in front."""
-    steps = steps_of(step_mm)
+def stepped(image: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
+    """A stored range image in steps that are `steps` times as long, uint16 [H, W]; a body stays in front."""
     rounded = np.maximum(np.rint(image / np.float32(steps)), 1)
     return np.where(image == 0, 0, np.minimum(rounded, 65535 // steps)).astype(np.uint16)
