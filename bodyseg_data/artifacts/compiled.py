@@ -113,7 +113,7 @@ def apply(
 _NO_FACING, _NO_TEXELS = constant(np.zeros(0, np.uint8)), constant(np.zeros(0, np.uint16))
 _NO_INDICES: Final = constant(np.zeros(0, np.int32))
 _NO_SLOPES: Final = constant(np.zeros(0, np.float32))
-_NO_OFFSETS: Final = (np.float32(0),) * 3
+_NO_NUMBERS: Final = (np.float32(0),) * 5
 _NO_STREAM: Final = constant(np.zeros(2, np.uint64))
 
 
@@ -151,7 +151,7 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
         shadow = shadow_of(shadow_test(scene.rig), *images, None if occupancy is None else occupancy.texels)
     else:
         shadow = Shadow(
-            constant(sample.range), _NO_FACING, _NO_TEXELS, _NO_INDICES, 0, 0, *(_NO_SLOPES,) * 3, *_NO_OFFSETS
+            constant(sample.range), _NO_FACING, _NO_TEXELS, _NO_INDICES, 0, 0, *(_NO_SLOPES,) * 3, *_NO_NUMBERS
         )
     strengths = Strengths(noise[0], noise[1], steps_of(sigma_mm), missing[0], missing[1], np.uint32(threshold(rate)))
     scratch = scratch_for(sample.range.size, shadow.projector_range.size)
@@ -168,7 +168,7 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
 def compile_all() -> None:
     """Compile the loops, or load their machine code, by applying them to one pixel."""
     texel, facing, slope = (constant(np.zeros(1, kind)) for kind in (np.uint16, np.uint8, np.float32))
-    shadow = Shadow(texel, facing, texel, _NO_INDICES, 1, 1, slope, slope, slope, *_NO_OFFSETS)
+    shadow = Shadow(texel, facing, texel, _NO_INDICES, 1, 1, slope, slope, slope, *_NO_NUMBERS)
     word = np.uint64(0)
     strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)

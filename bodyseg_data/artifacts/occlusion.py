@@ -29,8 +29,6 @@ Floats = NDArray[np.float32]
 
 # Everything below computes in float32, in steps of a stored range image, in one fixed order of operations, so that
 # every form and every machine gives the same bits.
-_GAP_STEPS: Final = SHADOW_THRESHOLDS.gap_steps
-_EDGE_STEPS: Final = SHADOW_THRESHOLDS.edge_steps
 _ONE: Final = np.float32(1)
 _HALF: Final = np.float32(0.5)
 
@@ -59,6 +57,7 @@ class ShadowTest:
     nothing; the denominator is the point's range in the projector's frame.
 
     slopes: float32 [3, H * W], a for the texel's x, a for its y, and c. offsets: float32 [3], both b and d, in steps.
+    gap_steps, edge_steps: float32, the thresholds of the format of shards in steps.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -70,6 +69,8 @@ class ShadowTest:
         image_plane = np.array([[focal, 0, centre_x - 0.5], [0, focal, centre_y - 0.5], [0, 0, 1]])
         self.slopes: Floats = np.ascontiguousarray((rays @ image_plane.T).T, np.float32)
         self.offsets: Floats = (image_plane @ shift_m / RANGE_STEP_M).astype(np.float32)
+        self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps
+        self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps
 
     def __repr__(self) -> str:
         return f"ShadowTest(rig {self.rig.name!r}, {SHADOW_THRESHOLDS})"
@@ -92,7 +93,7 @@ class ShadowTest:
         self.check(camera_range, projector_range, faces_projector)
         answer = np.zeros(camera_range.shape, np.bool_)
         pixels, x, y, away = self.project(camera_range, np.flatnonzero(faces_projector & (camera_range > 0)))
-        answer.ravel()[pixels] = reached(projector_range, x, y, away)
+        answer.ravel()[pixels] = reached(projector_range, x, y, away, self.gap_steps, self.edge_steps)
         return answer
 
     def check(self, camera_range: Any, projector_range: Any, faces_projector: Any) -> None:
@@ -131,11 +132,19 @@ def shadow_test(rig: Rig) -> ShadowTest:
     return ShadowTest(rig)
 
 
-def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
+def reached(
+    projector_range: NDArray[np.uint16],
+    x: Floats,
+    y: Floats,
+    away: Floats,
+    gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps,
+    edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps,
+) -> NDArray[np.bool_]:
     """Decide whether light reaches points inside the projector's frame, bool [N].
 
     projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
-    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. Ranges are in steps of `RANGE_STEP_M`.
+    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. gap_steps, edge_steps: float32,
+    the thresholds. Ranges and thresholds are in steps of `RANGE_STEP_M`.
     """
     texels, along, below = four_texels(projector_range, x, y)
     away = np.minimum(away - _ONE, FARTHEST_STEPS)  # one step off, as the texels are
@@ -145,11 +154,11 @@ def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Flo
     # One surface: it is where the interpolated range says.
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= _GAP_STEPS
+    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= gap_steps
 
     # An edge: votes.
-    torn = np.flatnonzero(farthest - nearest >= _EDGE_STEPS)
-    limit, right, low = (away - _EDGE_STEPS)[torn], along[torn], below[torn]
+    torn = np.flatnonzero(farthest - nearest >= edge_steps)
+    limit, right, low = (away - edge_steps)[torn], along[torn], below[torn]
     left, high = _ONE - right, _ONE - low
     votes = [
         weight * (texel[torn] >= limit)

@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.artifacts.scratch import constant, scratch_for
 from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
+from bodyseg_data.core.sample import FARTHEST_STEPS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
-_GAP_STEPS: Final = SHADOW_THRESHOLDS.gap_steps
-_EDGE_STEPS: Final = SHADOW_THRESHOLDS.edge_steps
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
@@ -40,6 +38,8 @@ class Shadow(NamedTuple):
     offset_x: np.float32
     offset_y: np.float32
     offset_z: np.float32
+    gap_steps: np.float32
+    edge_steps: np.float32
 
 
 @_kernel
@@ -116,20 +116,20 @@ def read_texels(
 
 
 @_kernel
-def decide(floats: Any, hits: Any) -> None:
+def decide(floats: Any, hits: Any, gap_steps: Any, edge_steps: Any) -> None:
     """Write 1 into `floats` 0 where light gets to, else 0."""
     for hit in range(np.uint64(hits)):
         a, b, c, d = floats[3, hit], floats[4, hit], floats[5, hit], floats[6, hit]
         along, below = floats[0, hit] - np.floor(floats[0, hit]), floats[1, hit] - np.floor(floats[1, hit])
         away = min(floats[2, hit] - _ONE, FARTHEST_STEPS)
         upper, lower = a + along * (b - a), c + along * (d - c)
-        surface = away - (upper + below * (lower - upper)) <= _GAP_STEPS
-        limit = away - _EDGE_STEPS
+        surface = away - (upper + below * (lower - upper)) <= gap_steps
+        limit = away - edge_steps
         votes = (_ONE - below) * (_ONE - along) if a >= limit else _NONE
         votes += (_ONE - below) * along if b >= limit else _NONE
         votes += below * (_ONE - along) if c >= limit else _NONE
         votes += below * along if d >= limit else _NONE
-        torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= _EDGE_STEPS
+        torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge_steps
         floats[0, hit] = _ONE if (votes >= _HALF if torn else surface) else _NONE
 
 
@@ -167,7 +167,7 @@ def mark_lit(shadow: Any, runs: Any, scratch: Any) -> Any:
         hits += np.uint64(near[np.uint64(start[point])] & marks[point])
     mark_near(shadow.texels, columns, np.uint8(0), near)
     read_texels(projector_range, rows, columns, start, candidates, hits, floats)
-    decide(floats, hits)
+    decide(floats, hits, shadow.gap_steps, shadow.edge_steps)
     for hit in range(hits):
         marks[np.uint64(candidates[hit])] = np.uint8(floats[0, hit])
     return count
@@ -203,7 +203,9 @@ def shadow_of(
         texels = np.flatnonzero(projector_range).astype(np.int32)
     images = constant(camera_range), constant(faces_projector.view(np.uint8)), constant(projector_range)
     across, down, forward = (constant(slope) for slope in test.slopes)
-    return Shadow(*images, constant(texels), *frame, across, down, forward, *test.offsets)
+    return Shadow(
+        *images, constant(texels), *frame, across, down, forward, *test.offsets, test.gap_steps, test.edge_steps
+    )
 
 
 def lit(
