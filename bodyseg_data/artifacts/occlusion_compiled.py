@@ -1,7 +1,10 @@
 """The shadow test compiled with numba: the operations of `occlusion.py` in the same order, so the same bits.
 
-Passes over lists of foreground pixels, each so plain that the compiler makes it many pixels wide. Indices are
-unsigned, so that no code is made for those that count from the end.
+Foreground is handled in chunks that stay in the first cache. Most of it lies nowhere near an occupied texel of the
+projector's image and is lit if it faces the projector; so bounds are projected first, a few for every block of pixels,
+and pixels only where the bounds hold a texel. The bounds are computed from the images themselves, with a margin for
+rounding: they cannot be wrong, whatever a sample holds. Indices are unsigned, so that no code is made for those that
+count from the end.
 """
 
 from __future__ import annotations
@@ -13,31 +16,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.scratch import constant, scratch_for
+from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, ROOM, constant, scratch_for
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.sample import FARTHEST_STEPS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
+_OUTSIDE: Final = np.float32(np.nan)
+_ALWAYS: Final = np.int32(2**30)
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 class Shadow(NamedTuple):
-    """The input of `mark_lit`: flat constant arrays, and the rig's constants."""
+    """The input of `mark_lit` for one projector: flat constant arrays, and the rig's numbers.
+
+    width: of the camera's image. rows, columns: of the projector's. slopes: of x, y and range, one after the other;
+    projection: float32 [3, 5]; both as in `ShadowTest`.
+    """
 
     camera_range: NDArray[np.uint16]
     facing: NDArray[np.uint8]
     projector_range: NDArray[np.uint16]
     texels: NDArray[np.int32]
+    width: int
     rows: int
     columns: int
-    across: NDArray[np.float32]
-    down: NDArray[np.float32]
-    forward: NDArray[np.float32]
-    offset_x: np.float32
-    offset_y: np.float32
-    offset_z: np.float32
+    of_columns: NDArray[np.float64]
+    of_rows: NDArray[np.float64]
+    projection: NDArray[np.float32]
     gap_steps: np.float32
     edge_steps: np.float32
 
@@ -66,62 +73,245 @@ def find_runs(camera_range: Any, changes: Any, edges: Any) -> Any:
 
 
 @_kernel
-def find_texels(x: Any, y: Any, away: Any, count: Any, rows: Any, columns: Any, marks: Any, start: Any) -> None:
-    """The texel to the upper left of each point, moved into the image; points outside the frame lose their mark."""
-    last_x, last_y = np.float32(columns) - _HALF, np.float32(rows) - _HALF
-    for point in range(np.uint64(count)):
-        inside = (away[point] > _NONE) & (x[point] >= -_HALF) & (x[point] < last_x)
-        inside &= (y[point] >= -_HALF) & (y[point] < last_y)
-        left = np.int32(max(np.floor(x[point]), _NONE)) if inside else np.int32(0)
-        top = np.int32(max(np.floor(y[point]), _NONE)) if inside else np.int32(0)
-        start[point] = top * np.int32(columns) + left
-        marks[point] &= np.uint8(inside)
+def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: Any, block: Any, pieces: Any) -> Any:
+    """Cut the next `CHUNK` foreground pixels, or what is left of them, into pieces of at most `block` within one row.
 
-
-@_kernel
-def mark_near(texels: Any, columns: Any, mark: Any, near: Any) -> None:
-    """Set `near` to `mark` where one of the four texels that begin here holds anything: elsewhere all points are lit.
-
-    texels: flat indices of those that do. To the left of the first column is the last one of the row above, where
-    points are then looked at in vain.
+    run, taken, row: where the chunk before ended. pieces: first pixel, length and row of each, and its first point.
+    Returns run, taken and row where this one ends, the number of pieces, and the number of points.
     """
-    width: Any = np.int64(columns)
+    firsts, lengths, rows, points = pieces[0], pieces[1], pieces[2], pieces[3]
+    count, found = np.int64(0), np.int64(0)
+    row_end = (row + 1) * width
+    while run < runs and count < CHUNK:
+        first = np.int64(edges[np.uint64(2 * run)]) + taken
+        left = np.int64(edges[np.uint64(2 * run + 1)]) - first
+        while first >= row_end:
+            row += 1
+            row_end += width
+        length = min(left, min(CHUNK - count, min(np.int64(block), row_end - first)))
+        at = np.uint64(found)
+        firsts[at], lengths[at], rows[at], points[at] = first, length, row, count
+        found += 1
+        count += length
+        taken += length
+        if length == left:
+            run += 1
+            taken = np.int64(0)
+    return run, taken, row, found, count
+
+
+@_kernel
+def mark_occupied(shadow: Any, scratch: Any) -> None:
+    """Note the texels that hold anything: in `coarse`, a bit for a few columns of a row, and in `nearest`, the least
+    range, less one step, of the four texels that begin at one.
+
+    To the left of the first column is the last one of the row above, where points are then looked at in vain.
+    """
+    texels, image, coarse, nearest = shadow.texels, shadow.projector_range, scratch.coarse, scratch.nearest
+    columns = np.int64(shadow.columns)
+    shift = column_shift(columns)
+    for row in range(np.uint64(coarse.size)):
+        coarse[row] = np.uint64(0)
+    row, start = np.int64(0), np.int64(0)
     for i in range(np.uint64(texels.size)):
-        texel: Any = np.int64(texels[i])
-        near[np.uint64(texel)] = mark
-        near[np.uint64(max(texel - 1, 0))] = mark
-        near[np.uint64(max(texel - width, 0))] = mark
-        near[np.uint64(max(texel - width - 1, 0))] = mark
+        texel = np.int64(texels[i])
+        while texel >= start + columns:
+            row += 1
+            start += columns
+        while texel < start:
+            row -= 1
+            start -= columns
+        coarse[np.uint64(row)] |= np.uint64(1) << np.uint64((texel - start) >> shift)
+        value = np.uint16(image[np.uint64(texel)] - np.uint16(1))
+        for before in (np.int64(0), np.int64(1), columns, columns + 1):
+            at = np.uint64(max(texel - before, 0))
+            nearest[at] = min(nearest[at], value)
+    for row in range(np.uint64(shadow.rows)):
+        coarse[row] |= coarse[row + np.uint64(1)] | coarse[row + np.uint64(2)] | coarse[row + np.uint64(3)]
 
 
 @_kernel
-def read_texels(
-    projector_range: Any, rows: Any, columns: Any, start: Any, candidates: Any, hits: Any, floats: Any
-) -> None:
-    """Move the candidates to the front of `floats` 0 to 2 and write their four texels, less one step, into 3 to 6."""
-    x, y, away, a, b, c, d = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5], floats[6]
-    last_x, last_y = np.float32(columns - 1), np.float32(rows - 1)
-    for hit in range(np.uint64(hits)):
+def forget_occupied(shadow: Any, scratch: Any) -> None:
+    """Leave `nearest` as it was before `mark_occupied`."""
+    columns = np.int64(shadow.columns)
+    for i in range(np.uint64(shadow.texels.size)):
+        texel = np.int64(shadow.texels[i])
+        for before in (np.int64(0), np.int64(1), columns, columns + 1):
+            scratch.nearest[np.uint64(max(texel - before, 0))] = np.uint16(65535)
+
+
+@_kernel
+def column_shift(columns: Any) -> Any:
+    """The power of two of columns that share a bit, so that 64 bits hold a row."""
+    shift = np.int64(0)
+    while (columns - 1) >> shift > 63:
+        shift += 1
+    return shift
+
+
+@_kernel
+def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> None:
+    """Write the least and the greatest range of each piece, or of more, into `extremes` 0 and 1."""
+    size = np.int64(camera_range.size)
+    for piece in range(np.uint64(found)):
+        first = np.uint64(pieces[0, piece])
+        least, greatest = np.uint16(65535), np.uint16(0)
+        # As many pixels at a time as a piece can have, for the compiler; background, less one, is the farthest of all.
+        for i in range(np.uint64(min(size - np.int64(first), BLOCK))):
+            z = camera_range[first + i]
+            least = min(least, np.uint16(z - np.uint16(1)))
+            greatest = max(greatest, z)
+        extremes[0, piece] = np.float32(least) + _ONE
+        extremes[1, piece] = np.float32(greatest)
+
+
+@_kernel
+def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any) -> None:
+    """Write the first and last row and column of the texels that a piece's points can read into `boxes`, int32.
+
+    A projection is a quotient of linear functions of the column, and of the range, so over both it is greatest and
+    least at one of four extremes. Pieces that may reach out of the frame get a last row of -1.
+    """
+    p = shadow.projection
+    offset_x, across_column, across_row, across_0, off_x = p[0, 0], p[0, 1], p[0, 2], p[0, 3], p[0, 4]
+    offset_y, down_column, down_row, down_0, off_y = p[1, 0], p[1, 1], p[1, 2], p[1, 3], p[1, 4]
+    offset_z, forward_column, forward_row, forward_0, off_z = p[2, 0], p[2, 1], p[2, 2], p[2, 3], p[2, 4]
+    last_x, last_y = np.float32(shadow.columns) - _HALF, np.float32(shadow.rows) - _HALF
+    last_column, last_row = np.int32(shadow.columns - 1), np.int32(shadow.rows - 1)
+    firsts, lengths, rows = pieces[0], pieces[1], pieces[2]
+    width = np.int32(shadow.width)
+    for piece in range(np.uint64(found)):
+        row, left = np.float32(rows[piece]), np.float32(np.int32(firsts[piece] - np.int32(rows[piece] * width)))
+        right = left + np.float32(lengths[piece] - np.int32(1))
+        near, far = extremes[0, piece], extremes[1, piece]
+        across, down, forward = across_row * row + across_0, down_row * row + down_0, forward_row * row + forward_0
+        left_x, left_y, left_z = (
+            across + across_column * left,
+            down + down_column * left,
+            forward + forward_column * left,
+        )
+        right_x, right_y, right_z = (
+            across + across_column * right,
+            down + down_column * right,
+            forward + forward_column * right,
+        )
+        away_0, away_1 = near * left_z + offset_z, far * left_z + offset_z
+        away_2, away_3 = near * right_z + offset_z, far * right_z + offset_z
+        x_0, x_1 = (near * left_x + offset_x) / away_0, (far * left_x + offset_x) / away_1
+        x_2, x_3 = (near * right_x + offset_x) / away_2, (far * right_x + offset_x) / away_3
+        y_0, y_1 = (near * left_y + offset_y) / away_0, (far * left_y + offset_y) / away_1
+        y_2, y_3 = (near * right_y + offset_y) / away_2, (far * right_y + offset_y) / away_3
+        nearest = min(min(away_0, away_1), min(away_2, away_3))
+        margin_x, margin_y = off_x / nearest, off_y / nearest
+        x_low, x_high = min(min(x_0, x_1), min(x_2, x_3)) - margin_x, max(max(x_0, x_1), max(x_2, x_3)) + margin_x
+        y_low, y_high = min(min(y_0, y_1), min(y_2, y_3)) - margin_y, max(max(y_0, y_1), max(y_2, y_3)) + margin_y
+        inside = (nearest > off_z) & (x_low >= -_HALF) & (x_high < last_x)
+        inside &= (y_low >= -_HALF) & (y_high < last_y)
+        boxes[0, piece] = np.int32(max(x_low, _NONE)) if inside else np.int32(0)
+        boxes[1, piece] = min(np.int32(max(x_high, _NONE)) + np.int32(1), last_column) if inside else np.int32(0)
+        boxes[2, piece] = np.int32(max(y_low, _NONE)) if inside else np.int32(0)
+        boxes[3, piece] = min(np.int32(max(y_high, _NONE)) + np.int32(1), last_row) if inside else np.int32(-1)
+
+
+@_kernel
+def project_near(shadow: Any, pieces: Any, found: Any, scratch: Any) -> Any:
+    """Project the points of pieces that face the projector and whose box holds an occupied texel; returns their number.
+
+    Writes texel coordinates and range into `floats`, and into `ints` the point's index, its texel to the upper left,
+    and from which range on a texel cannot shade it. Points outside the frame get NaN, which no rule calls lit.
+    """
+    camera_range, of_columns, of_rows = shadow.camera_range, shadow.of_columns, shadow.of_rows
+    p, boxes, coarse, floats, ints = shadow.projection, scratch.boxes, scratch.coarse, scratch.floats, scratch.ints
+    offset_x, offset_y, offset_z = p[0, 0], p[1, 0], p[2, 0]
+    columns = np.int32(shadow.columns)
+    last_x, last_y = np.float32(shadow.columns) - _HALF, np.float32(shadow.rows) - _HALF
+    # A step is far more than what rounding can make of an interpolated range.
+    surely_lit = min(shadow.gap_steps, shadow.edge_steps) - _ONE
+    width, height = np.uint64(shadow.width), np.uint64(of_rows.size // 3)
+    shift, one, second, third = (
+        np.uint64(column_shift(shadow.columns)),
+        np.uint64(1),
+        np.uint64(ROOM),
+        np.uint64(2 * ROOM),
+    )
+    count = np.uint64(0)
+    for piece in range(np.uint64(found)):
+        low, high, top, bottom = boxes[0, piece], boxes[1, piece], boxes[2, piece], boxes[3, piece]
+        hit = bottom < 0
+        if not hit and pieces[4, piece]:
+            between = ((one << (np.uint64(high) >> shift)) << one) - (one << (np.uint64(low) >> shift))
+            bits = coarse[np.uint64(top)] | coarse[np.uint64(max(bottom - 3, top))]
+            for row in range(np.uint64(top + 4), np.uint64(max(bottom - 3, top + 4))):
+                bits |= coarse[row]
+            hit = bits & between != 0
+        if hit:
+            first, row, point = np.uint64(pieces[0, piece]), np.uint64(pieces[2, piece]), np.int32(pieces[3, piece])
+            left = first - row * width
+            of_row_x, of_row_y, of_row_z = of_rows[row], of_rows[height + row], of_rows[height + height + row]
+            for i in range(min(np.uint64(BLOCK), width - left)):
+                z = np.float32(camera_range[first + i])
+                away = z * np.float32(of_columns[width + width + left + i] + of_row_z) + offset_z
+                x = (z * np.float32(of_columns[left + i] + of_row_x) + offset_x) / away
+                y = (z * np.float32(of_columns[width + left + i] + of_row_y) + offset_y) / away
+                inside = (away > _NONE) & (x >= -_HALF) & (x < last_x) & (y >= -_HALF) & (y < last_y)
+                texel_x = np.int32(max(np.floor(x), _NONE)) if inside else np.int32(0)
+                texel_y = np.int32(max(np.floor(y), _NONE)) if inside else np.int32(0)
+                limit = np.int32(min(away - _ONE, FARTHEST_STEPS) - surely_lit) + np.int32(1)
+                floats[count + i] = x if inside else _OUTSIDE
+                floats[second + count + i] = y
+                floats[third + count + i] = away
+                ints[count + i] = point + np.int32(i)
+                ints[second + count + i] = texel_y * columns + texel_x
+                ints[third + count + i] = limit if inside else _ALWAYS
+            count += np.uint64(pieces[1, piece])
+    return count
+
+
+@_kernel
+def read_texels(shadow: Any, count: Any, scratch: Any) -> Any:
+    """Move the points that a texel may shade to the front of `floats` and of `ints`, and read their four texels, less
+    one step, into `texels`. Returns their number.
+    """
+    image, floats, ints, texels = shadow.projector_range, scratch.floats, scratch.ints, scratch.texels
+    nearest, candidates = scratch.nearest, scratch.candidates
+    last_x, last_y = np.float32(shadow.columns - 1), np.float32(shadow.rows - 1)
+    columns, second, third, fourth = (
+        np.uint64(shadow.columns),
+        np.uint64(ROOM),
+        np.uint64(2 * ROOM),
+        np.uint64(3 * ROOM),
+    )
+    hits = np.uint64(0)
+    for point in range(np.uint64(count)):
+        candidates[hits] = point
+        hits += np.uint64(np.int32(nearest[np.uint64(ints[second + point])]) < ints[third + point])
+    step = np.uint16(1)
+    for hit in range(hits):
         point = np.uint64(candidates[hit])
-        x[hit], y[hit], away[hit] = x[point], y[point], away[point]
+        x, y, at = floats[point], floats[second + point], np.uint64(ints[second + point])
+        floats[hit], floats[second + hit], floats[third + hit] = x, y, floats[third + point]
+        ints[hit] = ints[point]
         # Beyond the border, the texel beside is the same one.
-        right = np.uint64((x[point] >= _NONE) & (x[point] < last_x))
-        below = np.uint64(columns if (y[point] >= _NONE) & (y[point] < last_y) else 0)
-        texel = np.uint64(start[point])
+        right = np.uint64((x >= _NONE) & (x < last_x))
+        below = columns if (y >= _NONE) & (y < last_y) & (x == x) else np.uint64(0)
         # One step off, an empty texel wraps round to 65535, which is behind every point, as it should be.
-        a[hit] = np.float32(np.uint16(projector_range[texel] - np.uint16(1)))
-        b[hit] = np.float32(np.uint16(projector_range[texel + right] - np.uint16(1)))
-        c[hit] = np.float32(np.uint16(projector_range[texel + below] - np.uint16(1)))
-        d[hit] = np.float32(np.uint16(projector_range[texel + below + right] - np.uint16(1)))
+        texels[hit] = np.uint16(image[at] - step)
+        texels[second + hit] = np.uint16(image[at + right] - step)
+        texels[third + hit] = np.uint16(image[at + below] - step)
+        texels[fourth + hit] = np.uint16(image[at + below + right] - step)
+    return hits
 
 
 @_kernel
-def decide(floats: Any, hits: Any, gap_steps: Any, edge_steps: Any) -> None:
-    """Write 1 into `floats` 0 where light gets to, else 0."""
+def decide(hits: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any) -> None:
+    """Write 1 into `floats` where light gets to, else 0."""
+    second, third, fourth = np.uint64(ROOM), np.uint64(2 * ROOM), np.uint64(3 * ROOM)
     for hit in range(np.uint64(hits)):
-        a, b, c, d = floats[3, hit], floats[4, hit], floats[5, hit], floats[6, hit]
-        along, below = floats[0, hit] - np.floor(floats[0, hit]), floats[1, hit] - np.floor(floats[1, hit])
-        away = min(floats[2, hit] - _ONE, FARTHEST_STEPS)
+        a, b = np.float32(texels[hit]), np.float32(texels[second + hit])
+        c, d = np.float32(texels[third + hit]), np.float32(texels[fourth + hit])
+        x, y = floats[hit], floats[second + hit]
+        along, below = x - np.floor(x), y - np.floor(y)
+        away = min(floats[third + hit] - _ONE, FARTHEST_STEPS)
         upper, lower = a + along * (b - a), c + along * (d - c)
         surface = away - (upper + below * (lower - upper)) <= gap_steps
         limit = away - edge_steps
@@ -130,60 +320,49 @@ def decide(floats: Any, hits: Any, gap_steps: Any, edge_steps: Any) -> None:
         votes += below * (_ONE - along) if c >= limit else _NONE
         votes += below * along if d >= limit else _NONE
         torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge_steps
-        floats[0, hit] = _ONE if (votes >= _HALF if torn else surface) else _NONE
+        floats[hit] = _ONE if (votes >= _HALF if torn else surface) else _NONE
 
 
 @_kernel
-def mark_lit(shadow: Any, runs: Any, scratch: Any) -> Any:
-    """Set `marks` to 1 for lit foreground pixels and to 0 for the others, in reading order; returns their number."""
-    camera_range, projector_range, rows, columns = (
-        shadow.camera_range,
-        shadow.projector_range,
-        shadow.rows,
-        shadow.columns,
-    )
-    across, down, forward = shadow.across, shadow.down, shadow.forward
-    edges, marks, near, start = scratch.edges, scratch.marks, scratch.near, scratch.start
-    candidates, floats = scratch.candidates, scratch.floats
-    x, y, away = floats[0], floats[1], floats[2]
-    count = np.uint64(0)
-    for run in range(np.uint64(runs)):
-        first = np.uint64(edges[np.uint64(2) * run])
-        length = np.uint64(edges[np.uint64(2) * run + np.uint64(1)]) - first
-        for i in range(length):
-            away[count + i] = np.float32(camera_range[first + i]) * forward[first + i] + shadow.offset_z
-        for i in range(length):
-            x[count + i] = (np.float32(camera_range[first + i]) * across[first + i] + shadow.offset_x) / away[count + i]
-        for i in range(length):
-            y[count + i] = (np.float32(camera_range[first + i]) * down[first + i] + shadow.offset_y) / away[count + i]
-        for i in range(length):
-            marks[count + i] = shadow.facing[first + i]
-        count += length
-    find_texels(x, y, away, count, rows, columns, marks, start)
-    mark_near(shadow.texels, columns, np.uint8(1), near)
-    hits = np.uint64(0)
-    for point in range(count):
-        candidates[hits] = point
-        hits += np.uint64(near[np.uint64(start[point])] & marks[point])
-    mark_near(shadow.texels, columns, np.uint8(0), near)
-    read_texels(projector_range, rows, columns, start, candidates, hits, floats)
-    decide(floats, hits, shadow.gap_steps, shadow.edge_steps)
+def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any) -> None:
+    """Set `marks` to 1 for the points of a chunk's pieces that one projector lights and to 0 for the others.
+
+    scratch: as `mark_occupied` left it for this projector.
+    """
+    pieces, floats, ints = scratch.pieces, scratch.floats, scratch.ints
+    size = np.int64(shadow.camera_range.size)
+    for piece in range(np.uint64(found)):
+        first, point = np.uint64(pieces[0, piece]), np.uint64(pieces[3, piece])
+        faces = np.uint8(0)
+        for i in range(np.uint64(min(size - np.int64(first), BLOCK))):
+            marks[point + i] = shadow.facing[first + i]
+            faces |= shadow.facing[first + i]
+        pieces[4, piece] = faces
+    find_extremes(shadow.camera_range, pieces, found, scratch.extremes)
+    bound_pieces(shadow, pieces, found, scratch.extremes, scratch.boxes)
+    count = project_near(shadow, pieces, found, scratch)
+    hits = read_texels(shadow, count, scratch)
+    decide(hits, floats, scratch.texels, shadow.gap_steps, shadow.edge_steps)
     for hit in range(hits):
-        marks[np.uint64(candidates[hit])] = np.uint8(floats[0, hit])
-    return count
+        marks[np.uint64(ints[hit])] &= np.uint8(floats[hit])
 
 
 @_kernel
 def lit_image(shadow: Any, scratch: Any, answer: Any) -> None:
     """Mark the pixels that are lit in `answer`, flat."""
     runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
-    mark_lit(shadow, runs, scratch)
+    mark_occupied(shadow, scratch)
     answer[:] = False
-    point = np.uint64(0)
-    for run in range(np.uint64(runs)):
-        for pixel in range(scratch.edges[np.uint64(2) * run], scratch.edges[np.uint64(2) * run + np.uint64(1)]):
-            answer[pixel] = scratch.marks[point] != 0
-            point += np.uint64(1)
+    run, taken, row = np.int64(0), np.int64(0), np.int64(0)
+    pieces = scratch.pieces
+    while run < runs:
+        run, taken, row, found, _ = take_pieces(scratch.edges, runs, run, taken, row, shadow.width, BLOCK, pieces)
+        mark_lit(shadow, found, scratch, scratch.marks)
+        for piece in range(np.uint64(found)):
+            first, point = np.uint64(pieces[0, piece]), np.uint64(pieces[3, piece])
+            for i in range(np.uint64(pieces[1, piece])):
+                answer[first + i] = scratch.marks[point + i] != 0
+    forget_occupied(shadow, scratch)
 
 
 def shadow_of(
@@ -198,13 +377,20 @@ def shadow_of(
     Raises BadSample as `ShadowTest.lit`. texels: flat indices of those that hold anything, if they are known.
     """
     test.check(camera_range, projector_range, faces_projector)
-    frame = test.rig.projector.rows, test.rig.projector.columns
+    camera, projector = test.rig.camera, test.rig.projector
     if texels is None:
         texels = np.flatnonzero(projector_range).astype(np.int32)
     images = constant(camera_range), constant(faces_projector.view(np.uint8)), constant(projector_range)
-    across, down, forward = (constant(slope) for slope in test.slopes)
+    sizes = camera.columns, projector.rows, projector.columns
     return Shadow(
-        *images, constant(texels), *frame, across, down, forward, *test.offsets, test.gap_steps, test.edge_steps
+        *images,
+        constant(texels),
+        *sizes,
+        constant(test.of_columns),
+        constant(test.of_rows),
+        test.projection,
+        test.gap_steps,
+        test.edge_steps,
     )
 
 
@@ -217,5 +403,5 @@ def lit(
     """As `ShadowTest.lit`."""
     shadow = shadow_of(test, camera_range, projector_range, faces_projector)
     answer = np.empty(camera_range.shape, np.bool_)
-    lit_image(shadow, scratch_for(camera_range.size, projector_range.size), answer.ravel())
+    lit_image(shadow, scratch_for(camera_range.size, *projector_range.shape), answer.ravel())
     return answer
