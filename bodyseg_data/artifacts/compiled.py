@@ -12,15 +12,8 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
 from bodyseg_data.artifacts.noise import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS, Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, shadow_test
-from bodyseg_data.artifacts.occlusion_compiled import (
-    Shadow,
-    find_runs,
-    forget_occupied,
-    mark_lit,
-    mark_occupied,
-    shadow_of,
-    take_pieces,
-)
+from bodyseg_data.artifacts.occlusion_bounds import forget_occupied, mark_occupied, take_pieces
+from bodyseg_data.artifacts.occlusion_compiled import Shadow, find_runs, mark_lit, shadow_of
 from bodyseg_data.artifacts.philox_compiled import raw_words
 from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
 from bodyseg_data.core.kernels import compiled
@@ -137,15 +130,24 @@ def apply(
         forget_occupied(shadow, scratch)
 
 
+_NO_RANGE, _NO_FACING = constant(np.zeros(1, np.uint16)), constant(np.zeros(1, np.uint8))
+_NO_TEXELS: Final = constant(np.zeros(1, np.int32))
+_NO_SLOPES: Final = constant(np.zeros(3))
 _NO_PROJECTION: Final = np.zeros((3, 5), np.float32)
 _NO_PROJECTION.flags.writeable = False
 _NO_SHADOW: Final = Shadow(
-    *(constant(np.zeros(1, kind)) for kind in (np.uint16, np.uint8, np.uint16, np.int32)),
-    *(1, 1, 1),
-    constant(np.zeros(3)),
-    constant(np.zeros(3)),
-    _NO_PROJECTION,
-    *(np.float32(0), np.float32(0)),
+    camera_range=_NO_RANGE,
+    facing=_NO_FACING,
+    projector_range=_NO_RANGE,
+    texels=_NO_TEXELS,
+    width=1,
+    rows=1,
+    columns=1,
+    of_columns=_NO_SLOPES,
+    of_rows=_NO_SLOPES,
+    projection=_NO_PROJECTION,
+    gap_steps=np.float32(0),
+    edge_steps=np.float32(0),
 )
 """One background pixel, and an empty texel."""
 _NO_STREAM: Final = constant(np.zeros(2, np.uint64))
