@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-CHUNK: Final = 1024
+CHUNK: Final = 2048
 """How many foreground pixels the loops handle at a time: what they need then stays in the first cache."""
 
 BLOCK: Final = 32
