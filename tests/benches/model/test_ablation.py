@@ -16,6 +16,7 @@ from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, co
 from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
+from benches.model.ablation.sensor_artifacts import ADDED
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -36,7 +37,7 @@ TRAINED = ("losses", "no_noise", "no_context", "views_1")
 
 def make_run(data: Path, out: Path, row: AblationRow, weights: int) -> None:
     """A run whose card says what `row` does, with new weights."""
-    images = RangeImages(data, row.variant, "train", int(out.name[-1]), artifacts=row.artifacts, only=row.only)
+    images = RangeImages(data, row.variant, "train", int(out.name[-1]), sensor=row.sensor, only=row.only)
     recipe = asdict(PRESETS["compact"]) | {"steps": 1, "batch_size": 2}
     network = build("compact", {**SETTINGS, **row.settings}, seed=weights)
     out.mkdir(parents=True)
@@ -93,6 +94,7 @@ def test_every_network_is_evaluated_under_every_condition(
     conditions = [condition["name"] for condition in measured["conditions"]]
     assert conditions == [
         *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30", "grazing_30"),
+        *(artifact.name for artifact in ADDED.values()),
         *("near_far", "other_side", "A", "hard"),  # there are no subjects B and C, and nobody is called P...
     ]
     assert set(rows["views_1"]["accuracy"]) == set(conditions)
@@ -112,8 +114,8 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     for each in ROWS:
         if each.arguments is not None:
             options = parse(train.Options, ["--data", "x", "--out", "y", *each.arguments], "train", "", "")
-            artifacts = train._artifacts(options)
-            assert (options.variant, options.only, artifacts) == (each.variant, each.only, each.artifacts), each
+            sensor = train._sensor(options)
+            assert (options.variant, options.only, sensor) == (each.variant, each.only, each.sensor), each
             assert json.loads(options.settings) == each.settings
 
 

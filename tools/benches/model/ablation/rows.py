@@ -5,17 +5,19 @@ A row is one training, or several by seed, that differs from the base in one eff
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal
 
 from benches.model.ablation.conditions import STEPS_MM
+from benches.model.ablation.sensor_artifacts import ADDED
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.artifacts.variants import VariantName
 
 Tree = dict[str, Any]
@@ -42,7 +44,7 @@ class AblationRow:
     """One effect that can be left out.
 
     name: of its trainings' folders, NAME-SEED. what: left out, in words; added, where `added`. helps: labels of the
-    conditions that it is meant to help. variant, only, artifacts: of the images trained on. settings: those of the
+    conditions that it is meant to help. variant, only, sensor: of the images trained on. settings: those of the
     network that differ from the base's. against: the row that has all but this effect. arguments: for `bodyseg train`;
     None if nothing is trained: the base's networks are tested with `step_mm`. source: of the training set.
     """
@@ -54,7 +56,7 @@ class AblationRow:
     arguments: tuple[str, ...] | None = ()
     variant: VariantName = "all"
     only: tuple[str, ...] = ()
-    artifacts: Artifacts = field(default_factory=Artifacts)
+    sensor: SensorModel = field(default_factory=load_sensor_model)
     settings: Mapping[str, Any] = field(default_factory=dict)
     against: str = BASE
     added: bool = False
@@ -74,6 +76,7 @@ ROW_OF_BASE: Final = AblationRow(BASE, "nothing", "artifacts")
 
 _SPREAD: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _LOSSES: Final = 0.4
+_PAPER: Final = load_sensor_model()
 
 ROWS: Final = (
     AblationRow("no_occlusion", "shadows", "artifacts", arguments=("--variant", "noise+md"), variant="noise+md"),
@@ -94,7 +97,7 @@ ROWS: Final = (
         "sub-kinds",
         ("all", "noise_80"),
         ("--noise-mm", "50"),
-        artifacts=Artifacts(noise=Noise(0, 50)),
+        sensor=_PAPER.with_artifacts(Noise(0, 50)),
     ),
     AblationRow(
         "missing_spread",
@@ -102,7 +105,7 @@ ROWS: Final = (
         "sub-kinds",
         ("all", "missing_50"),
         ("--missing", *(f"{share:g}" for share in _SPREAD)),
-        artifacts=Artifacts(missing_data=MissingData(_SPREAD)),
+        sensor=_PAPER.with_artifacts(MissingData(_SPREAD)),
         added=True,
     ),
     AblationRow(
@@ -111,8 +114,20 @@ ROWS: Final = (
         "sub-kinds",
         ("patches_30", "stripes_30", "grazing_30"),
         ("--losses", f"{_LOSSES:g}"),
-        artifacts=Artifacts(losses=Losses(_LOSSES)),
+        sensor=_PAPER.with_artifacts(Losses(_LOSSES)),
         added=True,
+    ),
+    *(
+        AblationRow(
+            each.name,
+            what,
+            "sub-kinds",
+            (each.name,),
+            ("--artifacts", json.dumps({each.name: asdict(each)})),
+            sensor=_PAPER.with_artifacts(each),
+            added=True,
+        )
+        for what, each in ADDED.items()
     ),
     AblationRow("dressed_233", "all but 233 bodies", "amount", source="dressed"),
     AblationRow("no_clothes", "clothes", "bodies", ("dressed",), against="dressed_233", source="bare"),
