@@ -9,13 +9,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.loops.bounds import forget_occupied, mark_occupied, take_pieces
+from bodyseg_data.artifacts.loops.occlusion import Shadow, find_runs, mark_lit, shadow_of
+from bodyseg_data.artifacts.loops.philox import raw_words
+from bodyseg_data.artifacts.loops.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
 from bodyseg_data.artifacts.noise import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS, Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, shadow_test
-from bodyseg_data.artifacts.occlusion_bounds import forget_occupied, mark_occupied, take_pieces
-from bodyseg_data.artifacts.occlusion_compiled import Shadow, find_runs, mark_lit, shadow_of
-from bodyseg_data.artifacts.philox_compiled import raw_words
-from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.sample import FARTHEST_STEPS

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
-from bodyseg_data.artifacts import occlusion_compiled
+from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
+from bodyseg_data.artifacts.loops.scratch import scratch_for
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.scratch import scratch_for
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadSample

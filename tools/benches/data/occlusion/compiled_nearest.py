@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import Images
+from bodyseg_data.artifacts.loops.occlusion import find_runs, shadow_of
+from bodyseg_data.artifacts.loops.scratch import scratch_for
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
-from bodyseg_data.artifacts.scratch import scratch_for
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
 

@@ -1,7 +1,7 @@
-"""The shadow test compiled with numba: the operations of `occlusion.py` in the same order, so the same bits.
+"""The shadow test compiled with numba: the operations of `artifacts/occlusion.py` in the same order, so the same bits.
 
 Foreground is handled in chunks that stay in the first cache, and of these only what may be shaded is projected
-(`occlusion_bounds.py`). Indices are unsigned, so that no code is made for those that count from the end.
+(`bounds.py`). Indices are unsigned, so that no code is made for those that count from the end.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.occlusion_bounds import (
+from bodyseg_data.artifacts.loops.bounds import (
     bound_pieces,
     column_shift,
     find_extremes,
@@ -21,7 +20,8 @@ from bodyseg_data.artifacts.occlusion_bounds import (
     mark_occupied,
     take_pieces,
 )
-from bodyseg_data.artifacts.scratch import BLOCK, ROOM, constant, scratch_for
+from bodyseg_data.artifacts.loops.scratch import BLOCK, ROOM, constant, scratch_for
+from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.sample import FARTHEST_STEPS
 

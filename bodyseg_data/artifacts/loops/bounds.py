@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.artifacts.scratch import BLOCK, CHUNK
+from bodyseg_data.artifacts.loops.scratch import BLOCK, CHUNK
 from bodyseg_data.core.kernels import compiled
 
 _NONE: Final = np.float32(0)
