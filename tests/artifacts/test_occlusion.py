@@ -16,7 +16,8 @@ from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
 from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
-from bodyseg_data.artifacts.loops.scratch import scratch_for
+from bodyseg_data.artifacts.loops.bounds import bound_pieces, find_extremes, take_pieces
+from bodyseg_data.artifacts.loops.scratch import BLOCK, scratch_for
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -337,6 +338,40 @@ def test_bodies_of_many_chunks_get_the_same_bits(position: tuple[float, float, f
         images[1][images[1] > 0] = images[1][images[1] > 0] // 4 + 18_000
         lit = test.lit(*images)
         np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
+    """Of rough surfaces, by the projection of the NumPy form; a box that is given up has a last row of -1."""
+    draws = np.random.default_rng(seed)
+    rig = small_rig(baseline_m=float(draws.uniform(-0.5, 0.5)))
+    position = (rig.projector.position_m[0], *draws.uniform(-0.2, 0.2, 2))
+    rig = replace(rig, projector=replace(rig.projector, position_m=position))
+    test, size = ShadowTest(rig), rig.camera.rows * rig.camera.columns
+    image = draws.integers(24_000, 26_000, (rig.camera.rows, rig.camera.columns)).astype(np.uint16)
+    image[:, :30], image[:, 90:], image[:20], image[70:] = 0, 0, 0, 0
+    edges = np.flatnonzero(np.diff(image.ravel() > 0, prepend=False, append=False)).astype(np.int32)
+    scratch, runs, given_up, pieces_seen = scratch_for(size, 90, 120), len(edges) // 2, 0, 0
+    shadow = occlusion_compiled.shadow_of(test, image, np.zeros_like(image), image > 0)
+    run, taken, row = np.int64(0), np.int64(0), np.int64(0)
+    while run < runs:
+        run, taken, row, found, _ = take_pieces(edges, runs, run, taken, row, 120, BLOCK, scratch.pieces)
+        find_extremes(shadow.camera_range, scratch.pieces, found, scratch.extremes)
+        bound_pieces(shadow, scratch.pieces, found, scratch.extremes, scratch.boxes)
+        for piece in range(found):
+            first, length, piece_row, _, _ = scratch.pieces[:, piece].tolist()
+            left, right, top, bottom = scratch.boxes[:, piece].tolist()
+            assert piece_row == first // 120 == (first + length - 1) // 120
+            pixels, x, y, _ = test.project(image, np.arange(first, first + length))
+            pieces_seen += 1
+            if bottom == -1:
+                given_up += 1
+                continue
+            assert len(pixels) == length, "all of them in the frame"
+            assert left <= max(np.floor(x).min(), 0) and right >= min(np.floor(x).max() + 1, 119)
+            assert top <= max(np.floor(y).min(), 0) and bottom >= min(np.floor(y).max() + 1, 89)
+            assert right - left < 80 and bottom - top < 30, "no wider than its points need"
+    assert pieces_seen > 100 and given_up < pieces_seen / 2
 
 
 def test_texels_in_any_order_and_empty_ones_among_them_give_the_same_bits() -> None:
