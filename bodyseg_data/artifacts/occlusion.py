@@ -13,7 +13,7 @@ shards (`core.sample.ShadowThresholds`). docs/occlusion.md measures the test bes
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -55,18 +55,21 @@ class ShadowTest:
     projector coordinates are quotients (z a + b) / (z c + d), where a and c depend on the pixel only, b and d on
     nothing; the denominator is the point's range in the projector's frame.
 
-    slopes: float32 [3, H * W], a for the texel's x, a for its y, and c. offsets: float32 [3], both b and d, in steps.
-    gap_steps, edge_steps: float32, the thresholds of the format of shards in steps.
+    of_columns: float64 [3, W] and of_rows: float64 [3, H], whose sums are a for the texel's x, a for its y, and c of
+    each pixel, in float32. offsets: float32 [3], both b and d, in steps. gap_steps, edge_steps: float32, the thresholds
+    of the format of shards in steps.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         rotation, shift_m = rig.camera_to_projector()
-        rays = rig.camera.pixel_rays().reshape(-1, 3) @ rotation.T
         focal, (centre_x, centre_y) = rig.projector.focal_px, rig.projector.centre_px
         # Texel centres lie at half-integers of image coordinates; half a texel off, at integers.
         image_plane = np.array([[focal, 0, centre_x - 0.5], [0, focal, centre_y - 0.5], [0, 0, 1]])
-        self.slopes: Floats = np.ascontiguousarray((rays @ image_plane.T).T, np.float32)
+        across, down, forward = (image_plane @ rotation).T[:, :, None]
+        rays = rig.camera.pixel_rays()
+        self.of_columns: NDArray[np.float64] = across * rays[0, :, 0]
+        self.of_rows: NDArray[np.float64] = down * rays[:, 0, 1] + forward
         self.offsets: Floats = (image_plane @ shift_m / rig.range_step_m).astype(np.float32)
         self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps(rig.range_step_m)
         self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps(rig.range_step_m)
@@ -76,6 +79,31 @@ class ShadowTest:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ShadowTest, (self.rig,)  # a rig is small, the arrays are not
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """The slopes a for the texel's x, a for its y, and c of all pixels, float32 [3, H * W]."""
+        return (self.of_columns[:, None] + self.of_rows[:, :, None]).astype(np.float32).reshape(3, -1)
+
+    @cached_property
+    def projection(self) -> Floats:
+        """The input of bounds of whole blocks of pixels, float32 [3, 5], read-only; rows: x, y, range.
+
+        Columns: the offset, the plane of the slope, and the margin. Divided by the range, the margins of x and y cover
+        all that rounding can move a point's x and y and their bounds apart; a range must be over its own margin.
+        """
+        camera, projector = self.rig.camera, self.rig.projector
+        columns, rows = self.of_columns, self.of_rows
+        a_column = (columns[:, -1] - columns[:, 0]) / max(camera.columns - 1, 1)
+        a_row = (rows[:, -1] - rows[:, 0]) / max(camera.rows - 1, 1)
+        planes = np.column_stack([a_column, a_row, columns[:, 0] + rows[:, 0]])
+        largest = np.abs(planes) @ (camera.columns, camera.rows, 1)
+        # Every operation is off by at most 2**-24 of its greatest term; there are fewer than sixteen to each bound.
+        off = (float(FARTHEST_STEPS) * largest + np.abs(self.offsets)) * 2.0**-20
+        margins = 2 * (off[0] + projector.columns * off[2]), 2 * (off[1] + projector.rows * off[2]), 4 * off[2]
+        projection = np.column_stack([self.offsets, planes, margins]).astype(np.float32)
+        projection.flags.writeable = False
+        return projection
 
     def lit(
         self,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
-from bodyseg_data.artifacts.scratch import copy_unless_same
+from bodyseg_data.artifacts.loops.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.kernels import use_compiled

@@ -33,7 +33,8 @@ from fakes import Figures
 from plain_views import take_whole_frames
 from shapes import figure
 from test_sampler import REF, RIG, check_against_whole_frames, halves
-from bodyseg_data.artifacts import occlusion, occlusion_compiled
+from bodyseg_data.artifacts import occlusion
+from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.packing import pack as packing
