@@ -36,9 +36,9 @@ from bodyseg_data.packing.pack import Packing, pack
 _BATCH: Final = 20
 _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
-_VARIANTS: Final[tuple[VariantName, ...]] = ("all", "none")
-_TRAINING_STEPS: Final = 8
-_TRAINING_BATCH: Final = 4
+VARIANTS: Final[tuple[VariantName, ...]] = ("all", "none")
+TRAINING_STEPS: Final = 8
+TRAINING_BATCH: Final = 4
 _TRAININGS: Final = 3
 _WAIT_S: Final = 0.01
 _SEED: Final = 0
@@ -89,7 +89,7 @@ def measure(
 ) -> dict[str, Any]:
     """`bench_workers` on the set in `packed`."""
     most = max(num_workers)
-    setups = [setup for variant in _VARIANTS for setup in _setups(variant, num_workers)]
+    setups = [setup for variant in VARIANTS for setup in _setups(variant, num_workers)]
     done, total = 0, len(setups) * (rounds + 2) + 3 * trainings
 
     def tick() -> None:
@@ -97,13 +97,18 @@ def measure(
         progress(done := done + 1, total)
 
     found: dict[Setup, Measured] = {}
-    for variant in _VARIANTS:
+    for variant in VARIANTS:
         expected = {image.key: checksum_of(image) for image in Premade(RangeImages(packed, variant))}
         of_variant = [setup for setup in setups if setup.variant == variant]
         found |= _rounds(packed, of_variant, batch, rounds, expected, tick)
     training = _trainings(packed, min(2, most), trainings, tick)
     counts = {"samples": len(RangeImages(packed)), "batch": batch, "rounds": rounds}
-    return {"rows": [_row(setup, one) for setup, one in found.items()], **_ratios(found), "training": training, **counts}
+    return {
+        "rows": [_row(setup, one) for setup, one in found.items()],
+        "thread_over_process": _ratios(found),
+        "training": training,
+        **counts,
+    }
 
 
 def _setups(variant: VariantName, num_workers: Sequence[int]) -> Iterator[Setup]:
@@ -189,7 +194,7 @@ def _trainings(packed: Path, workers: int, trainings: int, tick: Callable[[], No
     found: dict[Setup, list[dict[str, float]]] = {setup: [] for setup in setups}
     for number in range(trainings):
         for setup in setups[number % 3 :] + setups[: number % 3]:
-            with _started(subject.train, packed, setup, _TRAINING_STEPS, _TRAINING_BATCH) as (pipe, _):
+            with _started(subject.train, packed, setup, TRAINING_STEPS, TRAINING_BATCH) as (pipe, _):
                 found[setup].append(pipe.recv())
             tick()
     return [
@@ -217,7 +222,7 @@ def _row(setup: Setup, one: Measured) -> dict[str, Any]:
     }
 
 
-def _ratios(found: Mapping[Setup, Measured]) -> dict[str, Any]:
+def _ratios(found: Mapping[Setup, Measured]) -> dict[str, dict[str, float]]:
     """Samples a second of threads over those of forked processes: medians of the rounds' ratios."""
     ratios: dict[str, dict[str, float]] = {}
     for setup, one in found.items():
@@ -225,4 +230,4 @@ def _ratios(found: Mapping[Setup, Measured]) -> dict[str, Any]:
             other = found[Setup(setup.variant, "process", setup.num_workers, "fork")]
             each = [above / below for above, below in zip(one.rates, other.rates, strict=True)]
             ratios.setdefault(setup.variant, {})[str(setup.num_workers)] = round(statistics.median(each), 3)
-    return {"thread_over_process": ratios}
+    return ratios

@@ -76,15 +76,13 @@ def _first_pass(batches: Loader) -> tuple[float, dict[str, int]]:
 
 def _timed_pass(batches: Loader, workers: int) -> Pass:
     begin = start = time.perf_counter()
-    first = timed = 0
-    start_ms = 0.0
-    for batch in batches:
-        first += 1
-        if first == 1:
+    timed, start_ms = 0, 0.0
+    for number, batch in enumerate(batches, start=1):
+        if number == 1:
             start_ms = 1e3 * (time.perf_counter() - begin)
-        if first == max(workers, 1):
+        if number == max(workers, 1):
             start = time.perf_counter()
-        elif first > max(workers, 1):
+        elif number > max(workers, 1):
             timed += len(batch["key"])
     return Pass(start_ms, time.perf_counter() - start, timed)
 
