@@ -11,7 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts.strengths import Artifacts
+    from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
     from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
     from bodyseg_data.core.errors import BodysegError
     from bodyseg_data.core.parts import BACKGROUND, PARTS
@@ -34,7 +34,8 @@ _HOME: Final = {
     "RangeImages": "loading.range_images",
     "loader": "loading.loader",
     "VARIANTS": "artifacts.variants",
-    "Artifacts": "artifacts.strengths",
+    "SensorModel": "artifacts.sensor_model",
+    "load_sensor_model": "artifacts.sensor_model",
     "Augmentation": "artifacts.variants",
 }
 
@@ -42,7 +43,6 @@ __all__ = [
     "BACKGROUND",
     "PARTS",
     "VARIANTS",
-    "Artifacts",
     "Augmentation",
     "Batch",
     "BodysegError",
@@ -50,7 +50,9 @@ __all__ = [
     "RangeImages",
     "Rig",
     "Sample",
+    "SensorModel",
     "load_rig",
+    "load_sensor_model",
     "loader",
 ]
 

@@ -1,6 +1,7 @@
 """The protocol of an artifact: strengths that are set, draws for one image, and an alteration in NumPy.
 
-A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/__init__.py`):
+A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/__init__.py`), or a
+class in a package of yours with an entry point `bodyseg.artifacts`, or an object in a `SensorModel`:
 
     @dataclass(frozen=True)
     class Rounding(Artifact):
@@ -20,12 +21,14 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.surface import angles, box_of, slants
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, shape_of
+from bodyseg_data.core.sample import RANGE_STEP_M, Sample, shape_of
 
 Kind = Literal["occlusion", "noise", "missing_data"]
-"""The three artifacts of the paper's Table 1. Every artifact is of one kind, and variants name kinds."""
+"""The three kinds of artifacts of the paper's Table 1: what the projector does not light, ranges that are wrong, pixels
+that are lost. Every artifact is of one kind, and variants name kinds."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,6 +57,11 @@ class Scene:
     sample: Sample
     rig: Rig
 
+    @property
+    def step_m(self) -> float:
+        """Metres in one step of a range."""
+        return RANGE_STEP_M
+
     @cached_property
     def pixels(self) -> NDArray[np.intp]:
         """Flat indices of the clean foreground in reading order, [N].
@@ -63,23 +71,32 @@ class Scene:
         """
         return np.flatnonzero(self.sample.range != 0)
 
+    @cached_property
+    def incidence(self) -> NDArray[np.float32]:
+        """The angle of incidence at each of `pixels`, radians, 0 facing the camera, float32 [N]; see `angles`."""
+        ranges = self.sample.range
+        box = box_of(ranges)
+        if box is None:
+            return np.zeros(0, np.float32)
+        return angles(slants(ranges, self.rig.camera, box)[ranges[box] != 0])
+
 
 class Artifact(Protocol):
     """A fault of a sensor, made in a clean range image. Implementations are frozen dataclasses; fields are strengths.
 
     name: of the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
-    purposes: of its random numbers (`Draws`); no other artifact may have them. drawn: quantities drawn once an image,
-    name -> caption to format with the value. in_paper: whether images have it unless it is taken away.
-    needs_projector: whether `apply` reads the projector's range. alters_labels: whether a pixel may get another label
-    or none. Strengths out of range raise BadConfig when the object is made.
+    version: of the code; goes up when the same strengths and draws give other images. purposes: of its random numbers
+    (`Draws`); no other artifact of a sensor may have them. drawn: quantities drawn once an image, name -> caption to
+    format with the value. needs_projector: whether `apply` reads the projector's range. alters_labels: whether a pixel
+    may get another label or none. Strengths out of range raise BadConfig when the object is made.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
     name: ClassVar[str]
     kind: ClassVar[Kind]
+    version: ClassVar[int] = 1
     purposes: ClassVar[tuple[str, ...]] = ()
     drawn: ClassVar[Mapping[str, str]] = {}
-    in_paper: ClassVar[bool] = False
     needs_projector: ClassVar[bool] = False
     alters_labels: ClassVar[bool] = True
 

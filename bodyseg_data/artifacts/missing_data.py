@@ -26,7 +26,6 @@ class MissingData(Artifact):
     kind = "missing_data"
     purposes = ("missing rate", "missing data")
     drawn: ClassVar[Mapping[str, str]] = {"missing_rate": "{:.0%} missing"}
-    in_paper = True
 
     rates: tuple[float, ...] = (0.0, 0.05, 0.5)
     between: tuple[float, float] | None = None

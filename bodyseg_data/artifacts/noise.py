@@ -27,7 +27,6 @@ class Noise(Artifact):
     kind = "noise"
     purposes = ("sigma", "noise")
     drawn: ClassVar[Mapping[str, str]] = {"sigma_mm": "noise {:.0f} mm"}
-    in_paper = True
     alters_labels = False
 
     low_mm: float = 0.0

@@ -41,7 +41,6 @@ class Occlusion(Artifact):
 
     name = "occlusion"
     kind = "occlusion"
-    in_paper = True
     needs_projector = True
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:

@@ -1,4 +1,7 @@
-"""Table 1 of the paper: five data sets from one set of clean samples.
+"""Table 1 of the paper: five data sets from one set of clean samples, for any sensor.
+
+A variant names kinds of artifacts, and takes those artifacts of a sensor model that are of these kinds: the five
+variants of the paper are those of the sensor `paper`.
 
 Draws are made for all pixels of the *clean* foreground, in reading order, whichever other artifacts are on. So the five
 variants of a sample share their draws: where `all` keeps a pixel it has the value that `noise` has there, and its
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
@@ -60,51 +63,48 @@ def kinds_of(variant: str) -> tuple[Kind, ...]:
     return _PRESETS[check_variant(variant)]
 
 
-def artifacts_for(variant: str, given: Sequence[Artifact]) -> Artifacts:
-    """The paper's artifacts but for those given.
+def sensor_for(variant: str, sensor: SensorModel, given: Sequence[Artifact]) -> SensorModel:
+    """The sensor with other strengths for the artifacts given, or with them added.
 
     Raises BadConfig for one whose kind the variant does not have, so that no strength is set in vain; otherwise as
-    `Artifacts`.
+    `SensorModel.with_artifacts`.
     """
-    strengths = Artifacts(*given)
     for artifact in given:
         if artifact.kind not in kinds_of(variant):
             raise BadConfig(
                 f"a strength of {artifact.name} is for a variant that has {artifact.kind}, found variant {variant!r}"
             )
-    return strengths
+    return sensor.with_artifacts(*given)
 
 
 @dataclass(frozen=True)
 class Augmentation:
     """Turns clean samples of `rig` into one variant. The same (seed, epoch, sample) gives the same bits anywhere.
 
-    Raises BadConfig for an unknown variant, a bad seed, objects of other classes, or artifacts that share a purpose of
-    random numbers or the name of a drawn quantity.
+    sensor: the artifacts; the variant takes those of its kinds. Raises BadConfig for an unknown variant, a bad seed, or
+    objects of other classes.
     """
 
     rig: Rig
     variant: VariantName
     seed: int = 0
-    artifacts: Artifacts = field(default_factory=Artifacts)
+    sensor: SensorModel = field(default_factory=load_sensor_model)
 
     def __post_init__(self) -> None:
         check_variant(self.variant)
         check_seed(self.seed)
-        for name, kind in (("rig", Rig), ("artifacts", Artifacts)):
+        for name, kind in (("rig", Rig), ("sensor", SensorModel)):
             if not isinstance(getattr(self, name), kind):
                 found = type(getattr(self, name)).__name__
                 raise BadConfig(f"{name} must be of class {kind.__name__}, found {found}")
-        for what in ("purposes", "drawn"):
-            _check_distinct(what, self.artifacts)
 
     def __repr__(self) -> str:
-        return f"Augmentation(rig {self.rig.name!r}, {self.variant!r}, seed={self.seed}, {self.artifacts})"
+        return f"Augmentation(rig {self.rig.name!r}, {self.variant!r}, seed={self.seed}, {self.sensor})"
 
     @cached_property
     def applied(self) -> tuple[Artifact, ...]:
         """The artifacts that images of the variant get, in the order in which they apply."""
-        return tuple(artifact for artifact in self.artifacts if artifact.kind in kinds_of(self.variant))
+        return tuple(artifact for artifact in self.sensor if artifact.kind in kinds_of(self.variant))
 
     @cached_property
     def needs_projector(self) -> bool:
@@ -125,9 +125,9 @@ class Augmentation:
 
         They may be the sample's own, which is then gone.
 
-        Applies the variant's artifacts in the order of the registry, which begins as the paper's: occlusion, then
-        noise, then missing data. Raises BadSample for arrays that do not fit the sample, or a sample whose images fit
-        neither each other nor the rig, or that lacks the projector's range.
+        Applies the variant's artifacts in the sensor's order; the paper's is occlusion, noise, missing data. Raises
+        BadSample for arrays that do not fit the sample, or a sample whose images fit neither each other nor the rig, or
+        that lacks the projector's range.
         """
         draws = Draws(self.seed, check_epoch(epoch), sample.key)
         _check_sample(sample)
@@ -179,17 +179,6 @@ def _unlabel_lost(image: RangeImage) -> None:
     lost = (image.range == 0).view(np.uint8)
     lost *= BACKGROUND  # all bits
     image.labels[...] |= lost
-
-
-def _check_distinct(what: str, artifacts: Artifacts) -> None:
-    """Raise BadConfig for a name that two artifacts have; what: an attribute that lists names."""
-    owners: dict[str, str] = {}
-    for artifact in artifacts:
-        for name in getattr(artifact, what):
-            if owners.setdefault(name, artifact.name) != artifact.name:
-                raise BadConfig(
-                    f"{what} of artifacts must differ, found {name!r} of {owners[name]} and {artifact.name}"
-                )
 
 
 def _apart(sample: Sample, image: RangeImage) -> Sample:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from bodyseg_data.artifacts import ARTIFACTS
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
@@ -33,6 +33,7 @@ class Options:
 
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
+    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     split: Split | None = option("only this split (default: both)", None)
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
@@ -48,7 +49,7 @@ def run(options: Options) -> int:
         check_picture(options.out)
     if options.rows < 1:
         raise BadConfig(f"--rows must be at least 1, found {options.rows}")
-    images = RangeImages(options.folder, options.variant, options.split, options.seed)
+    images = RangeImages(options.folder, options.variant, options.split, options.seed, sensor=options.sensor)
     if options.out is not None:
         save_picture(contact_sheet(images, options.rows), options.out)
         sys.stderr.write(f"wrote {options.out}\n")
@@ -61,14 +62,14 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer."""
     count = min(rows, len(images))
     augmentations: dict[VariantName, Augmentation] = {
-        name: Augmentation(images.manifest.rig, name, images.seed, images.augmentation.artifacts) for name in VARIANTS
+        name: Augmentation(images.manifest.rig, name, images.seed, images.augmentation.sensor) for name in VARIANTS
     }
     lines = []
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
         lines.append(Row(sample, {name: make(sample, images.epoch) for name, make in augmentations.items()}))
     title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {images.manifest.rig.name}"
-    return draw_sheet(lines, images.augmentation.variant, title)
+    return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor)
 
 
 def _pick(number: int, count: int, length: int) -> int:
@@ -82,7 +83,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
     splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
     pixels = np.zeros(len(PARTS), np.int64)
     clean_pixels = kept_pixels = 0
-    drawn: dict[str, list[float]] = {name: [] for artifact in ARTIFACTS.values() for name in artifact.drawn}
+    drawn: dict[str, list[float]] = {name: [] for artifact in images.augmentation.sensor for name in artifact.drawn}
     with Progress("inspecting", "samples") as progress:
         for index in range(len(images)):
             sample = images.clean(index)
@@ -112,6 +113,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "subsets": dict(subsets),
         "subjects": len(subjects),
         "variant": images.variant,
+        "sensor": images.augmentation.sensor.name,
         "foreground_pixels_per_image": round(clean_pixels / len(images)),
         "kept": round(kept_pixels / max(clean_pixels, 1), 4),
         **{f"mean_{name}": round(float(np.mean(values)), 4) if values else None for name, values in drawn.items()},

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts import caption
 from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.parts import colour_labels
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
@@ -50,9 +50,12 @@ def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.u
     return drawn
 
 
-def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Image:
-    """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`."""
-    panels = [_panels(row, shown) for row in rows]
+def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str, sensor: SensorModel) -> Image.Image:
+    """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`.
+
+    sensor: the model that made the variants, which captions name the drawn quantities of.
+    """
+    panels = [_panels(row, shown, sensor) for row in rows]
     heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
@@ -78,7 +81,7 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str) -> Image.Ima
     return sheet
 
 
-def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
+def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str, Image.Image]]:
     """Captions and pictures of one line. All camera range panels share the scale of the clean one."""
     sample = row.sample
     occluder = sample.occluder_range()
@@ -88,7 +91,7 @@ def _panels(row: Row, shown: VariantName) -> list[tuple[str, Image.Image]]:
         (_metres(occluder), colour_range(occluder, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
-    panels += [(caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
+    panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
     return [(note, _fit(picture)) for note, picture in panels]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artifacts_to_json, load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
@@ -53,16 +53,17 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
-    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first epoch. artifacts: their
-    strengths; the paper's by default. only: patterns as for file names ("open-A-*", "*-d255-*"); a sample's key must
-    match one of them.
+    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first epoch. sensor: the
+    artifacts, of which the variant takes those of its kinds: a model, the name of one that ships with the package, or a
+    TOML file (docs/sensors.md). only: patterns as for file names ("open-A-*", "*-d255-*"); a sample's key must match
+    one of them.
 
     For remote sets (docs/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
     retry_policy: limits of retries and of waiting.
 
-    Raises BadConfig for an unknown name or an empty selection, BadShard for a set that is damaged or unfinished,
-    Unreachable for a remote set that cannot be fetched, MissingLibrary for a package that its address needs.
+    Raises BadConfig for an unknown name, a bad sensor or an empty selection, BadShard for a set that is damaged or
+    unfinished, Unreachable for a remote set that cannot be fetched, MissingLibrary for a package that an address needs.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         split: Split | None = None,
         seed: int = 0,
         epoch: int = 0,
-        artifacts: Artifacts | None = None,
+        sensor: str | Path | SensorModel = PAPER_SENSOR,
         cache: str | Path | None = None,
         cache_bytes: int | None = None,
         storage_options: Mapping[str, Any] | None = None,
@@ -80,17 +81,14 @@ class RangeImages(Dataset[dict[str, Any]]):
         only: Sequence[str] = (),
     ) -> None:
         seed = check_seed(seed)
-        if artifacts is not None and not isinstance(artifacts, Artifacts):
-            raise BadConfig(f"artifacts must be an Artifacts, found {type(artifacts).__name__}")
+        model = load_sensor_model(sensor)
         if split is not None and split not in SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = read_manifest(store)
         self.split, self.seed = split, seed
-        self.augmentation = Augmentation(
-            self.manifest.rig, check_variant(variant), seed, Artifacts() if artifacts is None else artifacts
-        )
+        self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         chosen = [
             (number, index)
             for number, shard in enumerate(self.manifest.shards)
@@ -204,7 +202,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             "split": self.split,
             "variant": self.variant,
             "seed": self.seed,
-            "artifacts": self.augmentation.artifacts.to_json(),
+            "artifacts": artifacts_to_json(self.augmentation.sensor.artifacts),
         } | ({"only": list(self.only)} if self.only else {})
 
     @cached_property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.artifacts.strengths import parse_artifacts
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.commands.options import command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
@@ -42,7 +42,8 @@ class Options:
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
-    artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
+    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
@@ -101,10 +102,18 @@ def _check(options: Options) -> None:
 def _open(options: Options) -> list[RangeImages]:
     """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
     sets, path_of = [], dict[str, str]()
-    artifacts = parse_artifacts(options.artifacts, "--artifacts")
+    sensor = load_sensor_model(options.sensor)
+    artifacts = parse_artifacts(options.artifacts, "--artifacts", sensor)
     for path in options.data:
         images = open_images(
-            path, options.variant, options.split, options.seed, options.noise_mm, options.missing, artifacts
+            path,
+            options.variant,
+            options.split,
+            options.seed,
+            options.noise_mm,
+            options.missing,
+            artifacts,
+            sensor,
         )
         for key in images.keys:
             if key in path_of:
@@ -155,6 +164,7 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
         "variant": options.variant,
         "split": options.split,
         "seed": options.seed,
+        "sensor": options.sensor,
         "noise_mm": options.noise_mm,
         "missing": options.missing,
     }

@@ -16,8 +16,8 @@ from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.strengths import Artifacts, parse_artifacts
-from bodyseg_data.artifacts.variants import VariantName, artifacts_for
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
+from bodyseg_data.artifacts.variants import VariantName, sensor_for
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
@@ -46,7 +46,8 @@ class Options:
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
-    artifacts: str = option("strengths of any artifacts that differ from the paper's, as JSON", "{}")
+    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe)", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
@@ -83,7 +84,7 @@ def run(options: Options) -> int:
         options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
     )
     images = RangeImages(
-        options.data, options.variant, "train", options.seed, artifacts=_artifacts(options), only=options.only
+        options.data, options.variant, "train", options.seed, sensor=_sensor(options), only=options.only
     )
     network = _network(options)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
@@ -101,15 +102,16 @@ def _silent(metrics: Metrics) -> None:
     pass
 
 
-def _artifacts(options: Options) -> Artifacts:
-    given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts")]
+def _sensor(options: Options) -> SensorModel:
+    sensor = load_sensor_model(options.sensor)
+    given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts", sensor)]
     if options.noise_mm is not None:
         given.append(Noise(0.0, options.noise_mm))
     if options.missing is not None:
         given.append(MissingData(options.missing))
     if options.losses is not None:
         given.append(Losses(options.losses))
-    return artifacts_for(options.variant, given)
+    return sensor_for(options.variant, sensor, given)
 
 
 def _network(options: Options) -> Network:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.variants import artifacts_for
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model
+from bodyseg_data.artifacts.variants import sensor_for
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
@@ -144,15 +146,16 @@ def open_images(
     noise_mm: float | None = None,
     missing: float | None = None,
     artifacts: Sequence[Artifact] = (),
+    sensor: str | Path | SensorModel = PAPER_SENSOR,
 ) -> RangeImages:
     """Open a set for evaluation.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others of given strengths. Raises BadConfig for a strength that is invalid, is
-    given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
+    for each image by default. artifacts: others that replace or follow the sensor's. Raises BadConfig for a strength
+    that is invalid, is given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
-    return RangeImages(path, variant, split, seed, artifacts=artifacts_for(variant, given))
+    return RangeImages(path, variant, split, seed, sensor=sensor_for(variant, load_sensor_model(sensor), given))
 
 
 def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:

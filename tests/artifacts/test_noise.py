@@ -16,7 +16,7 @@ from scipy import stats
 
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
@@ -139,7 +139,7 @@ def image(key: str = "a", epoch: int = 0, seed: int = 0, variant: VariantName = 
     """The change of a flat wall, as an image of steps; NaN where pixels are lost."""
     full = np.ones((SIDE, SIDE), np.bool_)
     sample = Sample(key, wall(), wall(), np.zeros((SIDE, SIDE), np.uint8), full, INFO)
-    strengths = Artifacts(Noise(40.0, 40.0), MissingData(rates=(0.5,)))
+    strengths = load_sensor_model().with_artifacts(Noise(40.0, 40.0), MissingData(rates=(0.5,)))
     made = Augmentation(Rig("wall", 2.5, CAMERA, CAMERA), variant, seed, strengths)(sample, epoch)
     assert np.array_equal(made.labels == BACKGROUND, made.range == 0)
     return np.where(made.range > 0, made.range.astype(np.float64) - 25_000, np.nan)
@@ -198,7 +198,7 @@ def test_noise_and_missing_data_are_independent() -> None:
 
 def test_how_strong_noise_is_says_nothing_about_how_much_is_lost() -> None:
     count, rig = 2_000, Rig("dot", 2.5, *[Camera(1, 1, 1.0, (0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))] * 2)
-    augmentation = Augmentation(rig, "all", artifacts=Artifacts(missing_data=MissingData(between=(0.0, 1.0))))
+    augmentation = Augmentation(rig, "all", sensor=load_sensor_model().with_artifacts(MissingData(between=(0.0, 1.0))))
     dot = np.ones((1, 1), np.uint16)
     drawn = [
         augmentation(Sample(f"k{number}", dot, dot, np.zeros((1, 1), np.uint8), dot > 0, INFO))

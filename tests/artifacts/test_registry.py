@@ -12,10 +12,11 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 import pytest
 
-from bodyseg_data import Artifacts, Augmentation, RangeImages, loader
-from bodyseg_data.artifacts import ARTIFACTS, caption
+from bodyseg_data import RangeImages, SensorModel, load_sensor_model, loader
+from bodyseg_data.artifacts import ARTIFACTS
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.losses import Losses
+from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
@@ -27,6 +28,8 @@ from bodyseg_data.core.randomness import Draws, Stream
 from bodyseg_data.core.sample import Sample
 from bodyseg_model.commands import train
 from bodyseg_model.evaluation.evaluation import open_images
+
+PAPER = load_sensor_model()
 
 
 @dataclass(frozen=True)
@@ -50,18 +53,18 @@ class Dots(Artifact):
 
 
 @pytest.fixture
-def dots(monkeypatch: pytest.MonkeyPatch) -> Artifacts:
+def dots(monkeypatch: pytest.MonkeyPatch) -> SensorModel:
     """The paper's artifacts and one more, which the registry now has."""
     monkeypatch.setitem(ARTIFACTS, "dots", Dots)
-    return Artifacts(dots=Dots(0.8))
+    return PAPER.with_artifacts(Dots(0.8))
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_other_draw(
-    figures_set: Path, dots: Artifacts, workers: int
+    figures_set: Path, dots: SensorModel, workers: int
 ) -> None:
-    def streamed(variant: str, artifacts: Artifacts | None = None) -> dict[str, tuple[Any, Any]]:
-        images = RangeImages(figures_set, variant, artifacts=artifacts)
+    def streamed(variant: str, sensor: SensorModel | None = None) -> dict[str, tuple[Any, Any]]:
+        images = RangeImages(figures_set, variant, sensor=sensor or PAPER)
         batches = loader(images, 5, workers, shuffle=False)
         return {
             key: (ranges.numpy()[0], labels.numpy())
@@ -70,8 +73,8 @@ def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_othe
         }
 
     clean, noise, all_, dotted, all_dotted = (
-        streamed(variant, artifacts)
-        for variant, artifacts in (("none", None), ("noise", None), ("all", None), ("noise", dots), ("all", dots))
+        streamed(variant, sensor)
+        for variant, sensor in (("none", None), ("noise", None), ("all", None), ("noise", dots), ("all", dots))
     )
     assert len(clean) == 24
     lost = 0
@@ -93,30 +96,30 @@ def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_othe
                 np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Artifacts) -> None:
-    images = RangeImages(figures_set, "noise", artifacts=dots)
-    assert images.identity()["artifacts"]["dots"] == {"most": 0.8}
-    assert RangeImages(figures_set, "noise").identity()["artifacts"].keys() == {"noise", "missing_data"}
+def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: SensorModel) -> None:
+    images = RangeImages(figures_set, "noise", sensor=dots)
+    assert images.identity()["artifacts"][-1] == {"artifact": "dots", "version": 1, "most": 0.8}
+    assert [each["artifact"] for each in images.identity()["artifacts"]] == [each.name for each in dots]
     image = images.image(0)
     assert list(image.drawn) == ["sigma_mm", "dot_share"]
-    assert caption({"sigma_mm": 22.6, "dot_share": 0.5}) == "noise 23 mm, 50% dots"
+    assert dots.caption({"sigma_mm": 22.6, "dot_share": 0.5}) == "noise 23 mm, 50% dots"
     assert summarise(images)["mean_dot_share"] == pytest.approx(0.4, abs=0.2)
     assert images.augmentation.alters_labels and not RangeImages(figures_set, "noise").augmentation.alters_labels
     given = '{"dots": {"most": 0.3}, "noise": {"high_mm": 7}}'
     options = train.Options("data", Path("run"), artifacts=given, losses=0.2)
-    assert train._artifacts(options) == Artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
+    assert train._sensor(options) == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
     evaluated = open_images(str(figures_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
-    assert evaluated.augmentation.artifacts == Artifacts(Noise(4, 4), Dots(0.1))
+    assert evaluated.augmentation.sensor == PAPER.with_artifacts(Noise(4, 4), Dots(0.1))
 
 
 def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "docs" / "noise.md").read_text()
-    block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `Artifacts(dropouts=")]
+    block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `sensor=")]
     names: dict[str, Any] = dict(globals())
     exec(textwrap.dedent(block), names)
     monkeypatch.setitem(ARTIFACTS, "dropouts", names["Dropouts"])
     usual = RangeImages(figures_set, "md")
-    images = RangeImages(figures_set, "md", artifacts=Artifacts(dropouts=names["Dropouts"](0.3)))
+    images = RangeImages(figures_set, "md", sensor=PAPER.with_artifacts(names["Dropouts"](0.3)))
     lost = 0
     for index in range(4):
         image, before = images.image(index), usual.image(index)
@@ -127,9 +130,9 @@ def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch:
 
 
 def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
-    figures_set: Path, dots: Artifacts, monkeypatch: pytest.MonkeyPatch
+    figures_set: Path, dots: SensorModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    images = RangeImages(figures_set, "all", artifacts=Artifacts(*dots, losses=Losses(0.3)))
+    images = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(*dots, Losses(0.3)))
     compiled = [images.image(index) for index in range(6)]
     monkeypatch.setenv(kernels.VARIABLE, "numpy")
     kernels.use_compiled.cache_clear()
@@ -164,11 +167,11 @@ def test_the_compiled_call_takes_what_it_covers_from_the_first_artifact_on() -> 
         assert covered(artifacts) == count, artifacts
 
 
-def test_in_another_order_the_rest_follows_in_numpy(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = RangeImages(figures_set, "all", artifacts=Artifacts(losses=Losses(0.4)))
+def test_in_another_order_the_rest_follows_in_numpy(figures_set: Path) -> None:
+    expected = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(Losses(0.4)))
     order = ("noise", "losses", "occlusion", "missing_data")
-    monkeypatch.setattr("bodyseg_data.artifacts.strengths.ARTIFACTS", {name: ARTIFACTS[name] for name in order})
-    images = RangeImages(figures_set, "all", artifacts=Artifacts(losses=Losses(0.4)))
+    artifacts = {each.name: each for each in expected.augmentation.sensor}
+    images = RangeImages(figures_set, "all", sensor=SensorModel("other", tuple(artifacts[name] for name in order)))
     assert [artifact.name for artifact in images.augmentation.applied] == list(order)
     image, labels = np.empty_like(images.clean(0).range), np.empty_like(images.clean(0).labels)
     for index in range(6):
@@ -203,7 +206,9 @@ class Noted(Draws):
 @pytest.mark.parametrize("name", ARTIFACTS)
 def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, figures_set: Path) -> None:
     kind = ARTIFACTS[name]
-    artifact = kind() if name != "losses" else Losses(0.5)
+    artifact = {"losses": Losses(0.5), "patch_loss": PatchLoss(0.2, 0.5), "stripe_loss": StripeLoss(0.2, 0.5)}.get(
+        name, kind()
+    )
     assert kind.name == name and kind.kind in get_args(Kind)
     assert hash(artifact) == hash(replace(artifact))
     assert all(hasattr(artifact, field.name) for field in fields(artifact))
@@ -224,36 +229,31 @@ def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, figures_set: 
         artifact.apply(image, Scene(sample, images.manifest.rig), draws)
         np.testing.assert_array_equal(sample.range, before[0])
         np.testing.assert_array_equal(sample.labels, before[1])
-        assert not image.range[sample.range == 0].any()
+        assert not image.range[sample.range == 0].any() or name == "lateral_noise"
         assert kind.alters_labels or ((image.range == 0) == (sample.range == 0)).all()
         changed += not np.array_equal(image.range, sample.range)
     assert changed > 3
     assert purposes == set(kind.purposes)
 
 
-def test_purposes_and_quantities_are_of_one_artifact_alone(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = RangeImages(figures_set).manifest.rig
-
+def test_purposes_and_quantities_are_of_one_artifact_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     class Twin(Dots):
         name = "twin"
 
     class Sigma(Twin):
         purposes = ("sigma",)
 
-    monkeypatch.setitem(ARTIFACTS, "dots", Dots)
-    monkeypatch.setitem(ARTIFACTS, "twin", Twin)
     with pytest.raises(BadConfig, match="purposes of artifacts must differ, found 'share of dots' of dots and twin"):
-        Augmentation(rig, "none", artifacts=Artifacts(Dots(), Twin()))
-    monkeypatch.setitem(ARTIFACTS, "twin", Sigma)
+        PAPER.with_artifacts(Dots(), Twin())
     with pytest.raises(BadConfig, match="purposes of artifacts must differ, found 'sigma' of noise and twin"):
-        Augmentation(rig, "none", artifacts=Artifacts(Sigma()))
+        PAPER.with_artifacts(Sigma())
     monkeypatch.setattr(Sigma, "purposes", ())
-    with pytest.raises(BadConfig, match="drawn of artifacts must differ, found 'dot_share' of dots and twin"):
-        Augmentation(rig, "none", artifacts=Artifacts(Dots(), Sigma()))
+    with pytest.raises(BadConfig, match="drawn quantities .* found 'dot_share' of dots and twin"):
+        PAPER.with_artifacts(Dots(), Sigma())
 
 
 def test_images_samples_and_augmentations_are_shown_in_a_line(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "noise", artifacts=Artifacts(Noise(5.0, 5.0)))
+    images = RangeImages(figures_set, "noise", sensor=PAPER.with_artifacts(Noise(5.0, 5.0)))
     sample, image = images.clean(0), images.image(0)
     rows, columns = sample.range.shape
     body = np.count_nonzero(sample.range)
@@ -261,5 +261,5 @@ def test_images_samples_and_augmentations_are_shown_in_a_line(figures_set: Path)
     assert repr(image) == f"RangeImage({sample.key!r}, {size}, {body} pixels measured, sigma_mm 5)"
     assert repr(sample).startswith(f"Sample({sample.key!r}, camera {size}, projector {size}, SampleInfo(source=")
     assert "projector no," in repr(replace(sample, projector_range=None))
-    assert repr(images.augmentation) == f"Augmentation(rig 'paper', 'noise', seed=0, {images.augmentation.artifacts})"
+    assert repr(images.augmentation) == f"Augmentation(rig 'paper', 'noise', seed=0, {images.augmentation.sensor})"
     assert isinstance(sample, Sample) and json.dumps(images.identity())

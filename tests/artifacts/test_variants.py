@@ -18,7 +18,7 @@ from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, Augmentation, VariantName, check_variant, shown_with
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.parts import BACKGROUND
@@ -158,7 +158,7 @@ def test_both_forms_give_the_same_bits_of_anything(
 ) -> None:
     rig, sample = scene
     sample.check()
-    artifacts = Artifacts(noise, MissingData(rates=(rate,)), losses=losses)
+    artifacts = load_sensor_model().with_artifacts(noise, MissingData(rates=(rate,)), *([losses] if losses else []))
     made = {name: in_both_forms(Augmentation(rig, name, seed, artifacts), sample, epoch) for name in VARIANTS}
     foreground = sample.range > 0
     # No pixel appears, vanishes by rounding, or wraps around: six sigma and a half, in steps, is the farthest.
@@ -294,8 +294,8 @@ def test_the_bits_of_every_variant_are_pinned(name: VariantName) -> None:
 
 
 def test_settings_reach_the_images(figures_set: Path, clean: list[Sample]) -> None:
-    artifacts = Artifacts(Noise(10.0, 10.0), MissingData(rates=(1.0,)))
-    images = made(figures_set, clean[0], artifacts=artifacts)
+    artifacts = load_sensor_model().with_artifacts(Noise(10.0, 10.0), MissingData(rates=(1.0,)))
+    images = made(figures_set, clean[0], sensor=artifacts)
     assert images["noise"].drawn["sigma_mm"] == 10
     assert not images["md"].range.any()
     assert (images["md"].labels == BACKGROUND).all()
@@ -306,7 +306,7 @@ def test_one_artifact_alone_is_its_variant(figures_set: Path, clean: list[Sample
     for sample in clean[:4]:
         before = sample.range.copy()
         for name, artifact in (("occ", Occlusion()), ("noise", Noise(5.0, 20.0)), ("md", MissingData((0.3,)))):
-            augmentation = Augmentation(rig, name, 7, Artifacts(artifact))
+            augmentation = Augmentation(rig, name, 7, load_sensor_model().with_artifacts(artifact))
             assert same_bits(shown_with(artifact, sample, rig, 7, epoch=2), augmentation(sample, 2))
         assert np.array_equal(sample.range, before)
 
@@ -325,21 +325,23 @@ def test_a_pair_is_all_but_one(figures_set: Path, clean: list[Sample]) -> None:
 
 def test_losses_take_more_where_there_is_missing_data(figures_set: Path, clean: list[Sample]) -> None:
     rig = RangeImages(figures_set).manifest.rig
-    strong = Artifacts(losses=Losses(0.5))
+    strong = load_sensor_model().with_artifacts(Losses(0.5))
     lost = 0
     for sample in clean:
-        usual, more = Augmentation(rig, "all")(sample), Augmentation(rig, "all", artifacts=strong)(sample)
+        usual, more = Augmentation(rig, "all")(sample), Augmentation(rig, "all", sensor=strong)(sample)
         gone = (usual.range > 0) & (more.range == 0)
         assert np.array_equal(more.range, np.where(gone, 0, usual.range))
         assert np.array_equal(more.labels, np.where(gone, BACKGROUND, usual.labels))
         lost += int(gone.sum())
-        plain = Augmentation(rig, "noise", artifacts=strong)(sample)
+        plain = Augmentation(rig, "noise", sensor=strong)(sample)
         assert np.array_equal(plain.range, Augmentation(rig, "noise")(sample).range)
     assert lost > 0
 
 
 def test_losses_are_those_of_the_clean_image_even_in_its_own_arrays(figures_set: Path, clean: list[Sample]) -> None:
-    augmentation = Augmentation(RangeImages(figures_set).manifest.rig, "all", artifacts=Artifacts(losses=Losses(0.5)))
+    augmentation = Augmentation(
+        RangeImages(figures_set).manifest.rig, "all", sensor=load_sensor_model().with_artifacts(Losses(0.5))
+    )
     for sample in clean[:4]:
         expected = augmentation(sample)
         own = replace(sample, range=sample.range.copy(), labels=sample.labels.copy())

@@ -116,12 +116,12 @@ def test_an_epoch_is_checked_wherever_it_is_taken(images: RangeImages, epoch: An
             way()
 
 
-def test_an_augmentation_needs_a_rig_and_artifacts(images: RangeImages) -> None:
+def test_an_augmentation_needs_a_rig_and_a_sensor(images: RangeImages) -> None:
     rig: Any = images.manifest.rig
     nothing: Any = None
     with pytest.raises(BadConfig, match="^rig must be of class Rig, found NoneType$"):
         Augmentation(nothing, "all")
-    with pytest.raises(BadConfig, match="^artifacts must be of class Artifacts, found NoneType$"):
+    with pytest.raises(BadConfig, match="^sensor must be of class SensorModel, found NoneType$"):
         Augmentation(rig, "all", 0, nothing)
 
 

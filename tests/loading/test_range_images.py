@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
 from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, BadShard
 
@@ -239,7 +239,7 @@ def test_the_lines_of_the_readme_run_and_differ_by_epoch(
 
 
 def test_images_survive_pickling(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", artifacts=Artifacts(missing_data=MissingData(rates=(0.5,))))
+    images = RangeImages(figures_set, "all", sensor=load_sensor_model().with_artifacts(MissingData(rates=(0.5,))))
     again = pickle.loads(pickle.dumps(images))
     assert torch.equal(images[3]["range"], again[3]["range"])
 

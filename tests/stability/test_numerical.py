@@ -12,7 +12,7 @@ from small_rig import SMALL
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.views import ViewGrid
@@ -193,7 +193,7 @@ def test_there_must_be_images(images: RangeImages, count: Any) -> None:
 
 
 def test_something_must_be_measured(shards: Path) -> None:
-    nothing = RangeImages(shards, "md", artifacts=Artifacts(missing_data=MissingData((1.0,))))
+    nothing = RangeImages(shards, "md", sensor=load_sensor_model().with_artifacts(MissingData((1.0,))))
     with pytest.raises(BadConfig, match="comparing labels needs measured pixels, found none in 2 images"):
         numerical(Close(), nothing, 2)
 

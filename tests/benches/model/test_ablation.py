@@ -36,7 +36,7 @@ TRAINED = ("losses", "no_noise", "no_context", "views_1")
 
 def make_run(data: Path, out: Path, row: AblationRow, weights: int) -> None:
     """A run whose card says what `row` does, with new weights."""
-    images = RangeImages(data, row.variant, "train", int(out.name[-1]), artifacts=row.artifacts, only=row.only)
+    images = RangeImages(data, row.variant, "train", int(out.name[-1]), sensor=row.sensor, only=row.only)
     recipe = asdict(PRESETS["compact"]) | {"steps": 1, "batch_size": 2}
     network = build("compact", {**SETTINGS, **row.settings}, seed=weights)
     out.mkdir(parents=True)
@@ -112,8 +112,8 @@ def test_missing_trainings_are_named_as_the_command_takes_them(
     for each in ROWS:
         if each.arguments is not None:
             options = parse(train.Options, ["--data", "x", "--out", "y", *each.arguments], "train", "", "")
-            artifacts = train._artifacts(options)
-            assert (options.variant, options.only, artifacts) == (each.variant, each.only, each.artifacts), each
+            sensor = train._sensor(options)
+            assert (options.variant, options.only, sensor) == (each.variant, each.only, each.sensor), each
             assert json.loads(options.settings) == each.settings
 
 

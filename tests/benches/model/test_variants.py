@@ -19,7 +19,7 @@ from slow_accuracy import slow_accuracy
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands import train as train_command
@@ -86,11 +86,14 @@ def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[P
             load_network(folder / f"{train_on}-0").network, RangeImages(figures_set, test_on, "test", 0), IMAGES
         )
         assert found == {"mean": expected, "sd": None, "seeds": [expected]}
-    strong = {"noise": Artifacts(noise=Noise(40, 40)), "missing": Artifacts(missing_data=MissingData((0.5,)))}
+    strong = {
+        "noise": load_sensor_model().with_artifacts(Noise(40, 40)),
+        "missing": load_sensor_model().with_artifacts(MissingData((0.5,))),
+    }
     for name, artifacts in strong.items():
         sweep = figures["sweeps"][name]
         assert sweep["artifacts_of_the_test_images"] == ["occlusion", "noise", "missing_data"]
-        images = RangeImages(figures_set, "all", "test", 0, artifacts=artifacts)
+        images = RangeImages(figures_set, "all", "test", 0, sensor=artifacts)
         expected = slow_accuracy(load_network(folder / "md-0").network, images, IMAGES)
         assert sweep["curves"]["md"]["mean"][1] == expected
         assert len(sweep["strengths"]) == len(sweep["curves"]["md"]["seeds"][0]) == 2

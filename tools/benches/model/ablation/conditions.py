@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benches.model.variants.scores import Condition
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import SHAPES, lost
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.sample import RANGE_STEP_M
@@ -91,8 +91,8 @@ class ConditionImages(RangeImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: AblationCondition) -> None:
-        fixed = Artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
-        super().__init__(path, condition.variant, "test", _SEED, artifacts=fixed, only=condition.only)
+        fixed = load_sensor_model().with_artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
+        super().__init__(path, condition.variant, "test", _SEED, sensor=fixed, only=condition.only)
         self._condition = condition
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:

@@ -15,7 +15,7 @@ from benches.model.ablation.conditions import STEPS_MM
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.strengths import Artifacts
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.artifacts.variants import VariantName
 
 Tree = dict[str, Any]
@@ -42,7 +42,7 @@ class AblationRow:
     """One effect that can be left out.
 
     name: of its trainings' folders, NAME-SEED. what: left out, in words; added, where `added`. helps: labels of the
-    conditions that it is meant to help. variant, only, artifacts: of the images trained on. settings: those of the
+    conditions that it is meant to help. variant, only, sensor: of the images trained on. settings: those of the
     network that differ from the base's. against: the row that has all but this effect. arguments: for `bodyseg train`;
     None if nothing is trained: the base's networks are tested with `step_mm`. source: of the training set.
     """
@@ -54,7 +54,7 @@ class AblationRow:
     arguments: tuple[str, ...] | None = ()
     variant: VariantName = "all"
     only: tuple[str, ...] = ()
-    artifacts: Artifacts = field(default_factory=Artifacts)
+    sensor: SensorModel = field(default_factory=load_sensor_model)
     settings: Mapping[str, Any] = field(default_factory=dict)
     against: str = BASE
     added: bool = False
@@ -74,6 +74,7 @@ ROW_OF_BASE: Final = AblationRow(BASE, "nothing", "artifacts")
 
 _SPREAD: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _LOSSES: Final = 0.4
+_PAPER: Final = load_sensor_model()
 
 ROWS: Final = (
     AblationRow("no_occlusion", "shadows", "artifacts", arguments=("--variant", "noise+md"), variant="noise+md"),
@@ -94,7 +95,7 @@ ROWS: Final = (
         "sub-kinds",
         ("all", "noise_80"),
         ("--noise-mm", "50"),
-        artifacts=Artifacts(noise=Noise(0, 50)),
+        sensor=_PAPER.with_artifacts(Noise(0, 50)),
     ),
     AblationRow(
         "missing_spread",
@@ -102,7 +103,7 @@ ROWS: Final = (
         "sub-kinds",
         ("all", "missing_50"),
         ("--missing", *(f"{share:g}" for share in _SPREAD)),
-        artifacts=Artifacts(missing_data=MissingData(_SPREAD)),
+        sensor=_PAPER.with_artifacts(MissingData(_SPREAD)),
         added=True,
     ),
     AblationRow(
@@ -111,7 +112,7 @@ ROWS: Final = (
         "sub-kinds",
         ("patches_30", "stripes_30", "grazing_30"),
         ("--losses", f"{_LOSSES:g}"),
-        artifacts=Artifacts(losses=Losses(_LOSSES)),
+        sensor=_PAPER.with_artifacts(Losses(_LOSSES)),
         added=True,
     ),
     AblationRow("dressed_233", "all but 233 bodies", "amount", source="dressed"),

@@ -105,7 +105,7 @@ def identities(sets: Mapping[Source, str], rows: Sequence[AblationRow]) -> dict[
     found = {}
     for row in {row.name: row for row in rows}.values():
         path = sets[row.source]
-        images = RangeImages(path, row.variant, "train", artifacts=row.artifacts, only=row.only)
+        images = RangeImages(path, row.variant, "train", sensor=row.sensor, only=row.only)
         words = [key.rsplit("-", 2) for key in images.keys]
         found[row.name] = {
             # The set's digest identifies its samples, whatever patterns chose them.

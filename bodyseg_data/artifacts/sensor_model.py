@@ -1,0 +1,264 @@
+"""Sensor models: the artifacts that a sensor has, in the order in which they apply; in Python, TOML and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.artifacts import artifact_class, check_artifact_class
+from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.tables import Table
+
+SENSOR_FORMAT: Final = "bodyseg sensor 1"
+PAPER_SENSOR: Final = "paper"
+"""The default sensor model: the artifacts of the paper's Table 1."""
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
+
+
+@dataclass(frozen=True, repr=False)
+class SensorModel:
+    """The artifacts of a sensor, in the order in which they apply.
+
+        SensorModel("mine", (Occlusion(), Noise(0.0, 5.0), MissingData((0.1,))))
+        load_sensor_model("paper").with_artifacts(Noise(0.0, 50.0), Losses(0.4))
+
+    name: one plain word. title: the sensor's name in prose.
+
+    Draws belong to (seed, epoch, sample key, purpose), so an artifact draws the same numbers in every model. Raises
+    BadConfig for an object that is no artifact, for one artifact given twice, and for artifacts that share a purpose of
+    random numbers or the name of a drawn quantity.
+    """
+
+    name: str
+    artifacts: tuple[Artifact, ...] = ()
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+            raise BadConfig(f"a sensor's name must be one plain word of at most 40 letters, found {self.name!r:.60}")
+        given: Any = self.artifacts
+        if not isinstance(given, tuple | list):
+            raise BadConfig(f"sensor {self.name}: artifacts must be a tuple of them, found {type(given).__name__}")
+        object.__setattr__(self, "artifacts", tuple(given))
+        for artifact in self.artifacts:
+            check_artifact_class(type(artifact), f"sensor {self.name}")
+        for what, names in (("names", _own_name), ("purposes", _purposes), ("drawn quantities", _drawn)):
+            owners: dict[str, str] = {}
+            for artifact in self.artifacts:
+                for name in names(artifact):
+                    if name in owners:
+                        raise BadConfig(
+                            f"sensor {self.name}: {what} of artifacts must differ, found {name!r} of {owners[name]} "
+                            f"and {artifact.name}"
+                        )
+                    owners[name] = artifact.name
+
+    def __iter__(self) -> Iterator[Artifact]:
+        return iter(self.artifacts)
+
+    def __len__(self) -> int:
+        return len(self.artifacts)
+
+    def __repr__(self) -> str:
+        return f"SensorModel({self.name!r}, {', '.join(map(repr, self.artifacts)) or 'no artifacts'})"
+
+    def with_artifacts(self, *given: Artifact) -> SensorModel:
+        """The model with other strengths: each given artifact replaces that of its name, or else comes last.
+
+        Raises BadConfig for one that is given twice; otherwise as `SensorModel`.
+        """
+        names = [artifact.name for artifact in self.artifacts]
+        for index, artifact in enumerate(given):
+            if artifact in given[:index] or any(artifact.name == other.name for other in given[:index]):
+                raise BadConfig(f"an artifact may be given once, found {artifact.name} twice")
+        replaced = {artifact.name: artifact for artifact in given}
+        kept = tuple(replaced.get(artifact.name, artifact) for artifact in self.artifacts)
+        return replace(self, artifacts=kept + tuple(artifact for artifact in given if artifact.name not in names))
+
+    def without(self, *names: str) -> SensorModel:
+        """The model without the artifacts of these names. Raises BadConfig for a name that no artifact of it has."""
+        held = [artifact.name for artifact in self.artifacts]
+        for name in names:
+            if name not in held:
+                raise BadConfig(f"sensor {self.name} has {', '.join(held) or 'no artifact'}, found {name!r}")
+        return replace(self, artifacts=tuple(each for each in self.artifacts if each.name not in names))
+
+    def caption(self, drawn: Mapping[str, float]) -> str:
+        """The quantities drawn for an image (`RangeImage.drawn`) in words: "noise 23 mm, 5% missing"."""
+        captions = {name: text for artifact in self for name, text in artifact.drawn.items()}
+        return ", ".join(captions[name].format(value) for name, value in drawn.items())
+
+    def to_json(self) -> dict[str, Any]:
+        """The model as plain JSON: format, name, title, and `artifacts_to_json`."""
+        return {
+            "format": SENSOR_FORMAT,
+            "name": self.name,
+            "title": self.title,
+            "artifacts": artifacts_to_json(self.artifacts),
+        }
+
+    def to_toml(self, comments: Mapping[str, str] | None = None) -> str:
+        """The model as the text of a sensor file, which `load_sensor_model` reads.
+
+        comments: name of an artifact, or "" for the whole file -> text to write above it.
+        """
+        comments = comments or {}
+        lines = [*_comment(comments.get("", "")), f"format = {_toml(SENSOR_FORMAT)}", f"name = {_toml(self.name)}"]
+        if self.title:
+            lines.append(f"title = {_toml(self.title)}")
+        for artifact in self.artifacts:
+            lines += ["", *_comment(comments.get(artifact.name, "")), "[[artifacts]]"]
+            lines.append(f"artifact = {_toml(artifact.name)}")
+            strengths = asdict(artifact).items()
+            lines += [f"{name} = {_toml(value)}" for name, value in strengths if value is not None]
+        return "\n".join(lines) + "\n"
+
+
+def artifacts_to_json(artifacts: Sequence[Artifact]) -> list[dict[str, Any]]:
+    """Artifacts as plain JSON, in order: name, version of the code, strengths."""
+    tree: list[dict[str, Any]] = json.loads(
+        json.dumps([{"artifact": each.name, "version": each.version} | asdict(each) for each in artifacts])
+    )
+    return tree
+
+
+def sensor_model_names() -> tuple[str, ...]:
+    """Names of the sensor files that ship with the package, in alphabetical order."""
+    files = (resources.files(__package__) / "sensors").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> SensorModel:
+    """Read a sensor model by the name of one that ships with the package, or from a TOML file (docs/sensors.md).
+
+    A SensorModel is returned as it is. Raises BadConfig, naming file and key, for anything missing, unknown or out of
+    range.
+    """
+    if isinstance(sensor, SensorModel):
+        return sensor
+    if not isinstance(sensor, str | Path):
+        raise BadConfig(f"a sensor must be a SensorModel, a name or a path, found {type(sensor).__name__}")
+    path = Path(sensor)
+    if path.suffix != ".toml":
+        return _shipped(str(sensor))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"cannot read the sensor file {path}: {error}") from error
+    return parse_sensor_model(text, str(path))
+
+
+@cache
+def _shipped(name: str) -> SensorModel:
+    if name not in sensor_model_names():
+        names = ", ".join(sensor_model_names())
+        raise BadConfig(f"no sensor is called {name!r}: give one of {names} or the path of a .toml file")
+    text = (resources.files(__package__) / "sensors" / f"{name}.toml").read_text(encoding="utf-8")
+    return parse_sensor_model(text, name)
+
+
+def parse_sensor_model(text: str, where: str) -> SensorModel:
+    """Parse a sensor file's text; `where` names its origin in messages. Raises BadConfig as `load_sensor_model`."""
+    try:
+        tree = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
+        raise BadConfig(f"sensor {where} is not TOML: {error}") from error
+    if tree.pop("format", None) != SENSOR_FORMAT:
+        raise BadConfig(f"sensor {where}: 'format' must be {SENSOR_FORMAT!r}")
+    artifacts = tree.pop("artifacts", [])
+    table = Table(tree, f"sensor {where}")
+    name = table.text("name")
+    title = table.text("title") if table.has("title") else ""
+    table.finish()
+    if not isinstance(artifacts, list) or not all(isinstance(entry, dict) for entry in artifacts):
+        raise BadConfig(f"sensor {where}: 'artifacts' must be tables [[artifacts]]")
+    return SensorModel(name, tuple(_entry(entry, f"sensor {where}") for entry in artifacts), title)
+
+
+def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
+    """Artifacts of given strengths: {name: {strength: value}}.
+
+    Strengths left out are those of the sensor's artifact of that name, or else its class's defaults. where: names the
+    origin in messages. Raises BadConfig for anything unknown or out of range.
+    """
+    if not isinstance(tree, Mapping) or not all(isinstance(strengths, Mapping) for strengths in tree.values()):
+        raise BadConfig(f'{where} must be strengths by artifact, like {{"noise": {{"high_mm": 50}}}}, found {tree!r}')
+    base = {artifact.name: asdict(artifact) for artifact in sensor}
+    return tuple(_artifact(name, base.get(name, {}) | dict(given), where) for name, given in tree.items())
+
+
+def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
+    """As `artifacts_from_json`, from JSON text."""
+    try:
+        tree = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadConfig(f"{where} must be JSON, found {text!r}: {error}") from error
+    return artifacts_from_json(tree, where, sensor)
+
+
+def _entry(entry: Mapping[str, Any], where: str) -> Artifact:
+    """One [[artifacts]] table; `version`, where given, must be that of the installed code."""
+    strengths = dict(entry)
+    name, version = strengths.pop("artifact", None), strengths.pop("version", None)
+    if not isinstance(name, str):
+        raise BadConfig(f"{where}: [[artifacts]] must name its 'artifact', found {name!r}")
+    artifact = _artifact(name, strengths, where)
+    if version not in (None, artifact.version):
+        raise BadConfig(f"{where}: {name} is of version {version!r}, installed is version {artifact.version}")
+    return artifact
+
+
+def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
+    try:
+        kind = artifact_class(name)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
+    known = [field.name for field in fields(kind)]
+    for strength in strengths:
+        if strength not in known:
+            allowed = ", ".join(known) or "none"
+            raise BadConfig(f"{where}: a strength of {name} must be one of {allowed}, found {strength!r}")
+    values = {each: tuple(value) if isinstance(value, list) else value for each, value in strengths.items()}
+    try:
+        return kind(**values)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
+    except (TypeError, ValueError, LookupError) as error:
+        raise BadConfig(f"{where}: strengths of {name} must be of the right types, found {dict(strengths)}") from error
+
+
+def _own_name(artifact: Artifact) -> tuple[str, ...]:
+    return (artifact.name,)
+
+
+def _purposes(artifact: Artifact) -> tuple[str, ...]:
+    return artifact.purposes
+
+
+def _drawn(artifact: Artifact) -> tuple[str, ...]:
+    return tuple(artifact.drawn)
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}".rstrip() for line in text.splitlines()]
+
+
+def _toml(value: Any) -> str:
+    """A strength as TOML. Raises BadConfig for a value that TOML cannot hold."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool | int | str):
+        return json.dumps(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return repr(value)
+    raise BadConfig(f"a sensor file holds text, numbers, flags and lists of them, found {value!r}")
