@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.views import View
 
 RANGE_STEP_M: Final = 1e-4
 """One step of a stored range image, metres; with 16 bits it reaches 6.5535 m."""
@@ -51,9 +52,15 @@ SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
+_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm"})
+
+
 @dataclass(frozen=True)
 class SampleInfo:
-    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test"."""
+    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
+
+    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`.
+    """
 
     source: str
     subset: str
@@ -63,6 +70,22 @@ class SampleInfo:
     distance_cm: int
     azimuth_deg: int
     split: Split
+    pitch_deg: int = 0
+    roll_deg: int = 0
+    height_cm: int = 0
+
+    @property
+    def view(self) -> View:
+        """The view that the sample was rendered from."""
+        return View(self.distance_cm, self.azimuth_deg, self.pitch_deg, self.roll_deg, self.height_cm)
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to a JSON object; pitch, roll and height are in it only where they are not 0."""
+        return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
+
+
+_KINDS: Final = {name: int if name.endswith(("_cm", "_deg")) else str for name in SampleInfo.__dataclass_fields__}
+_REQUIRED: Final = _KINDS.keys() - _OPTIONAL
 
 
 @dataclass(frozen=True)
@@ -156,13 +179,13 @@ def steps(range_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.uint16]:
 
 def info_from_json(tree: Any, key: str) -> SampleInfo:
     """Check and read a sample's description. Raises BadSample."""
-    fields = SampleInfo.__dataclass_fields__
-    if not isinstance(tree, dict) or set(tree) != set(fields):
-        raise BadSample(f"{key}: the description must have exactly {sorted(fields)}")
-    for field in fields:
-        kind = int if field in ("distance_cm", "azimuth_deg") else str
-        if not isinstance(tree[field], kind) or isinstance(tree[field], bool):
-            raise BadSample(f"{key}: {field!r} must be {kind.__name__}, found {tree[field]!r}")
+    if not isinstance(tree, dict) or (tree.keys() != _REQUIRED and tree.keys() | _OPTIONAL != _KINDS.keys()):
+        raise BadSample(
+            f"{key}: the description must have exactly {sorted(_REQUIRED)}, and may have {sorted(_OPTIONAL)}"
+        )
+    for field, value in tree.items():
+        if type(value) is not _KINDS[field]:
+            raise BadSample(f"{key}: {field!r} must be {_KINDS[field].__name__}, found {value!r}")
     if tree["split"] not in SPLITS:
         raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
     return SampleInfo(**tree)

@@ -121,9 +121,7 @@ def _fit(picture: NDArray[np.uint8]) -> Image.Image:
 
 def _caption(sample: Sample) -> str:
     info = sample.info
-    return (
-        f"{info.subject}, {info.pose}, {info.distance_cm / 100:.2f} m, {info.azimuth_deg}° ({info.split}, {sample.key})"
-    )
+    return f"{info.subject}, {info.pose}, {info.view.words} ({info.split}, {sample.key})"
 
 
 def _legend(width: int) -> Image.Image:

@@ -15,16 +15,18 @@ from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.views import split_key
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 COLUMNS: Final = 12
 _TILE_ROWS: Final = 320
 _CAPTION: Final = 32
+_HIGHER_CAPTION: Final = 46  # with pitch, roll and height
 _GAP: Final = 6
 _EDGE_M: Final = 0.03
 """Difference in range beyond which neighbouring pixels are on different surfaces."""
 
-_KEY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)-d\d+-a\d+")
+_BODY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)")
 
 
 def choose_views(keys: Sequence[str], count: int) -> list[int]:
@@ -38,8 +40,9 @@ def choose_views(keys: Sequence[str], count: int) -> list[int]:
         raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
     groups: dict[str, dict[str, list[int]]] = {}
     for index, key in enumerate(keys):
-        match = _KEY.fullmatch(key)
-        if match is None:
+        body, view = split_key(key)
+        match = _BODY.fullmatch(body)
+        if match is None or not view:
             raise BadConfig(f"a gallery needs keys like SOURCE-SUBJECT-MESH-d215-a010, found {key!r}")
         group = f"{match['source']}-{re.sub('[0-9]+', '', match['subject'])}"
         groups.setdefault(group, {}).setdefault(match["mesh"], []).append(index)
@@ -73,7 +76,8 @@ def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image
     lines = -(-len(tiles) // COLUMNS)
     columns = min(COLUMNS, len(tiles))
     legend = draw_legend(max(columns * (width + _GAP), 900))
-    top, step = 44, _TILE_ROWS + _CAPTION + _GAP
+    plain = all(sample.info.view.words.count(",") == 1 for sample in samples)
+    top, step = 44, _TILE_ROWS + (_CAPTION if plain else _HIGHER_CAPTION) + _GAP
     picture = Image.new("RGB", (legend.width + 2 * _GAP, top + lines * step + legend.height + _GAP), PAPER)
     pen = ImageDraw.Draw(picture)
     pen.text((_GAP + 2, 10), title, INK, font=font(18))
@@ -82,8 +86,10 @@ def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image
         picture.paste(tile, (left, upper))
         info = sample.info
         pen.text((left + 2, upper + _TILE_ROWS + 2), f"{info.subject}, {info.pose}"[:26], INK, font=font(11))
-        where = f"{info.distance_cm / 100:.2f} m, {info.azimuth_deg}°, {info.split}"
+        distance, azimuth, *stance = info.view.words.split(", ")
+        where = f"{distance}, {azimuth}, {info.split}"
         pen.text((left + 2, upper + _TILE_ROWS + 15), where, FAINT, font=font(11))
+        pen.text((left + 2, upper + _TILE_ROWS + 29), ", ".join(stance), FAINT, font=font(9))
     picture.paste(legend, (_GAP, picture.height - legend.height - _GAP))
     return picture
 

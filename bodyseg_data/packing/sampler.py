@@ -23,9 +23,14 @@ _SHARED: Final = 254  # stands for a triangle that parts share; no part has this
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
 
 
+def body_key(source: str, body: BodyRef) -> str:
+    """The beginning of the keys of a body's samples."""
+    return f"{source}-{body.subject}-{body.mesh}"
+
+
 def sample_key(source: str, body: BodyRef, view: View) -> str:
     """The identity of a sample: it names the body and the view, nothing that depends on how shards are cut."""
-    return f"{source}-{body.subject}-{body.mesh}-{view.name}"
+    return f"{body_key(source, body)}-{view.name}"
 
 
 class Sampler:
@@ -71,6 +76,9 @@ class Sampler:
             view.distance_cm,
             view.azimuth_deg,
             body.split,
+            view.pitch_deg,
+            view.roll_deg,
+            view.height_cm,
         )
         sample = Sample(key, range_image, occluder, labels, facing, info)
         sample.check()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Occupancy, Sample, info_from_json
@@ -34,7 +33,7 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     """
     chosen = CODECS[check_codec(codec)]
     labels, projector = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
-    members = {"json": json.dumps(asdict(sample.info), sort_keys=True).encode()}
+    members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
     try:
         return members | chosen.encode(sample.range, labels, projector)
     except ValueError as error:

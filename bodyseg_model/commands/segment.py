@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.commands.options import option
@@ -25,6 +28,7 @@ from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_s
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
+from bodyseg_model.segmentation.undistortion import Undistortion
 from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
@@ -32,6 +36,8 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _FORMAT: Final = "bodyseg segment 1"
 _SUMMARY: Final = "summary.json"
 _PREVIEW: Final = "preview.gif"
+_RESULTS: Final = ("labels", "overlay")
+_UNDISTORTED: Final = "undistorted"
 
 
 @dataclass(frozen=True)
@@ -66,13 +72,16 @@ def run(options: Options) -> int:
     camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
     trained = shipped_network() if options.run is None else load_network(options.run)
     trained.network.to(find_device(options.device))
-    segmenter = Segmenter(trained.network, camera.camera, background, options.mirrored, options.confidence)
-    _make_folders(options.out)
+    lens = None if camera.camera.distortion is None else Undistortion(camera.camera)
+    ideal = camera.camera if lens is None else lens.camera
+    segmenter = Segmenter(trained.network, ideal, background, options.mirrored, options.confidence)
+    folders = _RESULTS if lens is None else (*_RESULTS, _UNDISTORTED)
+    _make_folders(options.out, folders)
 
     summary = SequenceSummary()
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            _segment(frame, step_m, segmenter, options.out, summary, preview)
+            _segment(frame, lens, step_m, segmenter, options.out, summary, preview)
             progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(), options.out / "legend.png")
     write_result(options.out / _PREVIEW, preview.to_gif())
@@ -97,20 +106,38 @@ def run(options: Options) -> int:
     return 0
 
 
+def _read(frame: FrameFile, lens: Undistortion | None) -> NDArray[np.uint16]:
+    pixels = frame.read()
+    try:
+        return pixels if lens is None else lens(pixels)
+    except BadConfig as error:
+        raise BadConfig(f"{frame.where}: {error}") from error
+
+
 def _segment(
-    frame: FrameFile, step_m: float, segmenter: Segmenter, out: Path, summary: SequenceSummary, preview: Preview
+    frame: FrameFile,
+    lens: Undistortion | None,
+    step_m: float,
+    segmenter: Segmenter,
+    out: Path,
+    summary: SequenceSummary,
+    preview: Preview,
 ) -> None:
     """Read, label, write and count one frame. Raises BadConfig, naming it, before anything of it is written."""
     watch = Stopwatch(STAGES)
     with watch("read"):
-        range_m = to_metres(frame.read(), step_m)
+        pixels = _read(frame, lens)
+        range_m = to_metres(pixels, step_m)
     try:
         result = segmenter(range_m)
     except BadConfig as error:
         raise BadConfig(f"{frame.where}: {error}") from error
     with watch("write"):
         overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies])
-        for folder, image in (("labels", result.labels), ("overlay", overlay)):
+        images: dict[str, NDArray[Any]] = {"labels": result.labels, "overlay": overlay}
+        if lens is not None:
+            images[_UNDISTORTED] = pixels
+        for folder, image in images.items():
             buffer = io.BytesIO()
             Image.fromarray(image).save(buffer, "PNG", compress_level=3)  # a third of the time, a tenth more bytes
             write_result(out / folder / f"{frame.name}.png", buffer.getvalue())
@@ -126,10 +153,10 @@ def _background(options: Options) -> Background:
     return Background(options.background, **given)
 
 
-def _make_folders(out: Path) -> None:
+def _make_folders(out: Path, folders: Sequence[str]) -> None:
     """Make the folders of results. An earlier summary is deleted first, so that a summary is always of all results."""
     try:
-        for folder in ("labels", "overlay"):
+        for folder in folders:
             (out / folder).mkdir(parents=True, exist_ok=True)
         (out / _SUMMARY).unlink(missing_ok=True)
     except OSError as error:

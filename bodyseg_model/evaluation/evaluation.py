@@ -20,6 +20,7 @@ from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
@@ -235,8 +236,8 @@ class _CleanSamples:
         self._last: Sample | None = None
 
     def subset(self, key: str) -> str:
-        """The subset of a sample, read once for all views of a body, whose keys differ in the last two words."""
-        body = key.rsplit("-", 2)[0]
+        """The subset of a sample, read once for all views of a body."""
+        body, _ = split_key(key)
         if body not in self._subsets:
             self._subsets[body] = self._read(key).info.subset
         return self._subsets[body]

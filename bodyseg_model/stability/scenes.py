@@ -5,7 +5,6 @@ Images are made on demand. Labelled bodies and their renderers are kept.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -171,11 +170,8 @@ def looking_down(
     camera: Camera, centre: NDArray[np.float64], azimuth_deg: int, distance_m: float, tilt_deg: float
 ) -> PlacedCamera:
     """A camera whose axis points at a body's centre from `distance_m` away and `tilt_deg` above the horizontal."""
-    right, down, forward = axes_at(azimuth_deg)
-    tilt = math.radians(tilt_deg)
-    ahead = math.cos(tilt) * forward + math.sin(tilt) * down
-    axes = np.stack([right, math.cos(tilt) * down - math.sin(tilt) * forward, ahead])
-    return PlacedCamera(camera, axes, centre - distance_m * ahead)
+    axes = axes_at(azimuth_deg, -tilt_deg)
+    return PlacedCamera(camera, axes, centre - distance_m * axes[2])
 
 
 def sensor(focal_px: float) -> Camera:

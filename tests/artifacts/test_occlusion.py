@@ -307,6 +307,19 @@ def test_the_default_is_within_one_percent_of_exact_shadow_rays() -> None:
     assert wrong / pixels < 0.005  # required: 0.01
 
 
+@pytest.mark.parametrize("view", [View(255, 40, -35, 25, 10), View(255, 200, 20, -70)])
+@pytest.mark.parametrize("roll", [0.0, 40.0])
+def test_views_from_above_and_turned_are_within_one_percent_of_exact_shadow_rays(view: View, roll: float) -> None:
+    plain, mesh = load_rig(), figure()
+    rig = replace(plain, projector=replace(plain.projector, roll_deg=roll))
+    seen = exact_view(rig, EmbreeRenderer(mesh), *standing(mesh), view)
+    assert_forms_agree(rig, seen.images(1))
+    wrong = (ShadowTest(rig).lit(*seen.images(1)) != seen.lit) & seen.inside
+    dark = ~seen.lit & seen.inside & (seen.images(1)[0] > 0)
+    assert seen.inside.sum() > 10_000 and dark.sum() > 200
+    assert wrong.sum() / seen.inside.sum() < 0.005  # required: 0.01
+
+
 def test_fifty_views_of_ten_real_postures_are_within_one_percent_of_exact_shadow_rays() -> None:
     rig = load_rig()
     test = ShadowTest(rig)

@@ -49,6 +49,12 @@ def test_a_choice_of_more_than_there_is_is_refused(count: int) -> None:
         choose_views(keys({"A": 5}), count)
 
 
+def test_views_from_above_and_turned_are_views_of_the_same_mesh() -> None:
+    names = [f"open-A-mesh-0{mesh}-d215-a000{more}" for mesh in range(3) for more in ("", "-p-30", "-p010-r005-h-20")]
+    chosen = [names[index] for index in choose_views(names, 3)]
+    assert sorted(name.split("-")[3] for name in chosen) == ["00", "01", "02"]
+
+
 def test_a_key_of_another_kind_is_named() -> None:
     with pytest.raises(BadConfig, match="found 'elsewhere'"):
         choose_views(["elsewhere"], 1)

@@ -312,6 +312,13 @@ def test_probes_see_the_body_from_all_sides() -> None:
         assert camera.camera.focal_px * 4 == full.focal_px
 
 
+def test_probes_see_the_body_from_all_sides_at_every_pitch() -> None:
+    cameras = probe_cameras(BALL, RIG, 295, (0, -90))
+    places = np.array([camera.position - BALL.centre for camera in cameras])
+    assert np.linalg.norm(places, axis=1) == pytest.approx([2.95] * 8)
+    assert places[:, 1] == pytest.approx([0.0] * 4 + [2.95] * 4)
+
+
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match=r"--tolerance-mm 0 keeps meshes whole\) needs libOpenGL"):

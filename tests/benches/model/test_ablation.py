@@ -16,6 +16,7 @@ from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, co
 from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
+from benches.model.ablation.sensor_artifacts import ADDED
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -93,6 +94,7 @@ def test_every_network_is_evaluated_under_every_condition(
     conditions = [condition["name"] for condition in measured["conditions"]]
     assert conditions == [
         *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30", "grazing_30"),
+        *(artifact.name for artifact in ADDED.values()),
         *("near_far", "other_side", "A", "hard"),  # there are no subjects B and C, and nobody is called P...
     ]
     assert set(rows["views_1"]["accuracy"]) == set(conditions)

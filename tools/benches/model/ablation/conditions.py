@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.ablation.sensor_artifacts import ADDED
 from benches.model.variants.scores import Condition
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import SHAPES, lost
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.sample import RANGE_STEP_M
@@ -29,7 +30,7 @@ class AblationCondition(Condition):
     """Test images of one kind. label: its name in the results; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
-    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench.
+    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench. sensor: its artifacts.
     """
 
     label: str = ""
@@ -39,6 +40,7 @@ class AblationCondition(Condition):
     share: float = 0.0
     step_mm: float | None = None
     data: str | None = None
+    sensor: SensorModel = field(default_factory=load_sensor_model)
 
     @property
     def name(self) -> str:
@@ -58,6 +60,10 @@ CONDITIONS: Final = (
     *(
         AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
         for kind in SHAPES
+    ),
+    *(
+        AblationCondition("all", label=each.name, title=what, sensor=load_sensor_model().with_artifacts(each))
+        for what, each in ADDED.items()
     ),
     AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
     AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
@@ -91,7 +97,7 @@ class ConditionImages(RangeImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: AblationCondition) -> None:
-        fixed = load_sensor_model().with_artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
+        fixed = condition.sensor.with_artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
         super().__init__(path, condition.variant, "test", _SEED, sensor=fixed, only=condition.only)
         self._condition = condition
 
