@@ -189,15 +189,21 @@ def test_a_loader_that_is_dropped_ends_its_threads_at_once(figures_set: Path, he
 
 
 def test_epochs_leave_nothing_behind(figures_set: Path) -> None:
-    batches = threaded(RangeImages(figures_set, "all"))
-    keys(batches)
-    handles = len(list(Path("/proc/self/fd").iterdir()))
-    for epoch in range(8):
+    def open_files() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    images = RangeImages(figures_set, "all")
+    before = open_files()
+    batches: Any = threaded(images)
+    for epoch in range(9):
         for number, _ in enumerate(batches):
             if epoch % 3 == 2 and number == 4:
                 break
         assert len(worker_threads()) == 2
-        assert len(list(Path("/proc/self/fd").iterdir())) == handles
+    del _, batches
+    gc.collect()
+    assert worker_threads() == []
+    assert open_files() == before
 
 
 def test_an_interrupt_is_passed_on_and_ends_the_threads(figures_set: Path) -> None:
