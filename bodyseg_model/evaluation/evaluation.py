@@ -23,6 +23,7 @@ from bodyseg_data.core.splits import Split
 from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.frame_times import Stopwatch
@@ -176,6 +177,7 @@ def evaluate(
     extras: Collection[Extra] = EXTRAS,
     batch_size: int = 16,
     num_workers: int = 0,
+    worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[PredictedImage, float], None] | None = None,
 ) -> Evaluation:
@@ -200,7 +202,10 @@ def evaluate(
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
     # One process evaluates, also under torchrun; and the order is that of the images' epoch, for every split.
-    batches = iter(loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1))
+    data_loader = loader(
+        images, batch_size, num_workers, shuffle=True, rank=0, world_size=1, worker_method=worker_method
+    )
+    batches = iter(data_loader)
     for done in range(0, total, batch_size):
         with stage("loading"):
             batch = next(batches)
