@@ -258,9 +258,9 @@ def loader(
     of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
     set (a float below 1). skip_log: a file to which each skipped sample is appended as a line of JSON.
 
-    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory: deliver
-    in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as in
-    PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
+    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory:
+    deliver in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as
+    in PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
     requested. worker_method: "thread" or "process"; threads call `images.write` at the same time. start_method: of
     worker processes, "fork", "spawn" or "forkserver"; None is Python's default.
 
