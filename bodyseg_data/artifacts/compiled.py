@@ -12,10 +12,17 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.loops.bounds import forget_occupied, mark_occupied, take_pieces
 from bodyseg_data.artifacts.loops.occlusion import Shadow, find_runs, mark_lit, shadow_of
 from bodyseg_data.artifacts.loops.philox import raw_words
-from bodyseg_data.artifacts.loops.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
+from bodyseg_data.artifacts.loops.scratch import (
+    BLOCK,
+    CHUNK,
+    constant,
+    copy_unless_same,
+    scratch_for,
+    second_scratch_for,
+)
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
 from bodyseg_data.artifacts.noise import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS, Noise, steps_of
-from bodyseg_data.artifacts.occlusion import Occlusion, shadow_test
+from bodyseg_data.artifacts.occlusion import Occlusion, projector_views
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.sample import FARTHEST_STEPS
@@ -97,15 +104,20 @@ def apply(
     scratch: Any,
     image: Any,
     labels: Any,
+    second: Any,
+    second_scratch: Any,
 ) -> None:
     """Apply occlusion if `occluded`, noise if `noisy`, and missing data to a sample's flat range and labels.
 
-    runs: the number of runs of foreground in `edges`, -1 if they are still to be found.
+    runs: the number of runs of foreground in `edges`, -1 if they are still to be found. second, second_scratch: shadow
+    and scratch of a second projector; None without one: the compiler then leaves its branches out.
     """
     if runs < 0:
         runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
     if occluded:
         mark_occupied(shadow, scratch)
+    if second is not None:
+        mark_occupied(second, second_scratch)
     losing = occluded or strengths.threshold > 0
     # Only bounds of texels need small pieces, in one row each.
     width, block = (shadow.width, BLOCK) if occluded else (image.size, CHUNK)
@@ -117,6 +129,10 @@ def apply(
             mark_lit(shadow, found, scratch, marks)
         else:
             marks[:count] = 1
+        if second is not None:
+            mark_lit(second, found, second_scratch, second_scratch.marks)
+            for point in range(np.uint64(count)):
+                marks[point] |= second_scratch.marks[point]
         if strengths.threshold:
             raw_words(strengths.missing_0, strengths.missing_1, before // 4, (count + 3) // 4, scratch.words)
             for point in range(np.uint64(count)):
@@ -128,6 +144,8 @@ def apply(
         before += count
     if occluded:
         forget_occupied(shadow, scratch)
+    if second is not None:
+        forget_occupied(second, second_scratch)
 
 
 _NO_RANGE, _NO_FACING = constant(np.zeros(1, np.uint16)), constant(np.zeros(1, np.uint8))
@@ -182,27 +200,33 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
             noisy, sigma_mm, noise = True, image.drawn["sigma_mm"], draws.stream("noise")
         else:
             rate, missing = image.drawn["missing_rate"], draws.stream("missing data")
+    second = second_scratch = None
     if occluded:
-        images = sample.range, sample.occluder_range(), sample.faces_projector
-        shadow = shadow_of(shadow_test(scene.rig), *images, None if occupancy is None else occupancy.texels)
+        views = projector_views(scene.rig, sample)
+        shadow, *others = (shadow_of(view.test, sample.range, *view[1:]) for view in views)
     else:
+        others = []
         shadow = _NO_SHADOW._replace(camera_range=constant(sample.range), width=sample.range.shape[1])
     sigma = steps_of(sigma_mm, scene.step_m)
     strengths = Strengths(noise[0], noise[1], sigma, missing[0], missing[1], np.uint32(threshold(rate)))
     scratch = scratch_for(sample.range.size, shadow.rows, shadow.columns)
+    if others:
+        second = others[0]
+        second_scratch = second_scratch_for(scratch, second.rows, second.columns)
     runs = -1
     if occupancy is not None and occupancy.edges is not None:
         scratch, runs = scratch._replace(edges=occupancy.edges), len(occupancy.edges) // 2
     copy_unless_same(sample.range, image.range)
     copy_unless_same(sample.labels, image.labels)
-    apply(
-        shadow, occluded, strengths, noisy, SEGMENTS, runs, scratch, image.range.reshape(-1), image.labels.reshape(-1)
-    )
+    into = image.range.reshape(-1), image.labels.reshape(-1)
+    apply(shadow, occluded, strengths, noisy, SEGMENTS, runs, scratch, *into, second, second_scratch)
 
 
-def compile_all() -> None:
-    """Compile the loops, or load their machine code, by applying them to one pixel."""
+def compile_all(projectors: int) -> None:
+    """Compile the loops for rigs of 1 or 2 projectors, or load their machine code, by applying them to one pixel."""
     word = np.uint64(0)
     strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
-    apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch_for(1, 1, 1), image, labels)
+    scratch = scratch_for(1, 1, 1)
+    second = (None, None) if projectors == 1 else (_NO_SHADOW, second_scratch_for(scratch, 1, 1))
+    apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch, image, labels, *second)

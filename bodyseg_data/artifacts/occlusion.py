@@ -6,7 +6,8 @@ projector's frame, and is not behind what that image shows there. The last quest
 the point. Where they show one surface, their bilinear interpolation is its range, and the point may be at most a
 surface gap behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel votes
 instead ("not more than an edge's difference in front of the point") with its bilinear weight, and half the weight
-decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). Both thresholds belong to the format of
+decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). With two projectors, shadow is where
+neither lights. Both thresholds belong to the format of
 shards (`core.sample.ShadowThresholds`). docs/occlusion.md measures the test beside its rivals.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS, Sample
 
 Floats = NDArray[np.float32]
 
@@ -35,7 +36,10 @@ _HALF: Final = np.float32(0.5)
 
 @dataclass(frozen=True)
 class Occlusion(Artifact):
-    """The projector's shadow: pixels are lost where its light does not reach the surface (paper, section 3.1)."""
+    """The projector's shadow: pixels are lost where its light does not reach the surface (paper, section 3.1).
+
+    Of a rig with two projectors, where neither one's light does.
+    """
 
     name = "occlusion"
     kind = "occlusion"
@@ -43,13 +47,11 @@ class Occlusion(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
-        sample = scene.sample
-        test = shadow_test(scene.rig)
-        image.range[...] *= test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
+        image.range[...] *= lit_pixels(scene.rig, scene.sample)
 
 
 class ShadowTest:
-    """The shadow test for one rig: built once, applied to every sample.
+    """The shadow test for a rig's first projector: built once, applied to every sample.
 
     A camera pixel with ray r = (x, y, 1) and range z sees the point z r, which is z R r + t for the projector. So its
     projector coordinates are quotients (z a + b) / (z c + d), where a and c depend on the pixel only, b and d on
@@ -159,8 +161,62 @@ class ShadowTest:
 
 @lru_cache(maxsize=8)
 def shadow_test(rig: Rig) -> ShadowTest:
-    """The shadow test of a rig, built once a process."""
+    """The shadow test of a rig's first projector, built once a process."""
     return ShadowTest(rig)
+
+
+@lru_cache(maxsize=8)
+def shadow_tests(rig: Rig) -> tuple[ShadowTest, ...]:
+    """The shadow tests of all projectors of a rig, each of a rig with that one alone, built once a process."""
+    return tuple(shadow_test(single) for single in rig.by_projector())
+
+
+class ProjectorView(NamedTuple):
+    """One projector's share of a sample. texels: as in `Occupancy`, of this image."""
+
+    test: ShadowTest
+    projector_range: NDArray[np.uint16]
+    facing: NDArray[np.bool_]
+    texels: NDArray[np.int32] | None
+
+
+def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
+    """Divide a sample among the rig's projectors, without a copy; one or two entries.
+
+    Raises BadSample for a sample without what two projectors see, or without any projector's range.
+    """
+    tests, image = shadow_tests(rig), sample.occluder_range()
+    texels = None if sample.occupancy is None else sample.occupancy.texels
+    if len(tests) == 1:
+        return [ProjectorView(tests[0], image, sample.faces_projector, texels)]
+    if sample.faces_second is None or image.shape != rig.projector_shape:
+        mask = "without" if sample.faces_second is None else "with"
+        raise BadSample(
+            f"{sample.key}: a rig of two projectors needs a projector range {rig.projector_shape} and a second facing "
+            f"bit, found {image.shape} {mask} that bit"
+        )
+    rows = rig.projector.rows
+    first = second = None
+    if texels is not None:
+        start = rows * rig.projector.columns
+        first, second = np.split(texels, [np.searchsorted(texels, start)])
+        second = second - np.int32(start)
+    return [
+        ProjectorView(tests[0], image[:rows], sample.faces_projector, first),
+        ProjectorView(tests[1], image[rows:], sample.faces_second, second),
+    ]
+
+
+def lit_pixels(rig: Rig, sample: Sample) -> NDArray[np.bool_]:
+    """Mark the pixels of a sample that at least one of the rig's projectors lights, bool [H, W].
+
+    Raises BadSample for images of another kind or shape than the rig's.
+    """
+    first, *others = projector_views(rig, sample)
+    answer = first.test.lit(sample.range, first.projector_range, first.facing)
+    for other in others:
+        answer |= other.test.lit(sample.range, other.projector_range, other.facing)
+    return answer
 
 
 def reached(

@@ -156,7 +156,7 @@ class Augmentation:
     def prepare(self) -> None:
         """Compile or load the loops that will be needed, so that workers forked from this process have them too."""
         if use_compiled() and self._covered:
-            _loops().compile_all()
+            _loops().compile_all(len(self.rig.projectors))
 
     @cached_property
     def _covered(self) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rigs.camera import Camera, PlacedCamera, axes_at, camera_from_table, rolled
+from bodyseg_data.core.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.core.tables import Table
 from bodyseg_data.core.views import View
 
@@ -58,10 +58,11 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 @dataclass(frozen=True)
 class Rig:
-    """A structured-light rig: a camera and a projector. The rig's frame is the camera's when its pose is the default.
+    """A structured-light rig: a camera and a projector, or two. The rig's frame is the camera's if that has no pose.
 
     stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
-    range_step_mm: one step of its stored ranges, millimetres, 0.01 to 10. Raises BadConfig for values out of range.
+    range_step_mm: one step of its stored ranges, millimetres, 0.01 to 10. second_projector: with it, shadow is where
+    neither projector lights; its image has as many columns as the first's. Raises BadConfig for values out of range.
     """
 
     name: str
@@ -69,13 +70,16 @@ class Rig:
     camera: Camera
     projector: Camera
     range_step_mm: float = RANGE_STEP_MM
+    second_projector: Camera | None = None
 
     def __post_init__(self) -> None:
         _check_name(self.name)
         if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
             raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
-        if self.projector.distortion is not None:
-            raise BadConfig(f"a projector has no lens distortion, found {self.projector.distortion}")
+        for projector in self.projectors:
+            if projector.distortion is not None:
+                raise BadConfig(f"a projector has no lens distortion, found {projector.distortion}")
+        self._check_stacking()
         if not FINEST_STEP_MM <= self.range_step_mm <= COARSEST_STEP_MM:
             raise BadConfig(
                 f"'range_step_mm' must be {FINEST_STEP_MM:g} to {COARSEST_STEP_MM:g}, found {self.range_step_mm:g}"
@@ -87,14 +91,41 @@ class Rig:
         """One step of the rig's uint16 range images, metres: range in metres = steps * range_step_m."""
         return self.range_step_mm / 1000
 
+    @property
+    def projectors(self) -> tuple[Camera, ...]:
+        """The one or two projectors, the first one first."""
+        return (self.projector,) if self.second_projector is None else (self.projector, self.second_projector)
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """Rows and columns of a sample's projector range: that of all projectors, one below the other."""
+        return sum(projector.rows for projector in self.projectors), self.projector.columns
+
+    def by_projector(self) -> tuple[Rig, ...]:
+        """A rig with one projector for each of this rig's, in order."""
+        if self.second_projector is None:
+            return (self,)
+        return tuple(replace(self, projector=projector, second_projector=None) for projector in self.projectors)
+
+    def _check_stacking(self) -> None:
+        """Raise BadConfig unless the projectors' images can be stored as one."""
+        if len({projector.columns for projector in self.projectors}) > 1:
+            found = " and ".join(str(projector.columns) for projector in self.projectors)
+            raise BadConfig(f"the images of two projectors must have equally many columns, found {found}")
+        if self.projector_shape[0] > MAX_SIDE:
+            raise BadConfig(
+                f"the images of two projectors must have at most {MAX_SIDE} rows together, "
+                f"found {self.projector_shape[0]}"
+            )
+
     def check_reach(self, distance_m: float) -> None:
         """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.
 
-        Both devices must reach `BODY_REACH_M` behind its centre.
+        All devices must reach `BODY_REACH_M` behind its centre.
         """
         centre = np.asarray(self.camera.position_m) + distance_m * self.camera.axes[2]
-        away = float(self.projector.axes[2] @ (centre - self.projector.position_m))
-        needed, reach = max(distance_m, away) + BODY_REACH_M, _MAX_STEPS * self.range_step_m
+        away = (float(projector.axes[2] @ (centre - projector.position_m)) for projector in self.projectors)
+        needed, reach = max(distance_m, *away) + BODY_REACH_M, _MAX_STEPS * self.range_step_m
         if needed > reach:
             raise BadConfig(
                 f"{_MAX_STEPS} steps of 'range_step_mm' must reach {BODY_REACH_M:g} m behind a body {distance_m:g} m "
@@ -103,11 +134,11 @@ class Rig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the optical centres of camera and projector, metres."""
+        """Distance between the optical centres of camera and first projector, metres."""
         return math.dist(self.camera.position_m, self.projector.position_m)
 
     def placed(self, centre: NDArray[np.float64], view: View) -> tuple[PlacedCamera, PlacedCamera]:
-        """Camera and projector in the frame of a body whose bounding box is centred on `centre` [3].
+        """Camera and first projector in the frame of a body whose bounding box is centred on `centre` [3].
 
         The rig moves and the body stays, so that whatever was built for the body's mesh serves all its views. The
         camera gets the pose that `View` describes and its own roll besides, the projector the same place beside it.
@@ -130,19 +161,28 @@ class Rig:
         )
 
     def camera_to_projector(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation."""
+        """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation.
+
+        The projector is the first one.
+        """
         rotation = self.projector.axes @ self.camera.axes.T
         offset = np.subtract(self.camera.position_m, self.projector.position_m)
         return rotation, self.projector.axes @ offset
 
     def with_projector_scale(self, factor: int) -> Rig:
-        """The same rig with a projector-view image of `factor` times as many pixels a side."""
-        return replace(self, projector=self.projector.scaled(factor))
+        """The same rig with projector-view images of `factor` times as many pixels a side."""
+        second = None if self.second_projector is None else self.second_projector.scaled(factor)
+        return replace(self, projector=self.projector.scaled(factor), second_projector=second)
 
     def to_json(self) -> dict[str, Any]:
-        """The rig as plain JSON, for manifests."""
-        devices = {"camera": self.camera.to_json(), "projector": self.projector.to_json()}
-        return {"format": RIG_FORMAT, **asdict(self), **devices}
+        """The rig as plain JSON, for manifests; a second projector only where there is one."""
+        tree = {"format": RIG_FORMAT, **asdict(self)}
+        tree |= {"camera": self.camera.to_json(), "projector": self.projector.to_json()}
+        if self.second_projector is None:
+            del tree["second_projector"]
+        else:
+            tree["second_projector"] = self.second_projector.to_json()
+        return tree
 
     @property
     def digest(self) -> str:
@@ -152,7 +192,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Sensor:
-    """The content of a rig file: a camera, with or without the projector that makes a rig of it.
+    """The content of a rig file: a camera, with or without the projectors that make a rig of it.
 
     title: the sensor's name in prose. rig: None for a camera alone. assumed_for_size: whether frames of the camera's
     image size are taken to be this sensor's where nobody names a camera.
@@ -221,10 +261,10 @@ def parse_sensor(text: str, where: str) -> Sensor:
     title = table.text("title") if table.has("title") else name
     assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False
     camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
-    if any(map(table.has, ("projector", "stand_off_m", "range_step_mm"))):
+    if any(map(table.has, ("projector", "second_projector", "stand_off_m", "range_step_mm"))):
         stand_off = table.number("stand_off_m")
         projector = camera_from_table(table.table("projector"), posed=True)
-        lighting = stand_off, projector, _range_step_mm(table)
+        lighting = stand_off, projector, _range_step_mm(table), _second_projector(table)
     table.finish()
     try:
         rig = None if lighting is None else Rig(name, lighting[0], camera, *lighting[1:])
@@ -241,13 +281,17 @@ def rig_from_json(tree: Any) -> Rig:
     name, stand_off = table.text("name"), table.number("stand_off_m")
     camera = camera_from_table(table.table("camera"), posed=True, lens=True)
     projector = camera_from_table(table.table("projector"), posed=True)
-    step_mm = _range_step_mm(table)
+    step_mm, second = _range_step_mm(table), _second_projector(table)
     table.finish()
-    return Rig(name, stand_off, camera, projector, step_mm)
+    return Rig(name, stand_off, camera, projector, step_mm, second)
 
 
 def _range_step_mm(table: Table) -> float:
     return table.number("range_step_mm") if table.has("range_step_mm") else RANGE_STEP_MM
+
+
+def _second_projector(table: Table) -> Camera | None:
+    return camera_from_table(table.table("second_projector"), posed=True) if table.has("second_projector") else None
 
 
 def _check_name(name: str) -> None:

@@ -100,11 +100,13 @@ class Sample:
     """A clean rendering of one body from one view.
 
     range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
-    projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
+    projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read. Of a rig with two projectors,
+    the second's rows follow the first's.
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
     occupancy: only of samples decoded into given arrays.
+    faces_second: as faces_projector, for a rig's second projector; None of a rig with one.
     """
 
     key: str
@@ -114,6 +116,7 @@ class Sample:
     faces_projector: NDArray[np.bool_]
     info: SampleInfo
     occupancy: Occupancy | None = None
+    faces_second: NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         projector = "no" if self.projector_range is None else shape_of(self.projector_range)
@@ -128,26 +131,32 @@ class Sample:
     def check(self) -> None:
         """Raise BadSample, naming the key, if the arrays break a rule of the format."""
         check_key(self.key)
-        kinds = {"range": np.uint16, "projector_range": np.uint16, "labels": np.uint8, "faces_projector": np.bool_}
+        kinds = {
+            "range": np.uint16,
+            "projector_range": np.uint16,
+            "labels": np.uint8,
+            "faces_projector": np.bool_,
+            "faces_second": np.bool_,
+        }
         for field, kind in kinds.items():
             array = getattr(self, field)
-            if array is None and field == "projector_range":
+            if array is None and field in ("projector_range", "faces_second"):
                 continue
             if array.dtype != kind or array.ndim != 2 or not array.size:
                 raise BadSample(
                     f"{self.key}: {field} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
                 )
-        if not self.range.shape == self.labels.shape == self.faces_projector.shape:
-            raise BadSample(
-                f"{self.key}: range, labels and facing must have one shape, found "
-                f"{self.range.shape}, {self.labels.shape}, {self.faces_projector.shape}"
-            )
+        masks = [mask for mask in (self.faces_projector, self.faces_second) if mask is not None]
+        shapes = [self.range.shape, self.labels.shape, *(mask.shape for mask in masks)]
+        if len(set(shapes)) > 1:
+            found = ", ".join(map(str, shapes))
+            raise BadSample(f"{self.key}: range, labels and facing must have one shape, found {found}")
         background = self.range == 0
         if not np.array_equal(background, self.labels == BACKGROUND):
             raise BadSample(f"{self.key}: labels must be {BACKGROUND} exactly where range is 0")
         if (self.labels[~background] >= PART_COUNT).any():
             raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~background].max()}")
-        if (self.faces_projector & background).any():
+        if any((mask & background).any() for mask in masks):
             raise BadSample(f"{self.key}: background cannot face the projector")
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_tests
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
@@ -39,7 +39,7 @@ class Sampler:
     def __init__(self, renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
         self._source, self._body = source, body
-        self._test = shadow_test(rig)
+        self._tests = shadow_tests(rig)
         corners = parts.labels[mesh.faces]
         whole = (corners == corners[:, :1]).all(axis=1)
         self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
@@ -52,7 +52,7 @@ class Sampler:
     def take(self, view: View) -> Sample:
         """Render one view and label it. Raises BadSample."""
         body, key, step_m = self._body, sample_key(self._source, self._body, view), self._rig.range_step_m
-        camera, projector = self._rig.placed(self._mesh.centre, view)
+        camera, _ = self._rig.placed(self._mesh.centre, view)
         seen = self._renderer.render(camera)
         pixels = np.flatnonzero(seen.face >= 0)
         faces = seen.face.take(pixels)
@@ -62,11 +62,12 @@ class Sampler:
         range_image.ravel()[pixels] = steps(seen.range.take(pixels), step_m, key)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         labels.ravel()[pixels] = self._labels(faces, points)
-        facing = np.zeros(seen.face.shape, np.bool_)
-        facing.ravel()[pixels] = self._facing(faces, points, projector.position)
-        occluder = occluder_range(
-            self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), step_m, key)
-        )
+        facing, occluders = [], []
+        for test in self._tests:
+            _, projector = test.rig.placed(self._mesh.centre, view)
+            facing.append(np.zeros(seen.face.shape, np.bool_))
+            facing[-1].ravel()[pixels] = self._facing(faces, points, projector.position)
+            occluders.append(self._occluder(test, projector, range_image, facing[-1], key))
         info = SampleInfo(
             self._source,
             body.subset,
@@ -80,9 +81,25 @@ class Sampler:
             view.roll_deg,
             view.height_cm,
         )
-        sample = Sample(key, range_image, occluder, labels, facing, info)
+        second = facing[1] if len(facing) == 2 else None
+        sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)
         sample.check()
         return sample
+
+    def _occluder(
+        self,
+        test: ShadowTest,
+        projector: PlacedCamera,
+        range_image: NDArray[np.uint16],
+        facing: NDArray[np.bool_],
+        key: str,
+    ) -> NDArray[np.uint16]:
+        """The stored range of one projector. Raises BadSample."""
+
+        def ranges(texels: NDArray[np.intp]) -> NDArray[np.uint16]:
+            return steps(self._renderer.ranges(projector, texels), self._rig.range_step_m, key)
+
+        return occluder_range(test, range_image, facing, ranges)
 
     def _labels(self, faces: NDArray[np.int32], points: _Points) -> NDArray[np.uint8]:
         labels: NDArray[np.uint8] = self._part_of_face.take(faces)

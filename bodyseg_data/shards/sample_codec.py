@@ -13,11 +13,14 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
-from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.codecs.labels import join_labels, take_second_facing
 
 _BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
 
@@ -36,7 +39,8 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     "bsi", whose labels and range disagree on the background.
     """
     chosen = CODECS[check_codec(codec)]
-    labels, projector = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
+    labels = join_labels(sample.labels, sample.faces_projector, sample.faces_second)
+    projector = sample.occluder_range()
     members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
     try:
         return members | chosen.encode(sample.range, labels, projector)
@@ -45,13 +49,17 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
 
 
 def decode_sample(
-    key: str, members: Mapping[str, bytes], projector: bool = True, out: OutputArrays | None = None
+    key: str,
+    members: Mapping[str, bytes],
+    projector: bool = True,
+    out: OutputArrays | None = None,
+    projectors: int = 1,
 ) -> Sample:
     """Decode the members that `encode_sample` gives, of either codec.
 
     projector: decode the occluder range, too. out: arrays for range and labels, uint16 and uint8 [H, W], contiguous,
     used if the codec supports it; the sample is then valid until this thread decodes another one, and its `info` is
-    parsed when it is asked for.
+    parsed when it is asked for. projectors: how many the rig has, 1 or 2.
 
     Raises BadSample, naming key and member, for members that are missing, unknown or damaged; with `out`, a damaged
     description raises when it is asked for.
@@ -64,10 +72,11 @@ def decode_sample(
         images = codec.decode(members, projector, out)
     except ValueError as error:
         raise BadSample(f"{key}: {error}") from error
+    second = take_second_facing(images.labels) if projectors == 2 else None
     if out is None:
         info = _parse_info(members["json"], key)
-        return Sample(key, images.range, images.occluder, images.labels, images.facing, info)
-    return _IntoArrays.of(key, images, members["json"])
+        return Sample(key, images.range, images.occluder, images.labels, images.facing, info, faces_second=second)
+    return _IntoArrays.of(key, images, second, members["json"])
 
 
 def _parse_info(description: bytes, key: str) -> SampleInfo:
@@ -83,7 +92,7 @@ class _IntoArrays(Sample):
     _description: bytes
 
     @classmethod
-    def of(cls, key: str, images: DecodedImages, description: bytes) -> Sample:
+    def of(cls, key: str, images: DecodedImages, second: NDArray[np.bool_] | None, description: bytes) -> Sample:
         sample = cls.__new__(cls)  # not by __init__, which needs the description
         sample.__dict__.update(
             key=key,
@@ -92,6 +101,7 @@ class _IntoArrays(Sample):
             labels=images.labels,
             faces_projector=images.facing,
             occupancy=Occupancy(images.edges, images.texels),
+            faces_second=second,
             _description=description,
         )
         return sample

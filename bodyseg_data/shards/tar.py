@@ -15,6 +15,7 @@ from typing import IO, Final
 
 from bodyseg_data.core.errors import BadSample, BadShard, Unreachable, one_line
 from bodyseg_data.core.files import sync_folder
+from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample, check_key
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.codecs.codec import OutputArrays
@@ -146,9 +147,7 @@ class ShardReader:
     """
 
     def __init__(self, where: Path | Store, manifest: Manifest) -> None:
-        self._store, self._manifest = store_at(where), manifest
-        camera, projector = manifest.rig.camera, manifest.rig.projector
-        self._sizes = (camera.rows, camera.columns), (projector.rows, projector.columns)
+        self._store, self._manifest, self._rig = store_at(where), manifest, manifest.rig
 
     def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
         """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
@@ -171,8 +170,9 @@ class ShardReader:
                     raise
         key = record.keys[index]
         try:
-            sample = decode_sample(key, parse_members(key, data), projector, out)
-            _check_sizes(sample, *self._sizes)
+            projectors = len(self._rig.projectors)
+            sample = decode_sample(key, parse_members(key, data), projector, out, projectors)
+            _check_sizes(sample, self._rig)
         except BadSample as error:
             raise BadShard(f"{sample_location(record, index)}: {error}") from error
         return sample
@@ -271,21 +271,22 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
 
 
 def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes) -> None:
-    sample = decode_sample(key, parse_members(key, data))
+    sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
     sample.check()
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    camera, projector = manifest.rig.camera, manifest.rig.projector
-    _check_sizes(sample, (camera.rows, camera.columns), (projector.rows, projector.columns))
+    _check_sizes(sample, manifest.rig)
 
 
-def _check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
-    """Raise BadSample unless the images have the rows and columns of the rig's camera and projector."""
+def _check_sizes(sample: Sample, rig: Rig) -> None:
+    """Raise BadSample unless the images have the rows and columns of the rig's camera and projectors."""
+    camera = rig.camera.rows, rig.camera.columns
     for field, image, size in (
         ("range", sample.range, camera),
         ("labels", sample.labels, camera),
         ("faces_projector", sample.faces_projector, camera),
-        ("projector_range", sample.projector_range, projector),
+        ("faces_second", sample.faces_second, camera),
+        ("projector_range", sample.projector_range, rig.projector_shape),
     ):
         if image is not None and image.shape != size:
             raise BadSample(f"{sample.key}: {field} must be {size[0]} x {size[1]} as in the rig, found {image.shape}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -72,10 +72,11 @@ def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
     """
     built = [source.build(body) for body in shot.bodies]
     centre = np.mean([body.mesh.centre for body in built], axis=0)
-    placed = rig.placed(centre, shot.view)
+    camera, _ = rig.placed(centre, shot.view)
+    projectors = [single.placed(centre, shot.view)[1] for single in rig.by_projector()]
     for ref, body in zip(shot.bodies, built, strict=True):
         key = sample_key(source.name, ref, shot.view)
-        yield _frame(ref, body, shot.view, key, placed, source.name, rig.range_step_m)
+        yield _frame(ref, body, shot.view, key, camera, projectors, source.name, rig.range_step_m)
 
 
 def _frame(
@@ -83,22 +84,26 @@ def _frame(
     body: Body,
     view: View,
     key: str,
-    placed: tuple[PlacedCamera, PlacedCamera],
+    camera: PlacedCamera,
+    projectors: Sequence[PlacedCamera],
     source: str,
     step_m: float,
 ) -> Frame:
-    """Make a sample as `Sampler.take` does, but with camera and projector given and all that the projector sees."""
-    camera, projector = placed
+    """Make a sample as `Sampler.take` does, but with camera and projectors given and all that the projector sees."""
     renderer = open_renderer("raster", body.mesh)
     rendered = RenderedBody(body.mesh, camera, renderer.render(camera))
-    lit = renderer.render(projector)
+    lit = [renderer.render(projector).range for projector in projectors]
     renderer.close()
     labels = rendered.labels(partition(body.mesh, body.landmarks))
-    facing = np.zeros(labels.shape, np.bool_)
-    facing.ravel()[rendered.pixels] = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
+    facing = []
+    for projector in projectors:
+        facing.append(np.zeros(labels.shape, np.bool_))
+        towards = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
+        facing[-1].ravel()[rendered.pixels] = towards
     info = SampleInfo(
         source, ref.subset, ref.subject, ref.mesh, ref.pose, view.distance_cm, view.azimuth_deg, ref.split
     )
-    camera_range, projector_range = (steps(seen.range, step_m, key) for seen in (rendered.surface, lit))
-    sample = Sample(key, camera_range, projector_range, labels, facing, info)
+    camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
+    second = facing[1] if len(facing) == 2 else None
+    sample = Sample(key, camera_range, projector_range, labels, facing[0], info, faces_second=second)
     return Frame(sample, rendered)

@@ -163,10 +163,14 @@ class _PosedBody:
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
-    """The rig with its projector level with the camera, to its left, and aimed at the stand-off as the paper's is."""
+    """The rig with its projector level with the camera, to its left, and aimed at the stand-off as the paper's is.
+
+    A second projector is left out: the sweep is over the baseline of one.
+    """
     aim = (0.0, 0.0, rig.stand_off_m)
     projector = replace(rig.projector, position_m=(-baseline_m, 0.0, 0.0), aims_at_m=aim)
-    return replace(rig, camera=replace(rig.camera, position_m=(0.0, 0.0, 0.0), aims_at_m=aim), projector=projector)
+    camera = replace(rig.camera, position_m=(0.0, 0.0, 0.0), aims_at_m=aim)
+    return replace(rig, camera=camera, projector=projector, second_projector=None)
 
 
 def looking_down(

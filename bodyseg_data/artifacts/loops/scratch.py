@@ -76,6 +76,22 @@ def scratch_for(pixels: int, rows: int, columns: int) -> Scratch:
     return made
 
 
+def second_scratch_for(scratch: Scratch, rows: int, columns: int) -> Scratch:
+    """The calling thread's scratch for a second projector, whose image has `rows` and `columns`.
+
+    Apart from `coarse`, `nearest` and `marks`, which hold one projector's results, its memory is that of `scratch`.
+    """
+    if getattr(_of_thread, "second_sizes", None) != (rows, columns):
+        _of_thread.second = (
+            np.empty(rows + 3, np.uint64),
+            np.full(rows * columns, 65535, np.uint16),
+            np.empty(ROOM, np.uint8),
+        )
+        _of_thread.second_sizes = rows, columns
+    coarse, nearest, marks = _of_thread.second
+    return scratch._replace(coarse=coarse, nearest=nearest, marks=marks)
+
+
 def constant(array: NDArray[Any]) -> NDArray[Any]:
     """`array`, flat and read-only, so that loops always get one kind of array and are compiled once."""
     fits = array.flags.c_contiguous and array.flags.aligned

@@ -13,7 +13,9 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rigs.distortion import Distortion, distortion_from_table
 from bodyseg_data.core.tables import Table
 
-_MAX_SIDE: Final = 8192
+MAX_SIDE: Final = 8192
+"""Longest side of an image, pixels."""
+
 _MAX_FOCAL_PX: Final = 1e6
 _MAX_DISTANCE_M: Final = 100.0
 _MAX_ROLL_DEG: Final = 180.0
@@ -48,8 +50,8 @@ class Camera:
     distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
-        if not (1 <= self.rows <= _MAX_SIDE and 1 <= self.columns <= _MAX_SIDE):
-            raise BadConfig(f"an image side must be 1 to {_MAX_SIDE} pixels, found {self.rows} x {self.columns}")
+        if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
+            raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
         if not 0 < self.focal_px <= _MAX_FOCAL_PX:
             raise BadConfig(
                 f"a focal length must be positive, at most {_MAX_FOCAL_PX:g} px, found {self.focal_px:g} px"

@@ -1,4 +1,7 @@
-"""The label byte: 255 for background; else the part in bits 0 to 5, and bit 6 set if it faces the projector."""
+"""The label byte: 255 for background; else the part in bits 0 to 5, and bit 6 set if it faces the projector.
+
+Bit 7 is set if it faces the second projector, of a rig that has one.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,33 @@ from bodyseg_data.core.parts import BACKGROUND
 
 FACING_BIT: Final = 0x40
 """Bit of a stored label, set where the surface faces the projector; background stays 255."""
+SECOND_FACING_BIT: Final = 0x80
+"""The same for a rig's second projector."""
 
 
-def join_labels(labels: NDArray[np.uint8], faces_projector: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Pack labels, 0 to 32 or 255, and the mask of pixels that face the projector into label bytes, uint8 [H, W]."""
-    return labels | (faces_projector.view(np.uint8) * np.uint8(FACING_BIT))
+def join_labels(
+    labels: NDArray[np.uint8], faces_projector: NDArray[np.bool_], faces_second: NDArray[np.bool_] | None = None
+) -> NDArray[np.uint8]:
+    """Pack labels, 0 to 32 or 255, and the masks of pixels that face the projectors into label bytes, uint8 [H, W]."""
+    joined = labels | (faces_projector.view(np.uint8) * np.uint8(FACING_BIT))
+    if faces_second is not None:
+        joined |= faces_second.view(np.uint8) * np.uint8(SECOND_FACING_BIT)
+    return joined
 
 
 def split_labels(stored: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Unpack label bytes into labels, 0 to 32 or 255, and the mask of pixels that face the projector."""
+    """Unpack label bytes into labels, 0 to 32 or 255, and the mask of pixels that face the projector.
+
+    The bit of a second projector stays in the labels (`take_second_facing`).
+    """
     facing: NDArray[np.bool_] = (stored & np.uint8(FACING_BIT)) != 0
     facing &= stored != BACKGROUND
     return stored ^ (facing.view(np.uint8) * np.uint8(FACING_BIT)), facing
+
+
+def take_second_facing(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Remove the bit of the second projector from labels of `split_labels`, in place; returns its mask, bool [H, W]."""
+    facing: NDArray[np.bool_] = labels >= SECOND_FACING_BIT
+    facing &= labels != BACKGROUND
+    labels ^= facing.view(np.uint8) * np.uint8(SECOND_FACING_BIT)
+    return facing
