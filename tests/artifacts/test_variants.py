@@ -126,7 +126,11 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
     camera = Camera(rows, columns, 30.0, (columns / 2, rows / 2), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
     aim = (draw(st.floats(-1, 1)), 0.0, draw(st.sampled_from([2.5, 0.4, -2.5])))
     projector = replace(camera, focal_px=28.0, position_m=(draw(st.floats(-1, 1)), 0.03, 0.1), aims_at_m=aim)
-    rig = Rig("random", 2.5, camera, projector).with_projector_scale(draw(st.integers(1, 3)))
+    second = None
+    if draw(st.booleans()):
+        second = replace(projector, rows=draw(st.integers(1, 20)), position_m=(draw(st.floats(-1, 1)), 0.2, 0.0))
+    rig = Rig("random", 2.5, camera, projector, second_projector=second)
+    rig = rig.with_projector_scale(draw(st.integers(1, 3)))
     draws = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
 
     def image(device: Camera) -> NDArray[np.uint16]:
@@ -138,10 +142,14 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
         made[draws.random(shape) < draws.choice([0.0, 0.1, 0.9, 1.0])] = 0
         return made.astype(np.uint16)
 
-    seen, projected = image(rig.camera), image(rig.projector)
+    seen, projected = image(rig.camera), np.concatenate([image(each) for each in rig.projectors])
     labels = np.where(seen > 0, draws.integers(0, 33, seen.shape), BACKGROUND).astype(np.uint8)
-    facing = (seen > 0) & (draws.random(seen.shape) < draws.choice([0.0, 0.8, 1.0]))
-    return rig, Sample(draw(keys), seen, projected, labels, facing, _info())
+    facing, *others = (
+        (seen > 0) & (draws.random(seen.shape) < draws.choice([0.0, 0.8, 1.0])) for _ in rig.projectors
+    )
+    return rig, Sample(
+        draw(keys), seen, projected, labels, facing, _info(), faces_second=others[0] if others else None
+    )
 
 
 @settings(deadline=None, max_examples=150)

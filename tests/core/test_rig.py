@@ -190,6 +190,52 @@ def test_a_broken_rig_file_is_refused_in_one_line(old: str, new: str, message: s
     assert "\n" not in str(caught.value)
 
 
+SECOND = PAPER[PAPER.index("[projector]") :].replace("[projector]", "[second_projector]").replace("[-0.75,", "[0.5,")
+"""The table of a second projector on the other side."""
+
+
+def test_a_rig_may_have_two_projectors() -> None:
+    one, two = load_rig(), parse_rig(PAPER + SECOND, "x")
+    assert two.second_projector == replace(one.projector, position_m=(0.5, 0.0, 0.0))
+    assert two.projectors == (one.projector, two.second_projector) and one.projectors == (one.projector,)
+    assert two.by_projector() == (one, replace(one, projector=two.projectors[1])) and one.by_projector() == (one,)
+    assert (one.projector_shape, two.projector_shape) == ((640, 329), (1280, 329))
+    assert two.with_projector_scale(2).projector_shape == (2560, 658)
+    assert "second_projector" not in one.to_json() and two.digest != one.digest
+    assert rig_from_json(json.loads(json.dumps(two.to_json()))) == two
+    assert two.baseline_m == one.baseline_m
+
+
+def test_the_digest_of_a_rig_with_one_projector_is_pinned() -> None:
+    assert load_rig().digest == "d4c3d90ac43890b0"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("columns = 329", "columns = 300", "rig x: the images of two projectors must have equally many columns, found"),
+        (
+            "rows = 640",
+            "rows = 7553",
+            "rig x: the images of two projectors must have at most 8192 rows together, found 8193",
+        ),
+        ("rows = 640", "rows = 0", r"rig x, \[second_projector\]: an image side .* found 0 x 329"),
+        ("[second_projector]", "[second_projector]\nfov = 3", r"rig x, \[second_projector\]: unknown 'fov'"),
+        ("[0.5, 0.0, 0.0]", "[0.5, 0.0, -70.0]", "0.5 m behind a body 2.5 m away, .*: found 1 mm, which reach 65.53 m"),
+    ],
+)
+def test_a_broken_second_projector_is_refused_in_one_line(old: str, new: str, message: str) -> None:
+    assert old in SECOND
+    with pytest.raises(BadConfig, match=message) as caught:
+        parse_rig(PAPER + SECOND.replace(old, new, 1), "x")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_second_projector_alone_is_no_rig() -> None:
+    with pytest.raises(BadConfig, match="rig x: table 'projector' is missing"):
+        parse_sensor(PAPER.replace("[projector]", "[second_projector]"), "x")
+
+
 CAMERA = """format = "bodyseg rig 1"
 name = "d1"
 [camera]

@@ -28,6 +28,9 @@ def test_a_good_sample_passes() -> None:
         (lambda s: replace(s, range=np.ones_like(s.range)), "labels must be 255 exactly where range is 0"),
         (lambda s: replace(s, labels=s.labels + np.uint8(33) * (s.range > 1)), "labels must be 0 to 32, found 38"),
         (lambda s: replace(s, faces_projector=s.range == 0), "background cannot face the projector"),
+        (lambda s: replace(s, faces_second=s.range == 0), "background cannot face the projector"),
+        (lambda s: replace(s, faces_second=s.range[:1] > 0), r"must have one shape, found .*\(1, 2\)$"),
+        (lambda s: replace(s, faces_second=s.labels), "faces_second must be a 2D image of bool, found uint8"),
     ],
 )
 def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message: str) -> None:

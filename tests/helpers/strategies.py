@@ -13,13 +13,13 @@ keys = st.text("abcXYZ019_-+", min_size=1, max_size=80)
 
 
 @st.composite
-def samples(draw: st.DrawFn) -> Sample:
-    """Valid samples of any size and content, empty and full frames among them."""
+def samples(draw: st.DrawFn, projectors: int = 1) -> Sample:
+    """Valid samples of any size and content, empty and full frames among them, of a rig with that many projectors."""
     shape = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
     projector = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
     ranges = draw(arrays.arrays(np.uint16, shape, elements=st.integers(0, 65535), fill=st.just(0)))
     labels = draw(arrays.arrays(np.uint8, shape, elements=st.integers(0, PART_COUNT - 1)))
-    facing = draw(arrays.arrays(np.bool_, shape))
+    facing, *second = (draw(arrays.arrays(np.bool_, shape)) & (ranges > 0) for _ in range(projectors))
     info = SampleInfo(
         source="open",
         subset=draw(st.sampled_from(["A", "people"])),
@@ -35,15 +35,19 @@ def samples(draw: st.DrawFn) -> Sample:
         range=ranges,
         projector_range=draw(arrays.arrays(np.uint16, projector, elements=st.integers(0, 65535), fill=st.just(0))),
         labels=np.where(ranges == 0, BACKGROUND, labels).astype(np.uint8),
-        faces_projector=facing & (ranges > 0),
+        faces_projector=facing,
         info=info,
+        faces_second=second[0] if second else None,
     )
 
 
 def same(a: Sample, b: Sample) -> bool:
     """Whether two samples agree in every bit and type."""
-    fields = ("range", "projector_range", "labels", "faces_projector")
-    return (a.key, a.info) == (b.key, b.info) and all(
+    fields: tuple[str, ...] = ("range", "projector_range", "labels", "faces_projector")
+    if a.faces_second is not None and b.faces_second is not None:
+        fields += ("faces_second",)
+    same_kind = (a.faces_second is None) == (b.faces_second is None)
+    return same_kind and (a.key, a.info) == (b.key, b.info) and all(
         getattr(a, field).dtype == getattr(b, field).dtype and np.array_equal(getattr(a, field), getattr(b, field))
         for field in fields
     )

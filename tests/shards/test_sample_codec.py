@@ -24,7 +24,7 @@ from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels
+from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels, take_second_facing
 from bodyseg_data.shards.codecs.png import decode_png, encode_png, read_chunks, read_header
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
@@ -82,6 +82,41 @@ def test_any_sample_survives(sample: Sample, codec: CodecName) -> None:
     for choice in KERNELS:
         with computed_by(choice):
             assert same(decode_sample(sample.key, members), sample)
+
+
+@given(sample=samples(projectors=2), codec=st.sampled_from(list(CODECS)), into=st.booleans(), projector=st.booleans())
+def test_any_sample_of_two_projectors_survives(sample: Sample, codec: CodecName, into: bool, projector: bool) -> None:
+    sample.check()
+    members = encode_sample(sample, codec)
+    for choice in KERNELS:
+        out = (np.full(sample.range.shape, 3, np.uint16), np.full(sample.range.shape, 5, np.uint8)) if into else None
+        with computed_by(choice):
+            decoded = decode_sample(sample.key, members, projector, out, projectors=2)
+        for field in ("range", "labels", "faces_projector", "faces_second"):
+            assert np.array_equal(getattr(decoded, field), getattr(sample, field))
+        assert decoded.info == sample.info
+        assert decoded.projector_range is None or same(decoded, sample)
+        assert (decoded.projector_range is not None) == projector
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_second_facing_bit_is_refused_where_there_is_one_projector(codec: CodecName) -> None:
+    sample = ramp_sample()
+    stored = encode_sample(replace(sample, faces_second=sample.range > 0), codec)
+    with pytest.raises(BadSample, match="labels must be 0 to 32, found 160"):
+        decode_sample(sample.key, stored).check()
+
+
+def test_every_label_byte_is_one_label_and_two_bits() -> None:
+    labels = np.arange(34, dtype=np.uint8).repeat(4).reshape(34, 4)
+    labels[33] = 255
+    first = np.tile([False, True, False, True], (34, 1)) & (labels != 255)
+    second = np.tile([False, False, True, True], (34, 1)) & (labels != 255)
+    joined = join_labels(labels, first, second)
+    assert len(np.unique(joined)) == 33 * 4 + 1 and (joined[:33] != 255).all() and (joined[33] == 255).all()
+    with_bit, facing = split_labels(joined)
+    assert np.array_equal(take_second_facing(with_bit), second)
+    assert np.array_equal(with_bit, labels) and np.array_equal(facing, first)
 
 
 @pytest.mark.parametrize("codec", CODECS)
