@@ -144,12 +144,8 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
 
     seen, projected = image(rig.camera), np.concatenate([image(each) for each in rig.projectors])
     labels = np.where(seen > 0, draws.integers(0, 33, seen.shape), BACKGROUND).astype(np.uint8)
-    facing, *others = (
-        (seen > 0) & (draws.random(seen.shape) < draws.choice([0.0, 0.8, 1.0])) for _ in rig.projectors
-    )
-    return rig, Sample(
-        draw(keys), seen, projected, labels, facing, _info(), faces_second=others[0] if others else None
-    )
+    facing, *others = ((seen > 0) & (draws.random(seen.shape) < draws.choice([0.0, 0.8, 1.0])) for _ in rig.projectors)
+    return rig, Sample(draw(keys), seen, projected, labels, facing, _info(), faces_second=others[0] if others else None)
 
 
 @settings(deadline=None, max_examples=150)

@@ -47,7 +47,11 @@ def same(a: Sample, b: Sample) -> bool:
     if a.faces_second is not None and b.faces_second is not None:
         fields += ("faces_second",)
     same_kind = (a.faces_second is None) == (b.faces_second is None)
-    return same_kind and (a.key, a.info) == (b.key, b.info) and all(
-        getattr(a, field).dtype == getattr(b, field).dtype and np.array_equal(getattr(a, field), getattr(b, field))
-        for field in fields
+    return (
+        same_kind
+        and (a.key, a.info) == (b.key, b.info)
+        and all(
+            getattr(a, field).dtype == getattr(b, field).dtype and np.array_equal(getattr(a, field), getattr(b, field))
+            for field in fields
+        )
     )

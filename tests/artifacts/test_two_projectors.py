@@ -1,0 +1,94 @@
+"""Shadow of rigs with two projectors: where neither lights, against exact rays and whole projector images."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benches.data.occlusion.views import exact_view
+from shapes import figure
+
+from bodyseg_data.artifacts.occlusion import ShadowTest, lit_pixels
+from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.sample import Sample
+from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.borders import find_borders
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.rendering.embree import EmbreeRenderer
+
+REF = BodyRef("A", "A", "figure", "standing", "train")
+
+
+def two_projectors() -> Rig:
+    """The paper's rig with another projector nearer the camera, higher, and with fewer rows."""
+    rig = load_rig()
+    second = replace(rig.projector, rows=560, centre_px=(164.5, 280.0), position_m=(-0.5, -0.3, 0.0))
+    return replace(rig, second_projector=second)
+
+
+RIG = two_projectors()
+
+
+def sample_of(mesh: Mesh, renderer: EmbreeRenderer, view: View, rig: Rig = RIG) -> Sample:
+    nowhere, labels = np.full(len(mesh.vertices), np.inf), np.zeros(len(mesh.vertices), np.uint8)
+    parts = Partition(labels, nowhere, find_borders(mesh, labels, nowhere))
+    return Sampler(renderer, rig, mesh, parts, "open", REF).take(view)
+
+
+def test_a_pixel_is_in_shadow_where_neither_projector_lights_it() -> None:
+    mesh = figure()
+    renderer, body = EmbreeRenderer(mesh), Body(mesh, np.zeros(0, np.int64))
+    wrong = pixels = dark = rescued = 0
+    for azimuth in (0, 40, 130, 200, 290):
+        sample = sample_of(mesh, renderer, View(255, azimuth))
+        lit = lit_pixels(RIG, sample)
+        exact = [exact_view(each, renderer, body, REF, View(255, azimuth), scales=(1,)) for each in RIG.by_projector()]
+        whole = [ShadowTest(rig).lit(*view.images(1)) for rig, view in zip(RIG.by_projector(), exact, strict=True)]
+        assert np.array_equal(lit, whole[0] | whole[1]), "the stored images give the answers of the whole ones"
+        inside = exact[0].inside | exact[1].inside
+        truth = exact[0].lit | exact[1].lit
+        wrong += int(((lit != truth) & inside).sum())
+        pixels += int(inside.sum())
+        dark += int((~truth & inside).sum())
+        rescued += int((truth & ~exact[0].lit & inside).sum())
+    assert pixels > 100_000 and dark > 200 and rescued > 1000
+    assert wrong / pixels < 0.005
+
+
+def test_the_first_projectors_share_is_that_of_a_rig_with_it_alone() -> None:
+    mesh = figure()
+    renderer = EmbreeRenderer(mesh)
+    for number, single in enumerate(RIG.by_projector()):
+        both, alone = (sample_of(mesh, renderer, View(215, 20), rig) for rig in (RIG, single))
+        assert np.array_equal(both.range, alone.range) and np.array_equal(both.labels, alone.labels)
+        rows = slice(0, 640) if number == 0 else slice(640, 1200)
+        assert np.array_equal(both.occluder_range()[rows], alone.occluder_range())
+        assert np.array_equal((both.faces_projector, both.faces_second)[number], alone.faces_projector)
+        assert alone.faces_second is None and both.occluder_range().shape == RIG.projector_shape == (1200, 329)
+
+
+def test_a_sample_that_lacks_what_the_second_projector_sees_is_refused() -> None:
+    mesh = figure()
+    both = sample_of(mesh, EmbreeRenderer(mesh), View(215, 20))
+    augmentation = Augmentation(RIG, "occ")
+    message = r"a rig of two projectors needs a projector range \(1200, 329\) and a second facing bit, found "
+    with pytest.raises(BadSample, match=message + r"\(1200, 329\) without that bit"):
+        augmentation(replace(both, faces_second=None))
+    for rows in (slice(640), slice(1199)):
+        short = replace(both, projector_range=both.occluder_range()[rows])
+        with pytest.raises(BadSample, match=message + rf"\({rows.stop}, 329\) with that bit"):
+            augmentation(short)
+    with pytest.raises(BadSample, match="the projector's range is needed"):
+        augmentation(replace(both, projector_range=None))
+    with pytest.raises(BadSample, match=r"the projector range must be uint16 \(640, 329\) for this rig's shadow test"):
+        Augmentation(load_rig(), "occ")(both)
+    second = both.faces_second
+    assert second is not None
+    with pytest.raises(BadSample, match=r"the facing bit must be bool \(640, 329\)"):
+        augmentation(replace(both, faces_second=second[1:]))

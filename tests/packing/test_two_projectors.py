@@ -1,0 +1,135 @@
+"""Sets of a rig with two projectors: packed, verified, streamed and inspected, with both codecs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodyseg_data.artifacts import variants
+from bodyseg_data.artifacts.occlusion import lit_pixels
+from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.commands import cli
+from bodyseg_data.core.errors import BadShard
+from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.loader import loader
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.shards.codecs import CODECS, CodecName
+from bodyseg_data.shards.manifest import Manifest, read_manifest, write_manifest
+from bodyseg_data.shards.tar import ShardReader, find_faults
+
+VIEWS = ViewGrid(span_deg=360, count=3)
+
+
+def two_projectors() -> Rig:
+    rig = load_rig()
+    return replace(rig, second_projector=replace(rig.projector, rows=600, position_m=(-0.5, -0.3, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> dict[CodecName, Path]:
+    """The same views of two figures in each codec."""
+    folder = tmp_path_factory.mktemp("two")
+    return {
+        codec: pack_figures(folder / codec, meshes=2, views=VIEWS, rig=two_projectors(), codec=codec)
+        for codec in CODECS
+    }
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_set_is_whole_and_keeps_both_projectors(codec: CodecName, sets: dict[CodecName, Path]) -> None:
+    assert cli.main(["verify", str(sets[codec])]) == 0
+    images = RangeImages(sets[codec], "none")
+    assert images.manifest.rig == two_projectors()
+    for index in range(len(images)):
+        sample = images.clean(index)
+        sample.check()
+        assert sample.occluder_range().shape == (1240, 329)
+        assert sample.faces_second is not None and sample.faces_second.any()
+        assert sample.occluder_range()[640:].any()
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_variant_has_the_same_bits_from_both_codecs_and_in_both_forms(
+    name: VariantName, sets: dict[CodecName, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = (RangeImages(sets[codec], name) for codec in CODECS)
+    streamed = {}
+    for images in (first, second):
+        for batch in loader(images, 2, 0, metres=False):
+            for key, steps, labels in zip(batch["key"], batch["range"], batch["labels"], strict=True):
+                streamed.setdefault(key, []).append((steps.numpy().copy().squeeze(), labels.numpy().copy()))
+    assert sorted(streamed) == sorted(first.keys)
+    monkeypatch.setattr(variants, "use_compiled", lambda: False)
+    shadowed = 0
+    for index, key in enumerate(first.keys):
+        sample, plain = first.clean(index), first.image(index)
+        for steps, labels in streamed[key]:
+            assert np.array_equal(steps.view(np.uint16), plain.range) and np.array_equal(labels, plain.labels)
+        lit = lit_pixels(first.manifest.rig, sample)
+        if "occlusion" in VARIANTS[name]:
+            assert not plain.range[~lit].any()
+        elif name in ("none", "noise"):
+            shadowed += int((plain.range[~lit] > 0).sum())
+    assert shadowed > 1000 or name not in ("none", "noise")
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_inspect_draws_and_counts_a_set(
+    codec: CodecName,
+    sets: dict[CodecName, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["inspect", str(sets[codec]), "--variant", "occ", "--json", "--out", f"{tmp_path}/sheet.png"]) == 0
+    both = json.loads(capsys.readouterr().out)
+    assert both["rig"] == "paper" and 0.5 < both["kept"] < 1
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+def test_more_is_lit_than_by_one_projector_whose_set_is_the_same_else(
+    sets: dict[CodecName, Path], tmp_path: Path, pack_figures: Callable[..., Path]
+) -> None:
+    two, one = RangeImages(sets["bsi"], "occ"), RangeImages(pack_figures(tmp_path, meshes=2, views=VIEWS), "occ")
+    assert two.keys == one.keys
+    more = 0
+    for index in range(len(two)):
+        a, b = two.clean(index), one.clean(index)
+        assert b.faces_second is None
+        assert np.array_equal(a.range, b.range) and np.array_equal(a.labels, b.labels)
+        assert np.array_equal(a.faces_projector, b.faces_projector)
+        assert np.array_equal(a.occluder_range()[:640], b.occluder_range())
+        kept, kept_by_one = two.image(index).range > 0, one.image(index).range > 0
+        assert not (kept_by_one & ~kept).any()
+        more += int((kept & ~kept_by_one).sum())
+    assert more > 1000
+
+
+def claimed(folder: Path, rig: Rig, to: Path) -> Manifest:
+    """The manifest of a copy of a set that claims another rig."""
+    shutil.copytree(folder, to)
+    write_manifest(replace(read_manifest(folder), rig=rig), to)
+    return read_manifest(to)
+
+
+def test_a_set_that_claims_another_number_of_projectors_is_refused(
+    sets: dict[CodecName, Path], tmp_path: Path, pack_figures: Callable[..., Path]
+) -> None:
+    fewer = claimed(sets["bsi"], load_rig(), tmp_path / "fewer")
+    size = r"projector_range must be {} x 329 as in the rig, found \({}, 329\)"
+    with pytest.raises(BadShard, match=size.format(640, 1240)):
+        ShardReader(tmp_path / "fewer", fewer).read(0, 0)
+    faults = [fault.problem for shard in fewer.shards for fault in find_faults(tmp_path / "fewer", fewer, shard)]
+    assert len(faults) == 6 and all(fault.startswith("labels must be 0 to 32, found 1") for fault in faults)
+    single = pack_figures(tmp_path / "single", meshes=2, views=VIEWS)
+    more = claimed(single, two_projectors(), tmp_path / "more")
+    with pytest.raises(BadShard, match=size.format(1240, 640)):
+        ShardReader(tmp_path / "more", more).read(0, 0)
+    problems = [fault.problem for shard in more.shards for fault in find_faults(tmp_path / "more", more, shard)]
+    assert problems == ["projector_range must be 1240 x 329 as in the rig, found (640, 329)"] * 6
