@@ -200,18 +200,18 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
             noisy, sigma_mm, noise = True, image.drawn["sigma_mm"], draws.stream("noise")
         else:
             rate, missing = image.drawn["missing_rate"], draws.stream("missing data")
-    second = second_scratch = None
     if occluded:
         views = projector_views(scene.rig, sample)
-        shadow, *others = (shadow_of(view.test, sample.range, *view[1:]) for view in views)
+        shadows = [shadow_of(view.test, sample.range, *view[1:]) for view in views]
     else:
-        others = []
-        shadow = _NO_SHADOW._replace(camera_range=constant(sample.range), width=sample.range.shape[1])
+        shadows = [_NO_SHADOW._replace(camera_range=constant(sample.range), width=sample.range.shape[1])]
+    shadow = shadows[0]
     sigma = steps_of(sigma_mm, scene.step_m)
     strengths = Strengths(noise[0], noise[1], sigma, missing[0], missing[1], np.uint32(threshold(rate)))
     scratch = scratch_for(sample.range.size, shadow.rows, shadow.columns)
-    if others:
-        second = others[0]
+    second = second_scratch = None
+    if len(shadows) == 2:
+        second = shadows[1]
         second_scratch = second_scratch_for(scratch, second.rows, second.columns)
     runs = -1
     if occupancy is not None and occupancy.edges is not None:

@@ -185,10 +185,10 @@ def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
 
     Raises BadSample for a sample without what two projectors see, or without any projector's range.
     """
-    tests, image = shadow_tests(rig), sample.occluder_range()
+    image = sample.occluder_range()
     texels = None if sample.occupancy is None else sample.occupancy.texels
-    if len(tests) == 1:
-        return [ProjectorView(tests[0], image, sample.faces_projector, texels)]
+    if rig.second_projector is None:
+        return [ProjectorView(shadow_test(rig), image, sample.faces_projector, texels)]
     if sample.faces_second is None or image.shape != rig.projector_shape:
         mask = "without" if sample.faces_second is None else "with"
         raise BadSample(
@@ -201,6 +201,7 @@ def projector_views(rig: Rig, sample: Sample) -> list[ProjectorView]:
         start = rows * rig.projector.columns
         first, second = np.split(texels, [np.searchsorted(texels, start)])
         second = second - np.int32(start)
+    tests = shadow_tests(rig)
     return [
         ProjectorView(tests[0], image[:rows], sample.faces_projector, first),
         ProjectorView(tests[1], image[rows:], sample.faces_second, second),

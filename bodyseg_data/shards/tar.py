@@ -147,7 +147,8 @@ class ShardReader:
     """
 
     def __init__(self, where: Path | Store, manifest: Manifest) -> None:
-        self._store, self._manifest, self._rig = store_at(where), manifest, manifest.rig
+        self._store, self._manifest = store_at(where), manifest
+        self._sizes, self._projectors = _sizes(manifest.rig), len(manifest.rig.projectors)
 
     def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
         """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
@@ -170,9 +171,8 @@ class ShardReader:
                     raise
         key = record.keys[index]
         try:
-            projectors = len(self._rig.projectors)
-            sample = decode_sample(key, parse_members(key, data), projector, out, projectors)
-            _check_sizes(sample, self._rig)
+            sample = decode_sample(key, parse_members(key, data), projector, out, self._projectors)
+            _check_sizes(sample, *self._sizes)
         except BadSample as error:
             raise BadShard(f"{sample_location(record, index)}: {error}") from error
         return sample
@@ -275,18 +275,21 @@ def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes
     sample.check()
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    _check_sizes(sample, manifest.rig)
+    _check_sizes(sample, *_sizes(manifest.rig))
 
 
-def _check_sizes(sample: Sample, rig: Rig) -> None:
+def _sizes(rig: Rig) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Rows and columns of the camera's images and of the projectors' range."""
+    return (rig.camera.rows, rig.camera.columns), rig.projector_shape
+
+
+def _check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
     """Raise BadSample unless the images have the rows and columns of the rig's camera and projectors."""
-    camera = rig.camera.rows, rig.camera.columns
     for field, image, size in (
         ("range", sample.range, camera),
         ("labels", sample.labels, camera),
         ("faces_projector", sample.faces_projector, camera),
-        ("faces_second", sample.faces_second, camera),
-        ("projector_range", sample.projector_range, rig.projector_shape),
+        ("projector_range", sample.projector_range, projector),
     ):
         if image is not None and image.shape != size:
             raise BadSample(f"{sample.key}: {field} must be {size[0]} x {size[1]} as in the rig, found {image.shape}")

@@ -40,7 +40,6 @@ def split_labels(stored: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[
 
 def take_second_facing(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Remove the bit of the second projector from labels of `split_labels`, in place; returns its mask, bool [H, W]."""
-    facing: NDArray[np.bool_] = labels >= SECOND_FACING_BIT
-    facing &= labels != BACKGROUND
-    labels ^= facing.view(np.uint8) * np.uint8(SECOND_FACING_BIT)
+    facing: NDArray[np.bool_] = labels.view(np.int8) < np.int8(-1)  # from 128 to 254: background is -1
+    labels -= facing.view(np.uint8) * np.uint8(SECOND_FACING_BIT)
     return facing
