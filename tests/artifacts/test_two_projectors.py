@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benches.data.occlusion.views import exact_view
+from benches.data.occlusion.views import exact_view, postures
 from shapes import figure
 
 from bodyseg_data.artifacts.occlusion import ShadowTest, lit_pixels
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import Sample
@@ -61,7 +62,22 @@ def test_a_pixel_is_in_shadow_where_neither_projector_lights_it() -> None:
     assert wrong / pixels < 0.005
 
 
-def test_the_first_projectors_share_is_that_of_a_rig_with_it_alone() -> None:
+def test_ten_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> None:
+    source, wrong, pixels, dark = open_source("open"), 0, 0, 0
+    for number, ref in enumerate(postures()):
+        body, view = source.build(ref), View((215, 255, 295)[number % 3], 36 * number)
+        renderer = EmbreeRenderer(body.mesh)
+        exact = [exact_view(each, renderer, body, ref, view, scales=(1,)) for each in RIG.by_projector()]
+        inside, truth = exact[0].inside | exact[1].inside, exact[0].lit | exact[1].lit
+        lit = lit_pixels(RIG, sample_of(body.mesh, renderer, view))
+        wrong += int(((lit != truth) & inside).sum())
+        pixels += int(inside.sum())
+        dark += int((~truth & inside).sum())
+    assert pixels > 300_000 and dark > 0.01 * pixels
+    assert wrong / pixels < 0.005
+
+
+def test_each_projectors_share_is_that_of_a_rig_with_it_alone() -> None:
     mesh = figure()
     renderer = EmbreeRenderer(mesh)
     for number, single in enumerate(RIG.by_projector()):
