@@ -1,0 +1,280 @@
+"""Noise of range against range and incidence: variances in bins, and the simplest formula that explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
+from bodyseg_model.sensor_fit.least_squares import Fit, fit_positive
+from bodyseg_model.sensor_fit.noise_samples import Residuals
+from bodyseg_model.sensor_fit.rounding import Steps
+
+FROM_M: Final = 0.4
+"""Range at which the quadratic term begins (Nguyen, Izadi and Lovell, 2012)."""
+
+LEAST_RESIDUALS: Final = 2000
+LEAST_MM: Final = 0.3
+"""Least noise that is told from the relief of a surface, millimetres."""
+
+NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
+
+_INCIDENCES_DEG: Final = (0, 15, 25, 35, 45, 52, 58, 64, 69, 74, 78, 82)
+_RANGES: Final = 6
+_FEWEST_IN_BIN: Final = 200
+_MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
+_ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
+_WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
+_VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
+_TOLD: Final = 0.5  # largest relative error of a strength that is written
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseBins:
+    """Variances, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m, slope_mm
+    (millimetres a pixel), ratio = incidence / (pi / 2 - incidence), its square and fourth power; count: residuals.
+    """
+
+    variance_mm2: Floats
+    error_mm2: Floats
+    range_m: Floats
+    slope2_mm2: Floats
+    ratio: Floats
+    ratio2: Floats
+    count: NDArray[np.int64]
+
+
+def measure_noise(residuals: Sequence[Residuals], steps: Steps, baseline_px_m: float | None) -> list[Finding]:
+    """Findings of "noise", "axial_noise", "stereo_noise" and "lateral_noise".
+
+    baseline_px_m: focal length times baseline, pixels x metres, where it is known, for the subpixel of stereo noise.
+    """
+    count = sum(len(each.residual_m) for each in residuals)
+    if count < LEAST_RESIDUALS:
+        reason = f"{count} residuals are too few, {LEAST_RESIDUALS} are needed"
+        return [Finding(name, UNKNOWN, reason) for name in NAMES]
+    bins = bin_noise(residuals, steps)
+    if not len(bins.count):
+        return [Finding(name, UNKNOWN, "no range has enough pixels of one incidence") for name in NAMES]
+    weight = bins.count / bins.count.sum()
+    typical = float(np.sqrt(max((weight * bins.variance_mm2).sum(), 0.0)))
+    step = float((weight * steps.at(bins.range_m)).sum()) * 1000
+    seen = (bins.variance_mm2 > 3 * bins.error_mm2) & (bins.variance_mm2 > LEAST_MM**2)
+    if (bins.count * seen).sum() < LEAST_RESIDUALS // 2:
+        return _none_seen(typical, step, bins)
+    varying = _varying(residuals, steps)
+    if varying is not None:
+        return varying
+    return _chosen(bins, residuals, baseline_px_m)
+
+
+def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
+    """Variances by range and incidence, outliers beyond 4.5 deviations clipped, less the variance of rounding."""
+    rows: list[tuple[float, ...]] = []
+    for kind in ("temporal", "spatial"):
+        chosen = [each for each in residuals if each.kind == kind]
+        if not chosen:
+            continue
+        value, z, slope, angle = (
+            np.concatenate([getattr(each, name) for each in chosen])
+            for name in ("residual_m", "range_m", "slope_m", "incidence_rad")
+        )
+        edges = np.unique(np.quantile(z, np.linspace(0, 1, _RANGES + 1)))
+        by_range = np.clip(np.searchsorted(edges, z, "right") - 1, 0, max(len(edges) - 2, 0))
+        by_angle = np.digitize(np.degrees(angle), _INCIDENCES_DEG) - 1
+        order = np.argsort(by_range * 100 + by_angle, kind="stable")
+        groups = np.split(order, np.flatnonzero(np.diff((by_range * 100 + by_angle)[order])) + 1)
+        for group in groups:
+            if len(group) < _FEWEST_IN_BIN or by_angle[group[0]] >= len(_INCIDENCES_DEG) - 1:
+                continue
+            step = float(np.mean(steps.at(z[group])))
+            measured = _clipped_variance(value[group], step)
+            variance = unrounded(measured, step, kind == "temporal")
+            ratio = angle[group] / (np.pi / 2 - angle[group])
+            error = np.hypot(measured * np.sqrt(3 / len(group)), _MODEL_ERROR * measured)
+            error += _ROUNDING_ERROR * step**2 / 12
+            rows.append(
+                (variance * 1e6, error * 1e6, float(z[group].mean()), float((slope[group] ** 2).mean()) * 1e6)
+                + (float(ratio.mean()), float((ratio**2).mean()), len(group))
+            )
+    table = np.array(rows).reshape(-1, 7).T
+    return NoiseBins(*table[:6], table[6].astype(np.int64))
+
+
+def unrounded(variance: float, step: float, temporal: bool) -> float:
+    """The variance of noise before values were rounded to a step, in the same unit; at least 0.
+
+    variance: of one frame's residuals, or half the mean square of two frames' differences (temporal). Two roundings of
+    one true value are often equal, so the latter falls below the noise where the step is coarse.
+    """
+    if not temporal or variance > step**2:
+        return max(variance - step**2 / 12, 0.0) if not temporal else max(variance - step**2 / 6 / 2, 0.0)
+    low, high = 0.0, 2 * step
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _rounded_variance(middle / step) * step**2 < variance else (low, middle)
+    return low**2
+
+
+def _rounded_variance(sigma: float) -> float:
+    """Half the mean square difference of two noisy values of one truth, rounded to whole numbers; even phases."""
+    if sigma <= 0:
+        return 0.0
+    size = np.linspace(0, 8, 1601) * sigma * np.sqrt(2)
+    density = np.exp(-0.5 * np.linspace(0, 8, 1601) ** 2)
+    whole, part = np.floor(size), size % 1
+    square = whole**2 * (1 - part) + (whole + 1) ** 2 * part
+    return float((density * square).sum() / density.sum() / 2)
+
+
+def _clipped_variance(values: Floats, step: float) -> float:
+    limit = 4.5 * max(1.4826 * float(np.median(np.abs(values))), step / 3)
+    for _ in range(4):
+        kept = values[np.abs(values) <= limit]
+        sigma = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+        limit = 4.5 * max(sigma, step / 3)
+    return sigma**2
+
+
+def _none_seen(typical: float, step: float, bins: NoiseBins) -> list[Finding]:
+    nearest, farthest = bins.range_m.min(), bins.range_m.max()
+    most = max(float(np.sqrt(np.median(bins.error_mm2)) * 2), LEAST_MM)
+    coarse = step / np.sqrt(12) > LEAST_MM
+    if coarse and typical > LEAST_MM:
+        verdict, reason = UNKNOWN, f"noise of at most {max(most, typical):.2g} mm is hidden by steps of {step:.2g} mm"
+    else:
+        verdict = NOT_SEEN
+        reason = f"less than {most:.2g} mm from {nearest:.2f} to {farthest:.2f} m"
+    return [Finding(name, verdict, reason, {"sigma_mm": Estimate(typical)}) for name in NAMES]
+
+
+def _varying(residuals: Sequence[Residuals], steps: Steps) -> list[Finding] | None:
+    """Findings where each frame has a noise of its own, or None."""
+    chosen = [each for each in residuals if each.body]
+    if len(chosen) < 4:
+        return None
+    sigmas = []
+    for each in chosen:
+        step = float(np.mean(steps.at(each.range_m)))
+        variance = _clipped_variance(each.residual_m, step)
+        sigmas.append(1000 * np.sqrt(unrounded(variance, step, each.kind == "temporal")))
+    spread, mean = float(np.std(sigmas, ddof=1)), float(np.mean(sigmas))
+    # Ranges differ between the frames of a moving body, and noise with them.
+    ranges = np.array([np.median(each.range_m) for each in chosen])
+    if spread < _VARYING * mean + 2 * mean * float(np.ptp(ranges) / ranges.mean()):
+        return None
+    if chosen[0].kind == "temporal":  # each difference mixes the variances of two frames
+        spread *= np.sqrt(2)
+    low, high = max(mean - np.sqrt(3) * spread, 0.0), mean + np.sqrt(3) * spread
+    error = spread / np.sqrt(len(sigmas))
+    estimates = {"low_mm": Estimate(low, 2 * error), "high_mm": Estimate(high, 2 * error)}
+    reason = f"each frame has its own deviation, {mean:.3g} mm in the mean and {spread:.2g} mm apart"
+    strengths = {"low_mm": rounded(low), "high_mm": rounded(high)}
+    rest = [Finding(name, UNKNOWN, "the frames' deviations differ by themselves") for name in NAMES[1:]]
+    return [Finding("noise", NEEDED, reason, estimates, strengths), *rest]
+
+
+_BASES: Final[dict[str, tuple[str, ...]]] = {
+    "noise": ("sigma_mm",),
+    "stereo_noise": ("per_m2_mm",),
+    "axial_noise": ("constant_mm", "quadratic_mm"),
+}
+
+
+def _chosen(bins: NoiseBins, residuals: Sequence[Residuals], baseline_px_m: float | None) -> list[Finding]:
+    """The formula with the least chi squared plus a price for each parameter."""
+    best: tuple[float, str, Fit] | None = None
+    for base, names in _BASES.items():
+        for grazing in ((), ("grazing_mm",)):
+            for lateral in ((), ("constant_px",), ("constant_px", "grazing_px")):
+                if base == "stereo_noise" and grazing:
+                    continue  # that formula has no such term
+                parameters = (*names, *grazing, *lateral)
+                fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
+                price = fit.chi2 + _WORTH * len(parameters)
+                if best is None or price < best[0]:
+                    best = price, base, fit
+    assert_found = best
+    if assert_found is None:
+        raise RuntimeError("no formula was tried")
+    _, base, fit = assert_found
+    return _findings(base, fit, bins, residuals, baseline_px_m)
+
+
+def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
+    z = bins.range_m
+
+    def variance(strengths: dict[str, float]) -> Floats:
+        if base == "noise":
+            axial = np.full(z.shape, strengths["sigma_mm"])
+        elif base == "stereo_noise":
+            axial = strengths["per_m2_mm"] * z**2
+        else:
+            axial = strengths["constant_mm"] + strengths["quadratic_mm"] * (z - FROM_M) ** 2
+        axial = axial + strengths.get("grazing_mm", 0.0) * bins.ratio2 / np.sqrt(z)
+        lateral = strengths.get("constant_px", 0.0) + strengths.get("grazing_px", 0.0) * bins.ratio
+        total: Floats = axial**2 + bins.slope2_mm2 * lateral**2
+        return total
+
+    return variance
+
+
+def _findings(
+    base: str, fit: Fit, bins: NoiseBins, residuals: Sequence[Residuals], baseline_px_m: float | None
+) -> list[Finding]:
+    found = {name: Estimate(value, error) for name, (value, error) in fit.parameters.items()}
+    kinds = " and ".join(sorted({each.kind for each in residuals}))
+    nearest, farthest = bins.range_m.min(), bins.range_m.max()
+    where = f"{kinds} residuals from {nearest:.2f} to {farthest:.2f} m"
+    axial = {name: value for name, value in found.items() if not name.endswith("_px")}
+    lateral = {name: value for name, value in found.items() if name.endswith("_px")}
+    seen = "; ".join(f"{name} {value}" for name, value in axial.items())
+    findings = {name: Finding(name, NOT_SEEN, f"{base} explains the {where}") for name in NAMES}
+    if farthest < 1.15 * nearest and base != "axial_noise":
+        narrow = "ranges differ too little to show how noise grows with range"
+        findings |= {name: Finding(name, UNKNOWN, narrow) for name in ("axial_noise", "stereo_noise")}
+    largest = float(np.sqrt(np.median(_model(base, bins)({name: value.value for name, value in axial.items()}))))
+    if largest >= LEAST_MM:
+        name, strengths = _strengths(base, axial, baseline_px_m)
+        findings[name] = Finding(name, NEEDED, f"{seen} ({where})", axial, strengths)
+    if lateral:
+        strengths = {name: rounded(value.value) for name, value in lateral.items()}
+        reason = "; ".join(f"{name} {value}" for name, value in lateral.items())
+        relative = lateral["constant_px"].error / max(lateral["constant_px"].value, 1e-9)
+        told = relative < _TOLD or "grazing_px" in lateral
+        strengths = {"constant_px": 0.0, "grazing_px": 0.0} | strengths
+        reason += " of jitter: noise grows with the slope of the surface"
+        findings["lateral_noise"] = Finding(
+            "lateral_noise", NEEDED if told else UNKNOWN, reason, lateral, strengths if told else {}
+        )
+    else:
+        findings["lateral_noise"] = Finding("lateral_noise", NOT_SEEN, "noise does not grow with slope")
+    return list(findings.values())
+
+
+def _strengths(base: str, axial: dict[str, Estimate], baseline_px_m: float | None) -> tuple[str, dict[str, float]]:
+    """The artifact that a formula is written as, and its strengths.
+
+    Noise of one deviation that also grows with incidence is axial noise without growth; stereo noise without a known
+    baseline is written for 1 pixel metre, as only subpixel over focal length and baseline shows.
+    """
+    values = {name: rounded(estimate.value, 4) for name, estimate in axial.items()}
+    if base == "noise" and "grazing_mm" not in axial:
+        return "noise", {"low_mm": values["sigma_mm"], "high_mm": values["sigma_mm"]}
+    if base == "stereo_noise":
+        product = baseline_px_m or 1.0
+        per_m = axial["per_m2_mm"].value / 1000
+        return "stereo_noise", {"subpixel_px": rounded(per_m * product, 4)}
+    constant = values.get("constant_mm", values.get("sigma_mm", 0.0))
+    return "axial_noise", {
+        "constant_mm": constant,
+        "quadratic_mm": values.get("quadratic_mm", 0.0),
+        "from_m": FROM_M,
+        "grazing_mm": values.get("grazing_mm", 0.0),
+    }
