@@ -158,7 +158,8 @@ CASES: dict[str, Case] = {
     "use an unknown rig": (
         lambda: load_rig("none"),
         BadConfig,
-        "no rig is called 'none': give one of kinect_v1, kinect_v2, paper or the path of a .toml file",
+        "no rig is called 'none': give one of azure_kinect, kinect_v1, kinect_v2, orbbec_astra, orbbec_femto, paper, "
+        "realsense_d435, realsense_d455 or the path of a .toml file",
     ),
     "read a rig that is not there": (
         lambda: load_rig(Path("none.toml")),

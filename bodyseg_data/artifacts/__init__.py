@@ -12,9 +12,16 @@ from typing import Any, Final, get_args
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind
 from bodyseg_data.artifacts.losses import Losses
+from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
+from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
+from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
+from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
+from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
+from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
 from bodyseg_data.core.errors import BadConfig
 
 ARTIFACTS: Final[dict[str, type[Artifact]]] = {
@@ -22,6 +29,16 @@ ARTIFACTS: Final[dict[str, type[Artifact]]] = {
     "noise": Noise,
     "missing_data": MissingData,
     "losses": Losses,
+    "axial_noise": AxialNoise,
+    "lateral_noise": LateralNoise,
+    "stereo_noise": StereoNoise,
+    "disparity_rounding": DisparityRounding,
+    "range_rounding": RangeRounding,
+    "mixed_pixels": MixedPixels,
+    "patch_loss": PatchLoss,
+    "stripe_loss": StripeLoss,
+    "grazing_loss": GrazingLoss,
+    "edge_loss": EdgeLoss,
 }
 """Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.surface import Box, box_of, slants
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Camera
@@ -27,10 +28,6 @@ LONGEST: Final = 2.0
 """How many times as long as wide a patch may be, or as wide as long."""
 FEWEST_STRIPES: Final = 2
 MOST_STRIPES: Final = 12
-
-_FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
-
-Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     they hold it. Raises BadConfig for another share.
     """
     _check_share(share)
-    box = _box_of(range_image)
+    box = box_of(range_image)
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
@@ -113,7 +110,7 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
     """
     _check_share(share)
     lost = np.zeros(range_image.shape, np.bool_)
-    box = _box_of(range_image)
+    box = box_of(range_image)
     if box is None:
         return lost
     inside = range_image[box] != 0
@@ -145,43 +142,10 @@ def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) 
             f"a range image must be as large as its camera's, {camera.rows} x {camera.columns}, "
             f"found {' x '.join(map(str, range_image.shape))}"
         )
-    box = _box_of(range_image)
+    box = box_of(range_image)
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
     return _lose_first(range_image, box, -slants(range_image, camera, box), share)
-
-
-def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray[np.float32]:
-    """The slant of each surface to the camera: 1 / cos**2 of the angle between normal and ray, float32 [h, w].
-
-    A surface z(u, v) seen by a pinhole camera with rays (x, y, 1) has the normal (-f z_u, -f z_v, z + f x z_u +
-    f y z_v), whose product with the ray is z. Slopes are differences to the neighbour whose range differs less, so that
-    no wall is seen between an edge and the surface behind it. box: the part of the image to compute, beyond which all
-    is background; values on background mean nothing.
-    """
-    rows, columns = box
-    focal = np.float32(camera.focal_px)
-    x = ((np.arange(camera.columns, dtype=np.float32)[columns] + 0.5) - np.float32(camera.centre_px[0])) / focal
-    y = (((np.arange(camera.rows, dtype=np.float32)[rows] + 0.5) - np.float32(camera.centre_px[1])) / focal)[:, None]
-    z = range_image[box].astype(np.float32)
-    z[z == 0] = _FAR
-    across, down = _slope(z, 1), _slope(z, 0)
-    across *= focal
-    down *= focal
-    slant: NDArray[np.float32] = (z + x * across + y * down) ** 2
-    slant += across**2
-    slant += down**2
-    slant *= (x**2 + 1) + y**2
-    slant /= z**2
-    return slant
-
-
-def _slope(z: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """The smaller one of the differences to a pixel's two neighbours along an axis."""
-    step = np.diff(z, axis=axis, prepend=_FAR, append=_FAR)
-    backward, forward = (step[:-1], step[1:]) if axis == 0 else (step[:, :-1], step[:, 1:])
-    smaller: NDArray[np.float32] = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
-    return smaller
 
 
 def _lose_first(
@@ -203,16 +167,6 @@ def _lose_first(
 
 def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
-
-
-def _box_of(range_image: NDArray[np.uint16]) -> Box | None:
-    """The rows and columns that the foreground reaches over; None if there is none."""
-    rows = np.flatnonzero(range_image.any(axis=1))
-    if not len(rows):
-        return None
-    down = slice(int(rows[0]), int(rows[-1]) + 1)
-    columns = np.flatnonzero(range_image[down].any(axis=0))
-    return down, slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _chances(generator: np.random.Generator, count: int) -> NDArray[np.float64]:

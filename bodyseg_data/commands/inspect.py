@@ -68,7 +68,7 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
         lines.append(Row(sample, {name: make(sample, images.epoch) for name, make in augmentations.items()}))
-    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {images.manifest.rig.name}"
+    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor)
 
 

@@ -23,8 +23,8 @@ from bodyseg_data.artifacts.losses import (
     lost_grazing,
     lost_patches,
     lost_stripes,
-    slants,
 )
+from bodyseg_data.artifacts.surface import slants
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera

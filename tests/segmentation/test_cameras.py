@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, load_rig, rig_names
+from bodyseg_data.core.rig import Camera, load_rig, load_sensor, rig_names
 from bodyseg_model.segmentation.cameras import assumed_sensors, frame_camera, other_sensors
 
 
@@ -34,7 +34,8 @@ def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:
 
 def test_every_rig_file_is_a_camera_that_frames_may_be_from() -> None:
     for name in rig_names():
-        camera = frame_camera(SIZES[name], "a.png", rig=name)
+        sensor = load_sensor(name).camera
+        camera = frame_camera((sensor.rows, sensor.columns), "a.png", rig=name)
         assert (camera.origin, camera.assumed) == (f"rig {name}", False)
 
 

@@ -1,0 +1,1 @@
+"""Pixels that sensors lose: in patches, in stripes, at grazing incidence, at edges."""

@@ -1,0 +1,76 @@
+"""Pixels lost for how the surface lies: seen at grazing incidence, or beside an edge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.surface import silhouettes, widened
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import Draws
+
+
+@dataclass(frozen=True)
+class GrazingLoss(Artifact):
+    """Pixels whose surface is seen at more than `from_deg` from its normal, lost each with probability `share`.
+
+    from_deg: degrees, 0 facing the camera; the slopes of a range image end at 85 (`angles`).
+    """
+
+    name = "grazing_loss"
+    kind = "missing_data"
+    purposes = ("grazing loss",)
+
+    from_deg: float = 75.0
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.from_deg < 85:
+            raise BadConfig(f"grazing incidence must begin from 0 to below 85 degrees, found {self.from_deg}")
+        _check_share("grazing", self.share)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        bits = draws.pixels("grazing loss", len(scene.pixels), np.uint16)
+        lost = (bits < self.share * 65536) & (scene.incidence > np.float32(math.radians(self.from_deg)))
+        image.range.reshape(-1)[scene.pixels[lost]] = 0
+
+
+@dataclass(frozen=True)
+class EdgeLoss(Artifact):
+    """Pixels at most `width_px` from where a surface ends, on either side of it, lost each with probability `share`.
+
+    width_px: rows and columns; 1 is the last pixel before the edge. A surface ends at background and where ranges of
+    neighbours differ by more than `jump_mm`.
+    """
+
+    name = "edge_loss"
+    kind = "missing_data"
+    purposes = ("edge loss",)
+
+    width_px: int = 1
+    share: float = 0.5
+    jump_mm: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.width_px, int) or not 1 <= self.width_px <= 50:
+            raise BadConfig(f"an edge must be 1 to 50 whole pixels wide, found {self.width_px}")
+        _check_share("edge", self.share)
+        if not 0 < self.jump_mm <= 10_000:
+            raise BadConfig(f"a jump must be above 0, at most 10 000 mm, found {self.jump_mm}")
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        clean = scene.sample.range
+        edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
+        bits = draws.pixels("edge loss", len(scene.pixels), np.uint16)
+        lost = (bits < self.share * 65536) & edge.reshape(-1)[scene.pixels]
+        image.range.reshape(-1)[scene.pixels[lost]] = 0
+
+
+def _check_share(what: str, share: float) -> None:
+    if not 0 <= share <= 1:
+        raise BadConfig(f"the share of {what} pixels lost must be from 0 to 1, found {share}")

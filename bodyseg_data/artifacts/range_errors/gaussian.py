@@ -1,0 +1,34 @@
+"""Gaussian errors with a standard deviation for each pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.artifact import RangeImage, Scene
+from bodyseg_data.artifacts.noise import normals
+from bodyseg_data.core.randomness import Draws
+
+
+def clean_metres(scene: Scene) -> NDArray[np.float32]:
+    """The clean range of each of the scene's pixels, metres, [N]."""
+    steps = scene.sample.range.reshape(-1)[scene.pixels]
+    return steps.astype(np.float32) * np.float32(scene.step_m)
+
+
+def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, sigma_m: NDArray[np.float32]) -> None:
+    """Add Gaussian noise to the image's range in place, but for lost pixels.
+
+    sigma_m: of each of the scene's pixels, metres, [N]. Rounds to the nearest step and stays within 1 .. 65535, as
+    `noise.add_noise`.
+    """
+    ranges, pixels = image.range.reshape(-1), scene.pixels
+    before = ranges[pixels]
+    steps = normals(draws.pixels(purpose, len(pixels), np.uint32)) * (sigma_m / np.float32(scene.step_m))
+    ranges[pixels] = np.where(before > 0, as_range(before.astype(np.float32) + steps), 0)
+
+
+def as_range(steps: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Steps as stored ranges of measured pixels: the nearest whole number from 1 to 65535."""
+    found: NDArray[np.uint16] = np.clip(np.rint(steps), 1, 65535).astype(np.uint16)
+    return found

@@ -1,0 +1,56 @@
+"""Mixed (flying) pixels: at silhouettes a time-of-flight pixel sees two surfaces and reports a range between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.range_errors.gaussian import as_range
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import Draws
+
+
+@dataclass(frozen=True)
+class MixedPixels(Artifact):
+    """Pixels beside a farther surface, each with probability `share`, get a range between both, uniform over the gap.
+
+    A surface is farther if it is at least `jump_mm` behind, in a pixel above, below, left or right. background_m: range
+    of what lies behind the body, metres, for the body's own silhouette; None if nothing is in reach of the sensor, so
+    only edges before other parts of the body are mixed. Labels stay: the pixel sees the body, too.
+    """
+
+    name = "mixed_pixels"
+    kind = "noise"
+    purposes = ("mixed pixels",)
+    alters_labels = False
+
+    share: float = 0.5
+    background_m: float | None = None
+    jump_mm: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise BadConfig(f"the share of mixed pixels must be from 0 to 1, found {self.share}")
+        if self.background_m is not None and not 0 < self.background_m <= 100:
+            raise BadConfig(f"the background must be above 0, at most 100 m away, found {self.background_m} m")
+        if not 0 < self.jump_mm <= 10_000:
+            raise BadConfig(f"a jump must be above 0, at most 10 000 mm, found {self.jump_mm}")
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        clean = scene.sample.range.astype(np.int64)
+        behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
+        seen = np.pad(np.where(clean > 0, clean, behind), 1)
+        neighbours = seen[:-2, 1:-1], seen[2:, 1:-1], seen[1:-1, :-2], seen[1:-1, 2:]
+        farthest = np.maximum.reduce(neighbours).reshape(-1)[scene.pixels]
+        gap = farthest - clean.reshape(-1)[scene.pixels]
+        # The higher half of a draw chooses, the lower one is the position in the gap.
+        bits = draws.pixels("mixed pixels", len(gap), np.uint32)
+        chosen = (bits >> np.uint32(16)) < self.share * 65536
+        mixed = np.flatnonzero(chosen & (gap * scene.step_m * 1000 >= self.jump_mm))
+        ranges, pixels = image.range.reshape(-1), scene.pixels[mixed]
+        before = ranges[pixels]
+        position = (bits[mixed] & np.uint32(0xFFFF)) / 65536
+        ranges[pixels] = np.where(before > 0, as_range(before + gap[mixed] * position), 0)

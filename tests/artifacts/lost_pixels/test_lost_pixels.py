@@ -1,0 +1,112 @@
+"""Lost pixels: exact shares, the parts and directions named, angles and edges of surfaces that are known exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from planes import CAMERA, PROJECTOR, RIG, plane, sample_of, shown
+
+from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss, code_lines
+from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
+from bodyseg_data.artifacts.variants import shown_with
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import PARTS
+
+
+def test_patches_lose_the_share_that_is_drawn() -> None:
+    sample = plane(2.0)
+    shares = []
+    for seed in range(40):
+        made = shown(PatchLoss(0.1, 0.5), sample, seed)
+        shares.append(made.drawn["patch_share"])
+        lost = np.count_nonzero(sample.range) - np.count_nonzero(made.range)
+        assert lost == pytest.approx(shares[-1] * np.count_nonzero(sample.range), abs=1)
+    assert 0.1 <= min(shares) < 0.2 and 0.4 < max(shares) <= 0.5
+
+
+def test_patches_of_parts_lie_on_these_parts() -> None:
+    sample = plane(2.0)
+    part = PARTS[7]
+    made = shown(PatchLoss(0.5, 0.5, (part.landmark,)), sample)
+    lost = (sample.range > 0) & (made.range == 0)
+    assert (sample.labels[lost] == part.label).all()
+    assert lost.sum() == pytest.approx((sample.labels == part.label).sum() / 2, abs=1)
+
+
+@pytest.mark.parametrize("along", ["rows", "columns"])
+def test_stripes_run_along_their_direction(along: Any) -> None:
+    sample = plane(2.0)
+    made = shown(StripeLoss(0.3, 0.3, along), sample)
+    lost = ((sample.range > 0) & (made.range == 0))[20:-20]
+    whole = lost.all(axis=1 if along == "rows" else 0)
+    assert np.count_nonzero(whole) == pytest.approx(0.3 * len(whole), abs=1.5)
+    assert lost.sum() == pytest.approx(0.3 * lost.size, abs=1)
+
+
+def test_lines_of_one_code_are_at_right_angles_to_the_baseline() -> None:
+    assert code_lines(RIG) == "columns"
+    above = replace(RIG, projector=replace(PROJECTOR, position_m=(0.01, -0.2, 0.0)))
+    assert code_lines(above) == "rows"
+    for rig, along in ((RIG, "columns"), (above, "rows")):
+        ours, named = (shown_with(StripeLoss(0.2, 0.2, each), plane(2.0), rig, 0) for each in (None, along))
+        np.testing.assert_array_equal(ours.range, named.range)
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0])
+def test_grazing_surfaces_are_lost_beyond_the_angle(share: float) -> None:
+    rays = CAMERA.pixel_rays()[..., 0]
+    for tilt in (50, 70):
+        sample = plane(2.0, tilt)
+        normal = np.arctan(rays) + math.radians(tilt)  # angle between ray and normal in the middle row
+        made = shown(GrazingLoss(60.0, share), sample)
+        middle = slice(95, 105)
+        there = sample.range[middle] > 0
+        beyond = np.degrees(normal[middle]) > 60.5
+        lost = (made.range[middle] == 0) & there
+        assert lost[beyond & there].mean() == pytest.approx(share, abs=0.05)
+        assert not lost[there & (np.degrees(normal[middle]) < 59.5)].any()
+
+
+@pytest.mark.parametrize(("width", "share"), [(1, 1.0), (3, 1.0), (2, 0.4)])
+def test_edges_are_lost_as_wide_as_said(width: int, share: float) -> None:
+    z = np.full((200, 160), 2.0)
+    z[:, 80:] = 3.0
+    z[:10] = 0
+    sample = sample_of(z)
+    made = shown(EdgeLoss(width, share), sample)
+    lost = (sample.range > 0) & (made.range == 0)
+    columns = set(np.flatnonzero(lost[100:].any(axis=0)))
+    assert columns <= set(range(80 - width, 80 + width))
+    assert lost[100:, 80 - width : 80 + width].mean() == pytest.approx(share, abs=0.1)
+    assert lost[10 : 10 + width, :60].mean() == pytest.approx(share, abs=0.15) and not lost[10 + width, :60].any()
+    assert shown(EdgeLoss(width, share, jump_mm=1500.0), sample).range[100:].min() != 0
+
+
+@pytest.mark.parametrize("artifact", [PatchLoss(0.5, 0.5), StripeLoss(0.5, 0.5), GrazingLoss(), EdgeLoss()])
+def test_an_empty_image_stays_empty(artifact: Artifact) -> None:
+    assert not shown(artifact, sample_of(np.zeros((200, 160)))).range.any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "strengths", "message"),
+    [
+        (PatchLoss, {"low": 0.5, "high": 0.2}, "must satisfy 0 <= low <= high <= 1, found low 0.5 and high 0.2"),
+        (PatchLoss, {"parts": ("Nose",)}, "parts must be landmarks of the 33 parts, found 'Nose'"),
+        (StripeLoss, {"high": 1.2}, "must satisfy 0 <= low <= high <= 1, found low 0.0 and high 1.2"),
+        (StripeLoss, {"along": "lines"}, "stripes must be along rows or columns, found 'lines'"),
+        (GrazingLoss, {"from_deg": 85.0}, "must begin from 0 to below 85 degrees, found 85.0"),
+        (GrazingLoss, {"share": -0.1}, "the share of grazing pixels lost must be from 0 to 1, found -0.1"),
+        (EdgeLoss, {"width_px": 0}, "an edge must be 1 to 50 whole pixels wide, found 0"),
+        (EdgeLoss, {"width_px": 1.5}, "an edge must be 1 to 50 whole pixels wide, found 1.5"),
+        (EdgeLoss, {"share": 2.0}, "the share of edge pixels lost must be from 0 to 1, found 2.0"),
+        (EdgeLoss, {"jump_mm": -1.0}, "a jump must be above 0, at most 10 000 mm, found -1.0"),
+    ],
+)
+def test_strengths_out_of_range_are_one_line(kind: Any, strengths: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        kind(**strengths)
