@@ -47,6 +47,18 @@ def holes(mask: Mask, outside: Mask) -> Mask:
     reached = np.zeros_like(free)
     reached[0] = reached[-1] = reached[:, 0] = reached[:, -1] = True
     reached[1:-1, 1:-1] |= outside & ~mask
+    return ~_spread(reached, free)[1:-1, 1:-1] & ~mask
+
+
+def connected(mask: Mask, pixel: int) -> Mask:
+    """The pixels of a mask that steps to the four neighbours reach from one of them, a flat index; bool [H, W]."""
+    reached = np.zeros_like(mask)
+    reached.ravel()[pixel] = True
+    return _spread(reached, mask)
+
+
+def _spread(reached: Mask, free: Mask) -> Mask:
+    """Grow `reached` in place through free pixels until nothing changes."""
     while True:
         before = np.count_nonzero(reached)
         for axis in (0, 1):
@@ -54,7 +66,7 @@ def holes(mask: Mask, outside: Mask) -> Mask:
                 view = (order, slice(None)) if axis == 0 else (slice(None), order)
                 _flood(reached[view], free[view], axis)
         if np.count_nonzero(reached) == before:
-            return ~reached[1:-1, 1:-1] & ~mask
+            return reached
 
 
 def _flood(reached: Mask, free: Mask, axis: int) -> None:

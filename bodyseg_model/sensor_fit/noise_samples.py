@@ -37,7 +37,8 @@ Kind = Literal["temporal", "spatial"]
 class Residuals:
     """Residuals of one frame or pair, arrays [N]: residual_m, range_m, slope_m (metres a pixel), incidence_rad.
 
-    kind: "temporal" from two frames, "spatial" from one. body: False for the room behind.
+    kind: "temporal" from two frames, "spatial" from one. body: False for the room behind. misfit_m: median deviation of
+    pixels from the smooth surface around them, which noise shared by neighbours is in, too.
     """
 
     kind: Kind
@@ -46,6 +47,7 @@ class Residuals:
     range_m: Floats
     slope_m: Floats
     incidence_rad: Floats
+    misfit_m: float
 
     def deviation_m(self) -> float:
         """A robust standard deviation of all residuals, metres."""
@@ -157,4 +159,5 @@ def _sampled(kind: Kind, body: bool, values: Floats, pixels: NDArray[np.intp], s
         surface.range_m.ravel()[pixels],
         surface.slope_m.ravel()[pixels],
         surface.incidence_rad.ravel()[pixels],
+        float(np.median(misfit[known])) if known.any() else 0.0,
     )

@@ -30,6 +30,8 @@ _MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
 _ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
 _WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
+_ANY_BASELINE_M: Final = 0.1
+_SHARED: Final = 1.5  # of the deviation between neighbours: more around a surface is not of single pixels
 _TOLD: Final = 0.5  # largest relative error of a strength that is written
 
 Floats = NDArray[np.float64]
@@ -50,10 +52,13 @@ class NoiseBins:
     count: NDArray[np.int64]
 
 
-def measure_noise(residuals: Sequence[Residuals], steps: Steps, baseline_px_m: float | None) -> list[Finding]:
+def measure_noise(
+    residuals: Sequence[Residuals], steps: Steps, focal_px: float, baseline_m: float | None, ragged: bool
+) -> list[Finding]:
     """Findings of "noise", "axial_noise", "stereo_noise" and "lateral_noise".
 
-    baseline_px_m: focal length times baseline, pixels x metres, where it is known, for the subpixel of stereo noise.
+    focal_px, baseline_m: of the sensor, for the subpixel of stereo noise; None where no baseline is known. ragged:
+    whether outlines lose pixels, as they must where pixels jitter; otherwise noise on slopes is laid to their incidence.
     """
     count = sum(len(each.residual_m) for each in residuals)
     if count < LEAST_RESIDUALS:
@@ -71,7 +76,7 @@ def measure_noise(residuals: Sequence[Residuals], steps: Steps, baseline_px_m: f
     varying = _varying(residuals, steps)
     if varying is not None:
         return varying
-    return _chosen(bins, residuals, baseline_px_m)
+    return _chosen(bins, residuals, focal_px, baseline_m, ragged)
 
 
 def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
@@ -98,7 +103,8 @@ def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
             variance = unrounded(measured, step, kind == "temporal")
             ratio = angle[group] / (np.pi / 2 - angle[group])
             error = np.hypot(measured * np.sqrt(3 / len(group)), _MODEL_ERROR * measured)
-            error += _ROUNDING_ERROR * step**2 / 12
+            # Noise larger than the step spreads values evenly over it; then the variance of rounding is exact.
+            error += _ROUNDING_ERROR * step**2 / 12 * np.exp(-10 * variance / step**2)
             rows.append(
                 (variance * 1e6, error * 1e6, float(z[group].mean()), float((slope[group] ** 2).mean()) * 1e6)
                 + (float(ratio.mean()), float((ratio**2).mean()), len(group))
@@ -165,6 +171,8 @@ def _varying(residuals: Sequence[Residuals], steps: Steps) -> list[Finding] | No
         variance = _clipped_variance(each.residual_m, step)
         sigmas.append(1000 * np.sqrt(unrounded(variance, step, each.kind == "temporal")))
     spread, mean = float(np.std(sigmas, ddof=1)), float(np.mean(sigmas))
+    if mean < LEAST_MM or mean < 500 * max(float(np.max(steps.at(each.range_m))) for each in chosen):
+        return None  # what the step leaves of so little noise differs with the surface
     # Ranges differ between the frames of a moving body, and noise with them.
     ranges = np.array([np.median(each.range_m) for each in chosen])
     if spread < _VARYING * mean + 2 * mean * float(np.ptp(ranges) / ranges.mean()):
@@ -180,6 +188,7 @@ def _varying(residuals: Sequence[Residuals], steps: Steps) -> list[Finding] | No
     return [Finding("noise", NEEDED, reason, estimates, strengths), *rest]
 
 
+_LATERAL: Final[tuple[tuple[str, ...], ...]] = ((), ("constant_px",), ("constant_px", "grazing_px"))
 _BASES: Final[dict[str, tuple[str, ...]]] = {
     "noise": ("sigma_mm",),
     "stereo_noise": ("per_m2_mm",),
@@ -187,24 +196,21 @@ _BASES: Final[dict[str, tuple[str, ...]]] = {
 }
 
 
-def _chosen(bins: NoiseBins, residuals: Sequence[Residuals], baseline_px_m: float | None) -> list[Finding]:
+def _chosen(
+    bins: NoiseBins, residuals: Sequence[Residuals], focal_px: float, baseline_m: float | None, ragged: bool
+) -> list[Finding]:
     """The formula with the least chi squared plus a price for each parameter."""
-    best: tuple[float, str, Fit] | None = None
+    fits: list[tuple[float, str, Fit]] = []
     for base, names in _BASES.items():
         for grazing in ((), ("grazing_mm",)):
-            for lateral in ((), ("constant_px",), ("constant_px", "grazing_px")):
+            for lateral in _LATERAL if ragged else _LATERAL[:1]:
                 if base == "stereo_noise" and grazing:
                     continue  # that formula has no such term
                 parameters = (*names, *grazing, *lateral)
                 fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
-                price = fit.chi2 + _WORTH * len(parameters)
-                if best is None or price < best[0]:
-                    best = price, base, fit
-    assert_found = best
-    if assert_found is None:
-        raise RuntimeError("no formula was tried")
-    _, base, fit = assert_found
-    return _findings(base, fit, bins, residuals, baseline_px_m)
+                fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
+    _, base, fit = min(fits, key=lambda each: each[0])
+    return _findings(base, fit, bins, residuals, focal_px, baseline_m)
 
 
 def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
@@ -219,19 +225,46 @@ def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
             axial = strengths["constant_mm"] + strengths["quadratic_mm"] * (z - FROM_M) ** 2
         axial = axial + strengths.get("grazing_mm", 0.0) * bins.ratio2 / np.sqrt(z)
         lateral = strengths.get("constant_px", 0.0) + strengths.get("grazing_px", 0.0) * bins.ratio
-        total: Floats = axial**2 + bins.slope2_mm2 * lateral**2
+        total: Floats = axial**2 + bins.slope2_mm2 * _whole_pixels(lateral)
         return total
 
     return variance
 
 
+def _whole_pixels(sigma_px: Floats | float) -> Floats:
+    """Variance of Gaussian offsets rounded to whole pixels, as `lateral_noise` has them, pixels squared."""
+    sigma = np.maximum(np.asarray(sigma_px, np.float64), 1e-6)
+    # For small deviations hardly any offset reaches the next pixel; from 0.5 on, rounding adds a twelfth.
+    tails = [(2 * k - 1) * _beyond((k - 0.5) / sigma) for k in range(1, 12)]
+    return np.asarray(sum(tails))
+
+
+def _beyond(size: Floats) -> Floats:
+    """Probability of a standard normal beyond +-size (Abramowitz and Stegun, 1964, 26.2.17, within 1e-7)."""
+    t = 1 / (1 + 0.2316419 * size)
+    series = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
+    found: Floats = 2 * series * np.exp(-(np.minimum(size, 38.0) ** 2) / 2) / np.sqrt(2 * np.pi)
+    return found
+
+
 def _findings(
-    base: str, fit: Fit, bins: NoiseBins, residuals: Sequence[Residuals], baseline_px_m: float | None
+    base: str,
+    fit: Fit,
+    bins: NoiseBins,
+    residuals: Sequence[Residuals],
+    focal_px: float,
+    baseline_m: float | None,
 ) -> list[Finding]:
     found = {name: Estimate(value, error) for name, (value, error) in fit.parameters.items()}
     kinds = " and ".join(sorted({each.kind for each in residuals}))
     nearest, farthest = bins.range_m.min(), bins.range_m.max()
     where = f"{kinds} residuals from {nearest:.2f} to {farthest:.2f} m"
+    spatial = [each for each in residuals if each.kind == "spatial"]
+    if spatial:
+        around = float(np.median([each.misfit_m for each in spatial]))
+        single = float(np.median([each.deviation_m() for each in spatial]))
+        if around > _SHARED * single:
+            where += f"; smooth surfaces fit to {1000 * around:.2g} mm only: neighbours share noise, or cloth has folds"
     axial = {name: value for name, value in found.items() if not name.endswith("_px")}
     lateral = {name: value for name, value in found.items() if name.endswith("_px")}
     seen = "; ".join(f"{name} {value}" for name, value in axial.items())
@@ -241,7 +274,7 @@ def _findings(
         findings |= {name: Finding(name, UNKNOWN, narrow) for name in ("axial_noise", "stereo_noise")}
     largest = float(np.sqrt(np.median(_model(base, bins)({name: value.value for name, value in axial.items()}))))
     if largest >= LEAST_MM:
-        name, strengths = _strengths(base, axial, baseline_px_m)
+        name, strengths = _strengths(base, axial, focal_px, baseline_m)
         findings[name] = Finding(name, NEEDED, f"{seen} ({where})", axial, strengths)
     if lateral:
         strengths = {name: rounded(value.value) for name, value in lateral.items()}
@@ -258,19 +291,25 @@ def _findings(
     return list(findings.values())
 
 
-def _strengths(base: str, axial: dict[str, Estimate], baseline_px_m: float | None) -> tuple[str, dict[str, float]]:
+def _strengths(
+    base: str, axial: dict[str, Estimate], focal_px: float, baseline_m: float | None
+) -> tuple[str, dict[str, float]]:
     """The artifact that a formula is written as, and its strengths.
 
-    Noise of one deviation that also grows with incidence is axial noise without growth; stereo noise without a known
-    baseline is written for 1 pixel metre, as only subpixel over focal length and baseline shows.
+    Noise of one deviation that also grows with incidence is axial noise without growth. Stereo noise without a known
+    baseline is written for one of 10 cm, as only subpixel over focal length and baseline shows.
     """
     values = {name: rounded(estimate.value, 4) for name, estimate in axial.items()}
     if base == "noise" and "grazing_mm" not in axial:
         return "noise", {"low_mm": values["sigma_mm"], "high_mm": values["sigma_mm"]}
     if base == "stereo_noise":
-        product = baseline_px_m or 1.0
-        per_m = axial["per_m2_mm"].value / 1000
-        return "stereo_noise", {"subpixel_px": rounded(per_m * product, 4)}
+        baseline = baseline_m or _ANY_BASELINE_M
+        subpixel = axial["per_m2_mm"].value / 1000 * focal_px * baseline
+        return "stereo_noise", {
+            "subpixel_px": rounded(subpixel, 4),
+            "focal_px": focal_px,
+            "baseline_m": rounded(baseline, 4),
+        }
     constant = values.get("constant_mm", values.get("sigma_mm", 0.0))
     return "axial_noise", {
         "constant_mm": constant,

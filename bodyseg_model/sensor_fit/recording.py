@@ -19,8 +19,9 @@ from bodyseg_model.sensor_fit.masks import closing
 MOST_FRAMES: Final = 40
 """The most frames that are measured: of a longer recording, pairs of neighbours spread evenly over it."""
 
-STILL_SHARE: Final = 0.95
-"""Least overlap of the bodies of two frames (intersection over union) for a body that stands still."""
+STILL_SHARE: Final = 0.5
+"""Least overlap of the bodies of two frames (intersection over union) for a body that stands still; half of each may be
+lost, and elsewhere."""
 
 _BLOCK: Final = 8
 _MOST_DRIFT: Final = 0.4  # of the pixels' differences; blocks of 64 independent pixels show an eighth

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import Recording
 
@@ -74,26 +75,40 @@ def measure_steps(recording: Recording, baseline_m: float | None) -> tuple[Steps
     farthest = float(z[-1])
     finest = _FINEST * unit / farthest**2
     in_disparity = _comb(1 / z, counts, finest, _COARSEST_M / nearest**2, finest / 4)
+    files = _file_steps(unit)
     unseen = f"stored values have no step but the file's, {unit * 1000:g} mm"
     if max(in_range.coherence, in_disparity.coherence) < COHERENCE:
         reason = f"{unseen} (coherence {in_range.coherence:.2f} in range, {in_disparity.coherence:.2f} in disparity)"
-        return Steps(unit), [Finding(name, NOT_SEEN, reason) for name in ("range_rounding", "disparity_rounding")]
+        return Steps(unit), [files or Finding("range_rounding", NOT_SEEN, reason), _not_seen(reason)]
     if in_range.coherence >= in_disparity.coherence:
-        return _range_steps(unit, in_range, unseen)
-    return _disparity_steps(recording, in_disparity, baseline_m, z)
+        return _range_steps(unit, in_range)
+    steps, found = _disparity_steps(recording, in_disparity, baseline_m, z)
+    return steps, [files or Finding("range_rounding", NOT_SEEN, "the steps are even in disparity"), found]
 
 
-def _range_steps(unit: float, comb: Comb, unseen: str) -> tuple[Steps, list[Finding]]:
+def _not_seen(reason: str) -> Finding:
+    return Finding("disparity_rounding", NOT_SEEN, reason)
+
+
+def _file_steps(unit_m: float) -> Finding | None:
+    """The finding of "range_rounding" for the unit of the files, where that is coarser than shards store."""
+    if unit_m <= RANGE_STEP_M:
+        return None
+    step = 1000 * unit_m
+    reason = f"the frames' files hold whole steps of {step:g} mm"
+    return Finding("range_rounding", NEEDED, reason, {"step_mm": Estimate(step, 0.0)}, {"step_mm": rounded(step)})
+
+
+def _range_steps(unit: float, comb: Comb) -> tuple[Steps, list[Finding]]:
     step = Estimate(1000 * comb.spacing, 1000 * comb.error)
     reason = f"stored values lie {step} mm apart (coherence {comb.coherence:.2f})"
     found = Finding("range_rounding", NEEDED, reason, {"step_mm": step}, {"step_mm": rounded(step.value, 4)})
-    other = Finding("disparity_rounding", NOT_SEEN, "the steps are even in range, not in disparity")
-    return Steps(unit, range_m=comb.spacing), [found, other]
+    return Steps(unit, range_m=comb.spacing), [found, _not_seen("the steps are even in range, not in disparity")]
 
 
 def _disparity_steps(
     recording: Recording, comb: Comb, baseline_m: float | None, z: Floats
-) -> tuple[Steps, list[Finding]]:
+) -> tuple[Steps, Finding]:
     focal = recording.camera.focal_px
     per_m = Estimate(comb.spacing, comb.error)
     middle = float(np.median(z))
@@ -110,8 +125,7 @@ def _disparity_steps(
         strengths = {"step_px": SUBPIXEL_PX, "focal_px": focal, "baseline_m": rounded(baseline, 4)}
         reason += f"; written as {SUBPIXEL_PX} px, which a baseline of {baseline:.3g} m would give"
     found = Finding("disparity_rounding", NEEDED, reason, estimates, strengths)
-    other = Finding("range_rounding", NOT_SEEN, "the steps are even in disparity, not in range")
-    return Steps(recording.step_m, inverse=comb.spacing), [found, other]
+    return Steps(recording.step_m, inverse=comb.spacing), found
 
 
 def _comb(x: Floats, counts: NDArray[np.int64], finest: float, coarsest: float, blur: float) -> Comb:
@@ -126,18 +140,19 @@ def _comb(x: Floats, counts: NDArray[np.int64], finest: float, coarsest: float, 
     coarsest = min(coarsest, extent / LEAST_TEETH)
     if coarsest <= finest:
         return Comb(finest, 0.0, 0.0)
-    frequencies = np.arange(1 / coarsest, 1 / finest, 0.2 / extent)
-    if len(frequencies) > 200_000:
-        frequencies = frequencies[:200_000]
-    coherence = _coherence(x, weights, frequencies)
-    expected = np.abs(np.sinc(frequencies * blur))
-    corrected = np.minimum(coherence / np.maximum(expected, 0.3), 1.0)
-    high = corrected.max()
-    at = int(np.flatnonzero(corrected >= max(_BEST * high, 1e-9))[0])
+    # On a grid so fine that half its cell does not matter, all frequencies follow from one transform.
+    cell = finest / 4
+    grid = np.bincount(np.rint((x - x.min()) / cell).astype(np.int64), weights)
+    size = 1 << int(np.ceil(np.log2(4 * len(grid))))
+    coherence = np.abs(np.fft.rfft(grid, size))
+    frequencies = np.arange(len(coherence)) / (size * cell)
+    tried = (frequencies >= 1 / coarsest) & (frequencies <= 1 / finest)
+    coherence, frequencies = coherence[tried], frequencies[tried]
+    corrected = np.minimum(coherence / np.maximum(np.abs(np.sinc(frequencies * blur)), 0.3), 1.0)
+    at = int(np.flatnonzero(corrected >= _BEST * corrected.max())[0])
     # The first that is high lies on the flank of its peak.
-    window = slice(at, at + 12)
-    at += int(np.argmax(corrected[window]))
-    fine = frequencies[at] + np.linspace(-0.2, 0.2, 81) / extent
+    at += int(np.argmax(corrected[at : at + 12]))
+    fine = frequencies[at] + np.linspace(-0.5, 0.5, 201) / extent
     sharp = _coherence(x, weights, fine)
     best = float(fine[int(np.argmax(sharp))])
     residual = float(np.sqrt(max(1 - sharp.max() ** 2, 1e-6)) / (2 * np.pi))
@@ -147,8 +162,5 @@ def _comb(x: Floats, counts: NDArray[np.int64], finest: float, coarsest: float, 
 
 def _coherence(x: Floats, weights: Floats, frequencies: Floats) -> Floats:
     """Length of the mean phase of the values at each frequency, [F], 0 to 1."""
-    found = np.empty(len(frequencies))
-    for start in range(0, len(frequencies), 2048):
-        phases = np.exp(2j * np.pi * np.outer(frequencies[start : start + 2048], x))
-        found[start : start + 2048] = np.abs(phases @ weights)
-    return found
+    lengths: Floats = np.abs(np.exp(2j * np.pi * np.outer(frequencies, x)) @ weights)
+    return lengths
