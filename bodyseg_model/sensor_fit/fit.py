@@ -47,8 +47,8 @@ def silent(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class SensorFit:
-    """The measurement of a recording. findings: one for each of `ORDER`, in that order. mirrored: whether frames probably
-    show left for right; None if that cannot be told.
+    """The measurement of a recording. findings: one for each of `ORDER`, in that order. mirrored: whether frames
+    probably show left for right; None if that cannot be told.
     """
 
     findings: tuple[Finding, ...]
@@ -94,7 +94,7 @@ def fit_sensor(recording: Recording, camera: FrameCamera, progress: Progress = s
         baseline = shadow.total_m
     steps, findings = measure_steps(recording, baseline or None)
     progress(1, 5)
-    losses = {each.artifact: each for each in measure_losses(outlines_of(recording))}
+    losses = {each.artifact: each for each in measure_losses(outlines_of(recording, baseline or None))}
     progress(2, 5)
     residuals, _ = residuals_of(recording)
     progress(3, 5)

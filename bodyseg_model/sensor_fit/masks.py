@@ -10,12 +10,14 @@ Mask = NDArray[np.bool_]
 
 def dilated(mask: Mask, radius: int) -> Mask:
     """Grow a mask by a square of 2 radius + 1 pixels a side, bool [H, W]."""
-    return _counts(mask, radius) > 0
+    grown: Mask = _counts(mask, radius) > 0
+    return grown
 
 
 def eroded(mask: Mask, radius: int) -> Mask:
     """Shrink a mask by such a square; the world outside the image counts as empty."""
-    return _counts(mask, radius) == (2 * radius + 1) ** 2
+    shrunk: Mask = _counts(mask, radius) == (2 * radius + 1) ** 2
+    return shrunk
 
 
 def closing(mask: Mask, radius: int) -> Mask:
@@ -34,7 +36,9 @@ def box_sums(image: NDArray[np.float64], radius: int) -> NDArray[np.float64]:
     padded = np.pad(image, ((radius + 1, radius), (radius + 1, radius)))
     total = padded.cumsum(0).cumsum(1)
     side = 2 * radius + 1
-    sums: NDArray[np.float64] = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    sums: NDArray[np.float64] = (
+        total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    )
     return sums
 
 

@@ -25,6 +25,8 @@ SEEN_SHARE: Final = 0.1
 _CLOSED_PX: Final = 2
 _BAND: Final = 0.02  # of the pixels in a typical row, at most, in a row that is a stripe
 _JUMP_M: Final = 0.03
+_WIDER: Final = 1.3
+_FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
 _TURNED_DEG: Final = 50.0
 _RIM_PX: Final = 4
@@ -37,9 +39,10 @@ class Outline:
     """The body of one frame as it would be without loss, all arrays [H, W].
 
     full: bool, its pixels; lost: bool, those without a range, shadows aside; shadow: bool, lost behind an edge of the
-    body. ring: int, 1 for the pixels at an edge of a surface, up to `RINGS` away, then 0; 0 outside. stripes: bool, in whole
-    rows or columns that are lost. incidence_deg: between ray and normal, degrees, NaN where not known. exact: whether
-    that is from neighbouring pixels, as artifacts have it, and not from a smooth surface.
+    body. ring: int, 1 for the pixels at an edge of a surface, up to `RINGS` away, then 0; 0 outside. stripes: bool, in
+    whole rows or columns that are lost. incidence_deg: between ray and normal, degrees, NaN where not known. exact:
+    whether that is from neighbouring pixels, as artifacts have it, and not from a smooth surface. still: whether the
+    outline is known from other frames of a body that stands still.
     """
 
     full: Mask
@@ -49,15 +52,20 @@ class Outline:
     stripes: dict[str, Mask]
     incidence_deg: NDArray[np.float64]
     exact: bool
+    still: bool
 
     @property
     def inside(self) -> Mask:
         """The pixels of the body farther from its outline than `RINGS`, bool [H, W]."""
-        return self.full & (self.ring == 0)
+        found: Mask = self.full & (self.ring == 0)
+        return found
 
 
-def outlines_of(recording: Recording) -> list[Outline]:
-    """The outline of each frame's body; a still body's is that of all frames together."""
+def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[Outline]:
+    """The outline of each frame's body; a still body's is that of all frames together.
+
+    baseline_m: of the sensor, where it is known, which limits the width of shadows.
+    """
     if recording.still:
         mean, known = mean_frame(recording)
         seen = sum(frame.body.astype(np.int64) for frame in recording.frames)
@@ -69,7 +77,13 @@ def outlines_of(recording: Recording) -> list[Outline]:
         incidence, exact = _incidence(mean, known, surface, sigma, recording.camera)
         full = _without_gaps(_full(shown & ~room, room), known, incidence)
         rings = _rings(full, mean if exact else None)
-        return [_outline(frame, full, rings, incidence, exact) for frame in recording.frames]
+        ever = np.asarray(seen > 0)
+        return [
+            _outline(
+                frame, full, _behind_edges(frame, recording.camera, baseline_m) & ~ever, rings, incidence, (exact, True)
+            )
+            for frame in recording.frames
+        ]
     found = []
     for frame in recording.frames:
         if frame.body.any():
@@ -77,17 +91,23 @@ def outlines_of(recording: Recording) -> list[Outline]:
             surface = body_surface(frame.range_m, frame.body, sigma, recording)
             incidence = np.degrees(surface.incidence_rad)
             full = _without_gaps(_full(_bridged(frame.body), frame.room), frame.body, incidence)
-            found.append(_outline(frame, full, _rings(full, None), incidence, exact=False))
+            behind = _behind_edges(frame, recording.camera, baseline_m)
+            found.append(_outline(frame, full, behind, _rings(full, None), incidence, (False, False)))
     return found
 
 
 def _outline(
-    frame: Frame, full: Mask, rings: NDArray[np.int64], incidence: NDArray[np.float64], exact: bool
+    frame: Frame,
+    full: Mask,
+    behind: Mask,
+    rings: NDArray[np.int64],
+    incidence: NDArray[np.float64],
+    known: tuple[bool, bool],
 ) -> Outline:
     missing = full & (frame.range_m == 0)
-    shadow = missing & _behind_edges(frame)
+    shadow = missing & behind
     stripes = {name: full & missing & band for name, band in _bands(frame.body, full).items()}
-    return Outline(full, missing & ~shadow, shadow, rings, stripes, incidence, exact)
+    return Outline(full, missing & ~shadow, shadow, rings, stripes, incidence, *known)
 
 
 def _incidence(
@@ -167,11 +187,12 @@ def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:
     empty[: present[0]] = empty[present[-1] + 1 :] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     bands = [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
-    return [(start, end) for start, end in bands if start > 0 and end < len(counts)]
+    bands = [(start, end) for start, end in bands if start > 0 and end < len(counts)]
+    return bands if len(bands) >= _FEWEST_BANDS else []
 
 
 def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]:
-    """Distance from the nearest edge of a surface; range_m: to find edges inside the body by, None for outlines only."""
+    """Distance from the nearest edge of a surface; range_m: to find edges inside the body by, None for outlines."""
     padded = np.pad(full, 1)
     beside = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     # The image's own border is no outline of the body.
@@ -190,8 +211,8 @@ def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]
     return ring
 
 
-def _behind_edges(frame: Frame) -> Mask:
-    """Lost pixels of rows between ranges that differ by an edge: the projector's shadow of a nearer surface."""
+def _behind_edges(frame: Frame, camera: Camera, baseline_m: float | None) -> Mask:
+    """Lost pixels of rows between ranges that differ by an edge, no wider than a projector's shadow can be."""
     image = frame.range_m.astype(np.float64)
     count = image.shape[1]
     index = np.where(image > 0, np.arange(count), -1)
@@ -201,6 +222,10 @@ def _behind_edges(frame: Frame) -> Mask:
     both = (left >= 0) & (right < count)
     before = np.take_along_axis(image, np.clip(left, 0, count - 1), 1)
     behind = np.take_along_axis(image, np.clip(right, 0, count - 1), 1)
-    wide = right - left - 1 > 1
-    found: Mask = (image == 0) & both & wide & (np.abs(before - behind) > _JUMP_M + 8 * _noise(frame))
+    width = right - left - 1
+    found: Mask = (image == 0) & both & (width > 1) & (np.abs(before - behind) > _JUMP_M + 8 * _noise(frame))
+    if baseline_m is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            widest = camera.focal_px * baseline_m * np.abs(1 / before - 1 / behind)
+        found &= width <= _WIDER * widest + _CLOSED_PX
     return found

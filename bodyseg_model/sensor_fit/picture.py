@@ -43,12 +43,12 @@ def draw_comparison(recording: Recording, sensor: SensorModel) -> Image.Image:
     values, _ = third_differences(frame.range_m, frame.body)
     sigma = float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
     surface = body_surface(frame.range_m, frame.body, sigma, only)
-    clean = np.where(outline.full, np.where(np.isfinite(surface.range_m), surface.range_m, frame.range_m), 0)
+    clean: Floats = np.where(outline.full, np.where(np.isfinite(surface.range_m), surface.range_m, frame.range_m), 0.0)
     shown = simulate(clean, recording, sensor)
     box = _box(outline.full)
     near, far = (float(np.quantile(clean[clean > 0], share)) for share in (0.01, 0.99))
     residual = max(3 * sigma, 0.003)
-    real = np.where(outline.full, frame.range_m, 0)
+    real: Floats = np.where(outline.full, frame.range_m.astype(np.float64), 0.0)
     panels = [
         ("frame", _shades(real, outline.full, near, far)),
         ("simulated", _shades(shown, outline.full, near, far)),

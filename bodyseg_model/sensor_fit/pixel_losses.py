@@ -21,6 +21,8 @@ NAMES: Final = ("missing_data", "patch_loss", "stripe_loss", "grazing_loss", "ed
 
 _SOLID_PX: Final = 2
 _STEEP_DEG: Final = 60.0
+_IN_FRAMES: Final = 0.1  # of the frames with that much lost show that it is no chance
+_STRIPED_FRAMES: Final = 0.4  # the same for stripes, which patches across a limb look like
 _ALIKE: Final = 0.15  # rates closer than this share of themselves are one
 _MOST_RATES: Final = 4
 
@@ -74,7 +76,8 @@ def _random(outlines: Sequence[Outline], areas: Sequence[Mask], cut_deg: float) 
 def _rates(rates: NDArray[np.float64], counts: NDArray[np.int64]) -> tuple[dict[str, object], str]:
     """One rate, a few that frames change between, or an interval."""
     groups: list[list[float]] = []
-    for rate in sorted(rates[counts > 0].tolist()):
+    ordered: list[float] = np.sort(rates[counts > 0]).tolist()
+    for rate in ordered:
         if groups and rate - groups[-1][0] <= max(0.01, _ALIKE * rate):
             groups[-1].append(rate)
         else:
@@ -90,31 +93,38 @@ def _rates(rates: NDArray[np.float64], counts: NDArray[np.int64]) -> tuple[dict[
 
 
 def _patches(outlines: Sequence[Outline], solid: Sequence[Mask]) -> Finding:
-    shares = _shares(outlines, [patches & ~_striped(o) for o, patches in zip(outlines, solid, strict=True)])
-    return _area_loss("patch_loss", "patches", shares, {})
+    shares = _shares(
+        outlines, [patches & ~dilated(_striped(o), _SOLID_PX) for o, patches in zip(outlines, solid, strict=True)]
+    )
+    missed = "" if outlines[0].still else "; at least, as patches that cut the outline are only seen on still bodies"
+    return _area_loss("patch_loss", "patches", shares, {}, _IN_FRAMES, missed)
 
 
 def _stripes(outlines: Sequence[Outline]) -> Finding:
     both = {along: _shares(outlines, [o.stripes[along] for o in outlines]) for along in ("rows", "columns")}
     along = max(both, key=lambda name: float(both[name].mean()))
-    return _area_loss("stripe_loss", f"whole {along}", both[along], {"along": along})
+    missed = "" if outlines[0].still else "; at least, as those at the body's ends are only seen on still bodies"
+    return _area_loss("stripe_loss", f"whole {along}", both[along], {"along": along}, _STRIPED_FRAMES, missed)
 
 
 def _shares(outlines: Sequence[Outline], masks: Sequence[Mask]) -> NDArray[np.float64]:
     """Share of each body's pixels in a mask, [N]."""
-    return np.array(
-        [np.count_nonzero(mask) / max(np.count_nonzero(o.full), 1) for o, mask in zip(outlines, masks, strict=True)]
-    )
+    lost = np.array([np.count_nonzero(mask) for mask in masks])
+    return lost / np.array([max(int(np.count_nonzero(outline.full)), 1) for outline in outlines])
 
 
-def _area_loss(name: str, what: str, shares: NDArray[np.float64], more: dict[str, str]) -> Finding:
+def _area_loss(
+    name: str, what: str, shares: NDArray[np.float64], more: dict[str, str], in_frames: float, missed: str
+) -> Finding:
     mean = float(shares.mean())
     error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else mean
     low, high = _uniform(shares)
     estimates = {"share": Estimate(mean, error), "low": Estimate(low), "high": Estimate(high)}
-    if mean < LEAST_SHARE:
+    if (shares >= LEAST_SHARE).sum() < max(min(2, len(shares)), in_frames * len(shares)):
         return Finding(name, NOT_SEEN, f"{mean:.2%} of the bodies lost in {what}", {"share": estimates["share"]})
-    reason = f"{estimates['share']} of the bodies lost in {what}, from {shares.min():.1%} to {shares.max():.1%} a frame"
+    reason = (
+        f"{estimates['share']} of the bodies lost in {what}, {shares.min():.1%} to {shares.max():.1%} a frame{missed}"
+    )
     if len(shares) == 1:
         low = high = mean
     return Finding(name, NEEDED, reason, estimates, {"low": rounded(low), "high": rounded(high), **more})

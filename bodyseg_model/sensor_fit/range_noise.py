@@ -21,11 +21,16 @@ LEAST_RESIDUALS: Final = 2000
 LEAST_MM: Final = 0.3
 """Least noise that is told from the relief of a surface, millimetres."""
 
+LEAST_PX: Final = 0.3
+"""Least jitter, pixels: offsets are of whole pixels, and hardly any is of less."""
+
 NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
 
 _INCIDENCES_DEG: Final = (0, 15, 25, 35, 45, 52, 58, 64, 69, 74, 78, 82)
 _RANGES: Final = 6
 _FEWEST_IN_BIN: Final = 200
+_RELIEF: Final = 0.06  # pixels: what a surface of some slope adds to third differences, as if pixels had moved
+_MATTERS: Final = 0.2  # of the noise facing the camera: less growth may be the shape of limbs
 _MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
 _ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
 _WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
@@ -39,8 +44,8 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseBins:
-    """Variances, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m, slope_mm
-    (millimetres a pixel), ratio = incidence / (pi / 2 - incidence), its square and fourth power; count: residuals.
+    """Variances, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m, slope2_mm2
+    (squared slope, millimetres a pixel), ratio = incidence / (pi / 2 - incidence), ratio2 its square; count: residuals.
     """
 
     variance_mm2: Floats
@@ -58,7 +63,7 @@ def measure_noise(
     """Findings of "noise", "axial_noise", "stereo_noise" and "lateral_noise".
 
     focal_px, baseline_m: of the sensor, for the subpixel of stereo noise; None where no baseline is known. ragged:
-    whether outlines lose pixels, as they must where pixels jitter; otherwise noise on slopes is laid to their incidence.
+    whether outlines lose pixels, as they must where pixels jitter; otherwise noise on slopes is laid to incidence.
     """
     count = sum(len(each.residual_m) for each in residuals)
     if count < LEAST_RESIDUALS:
@@ -103,14 +108,24 @@ def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
             variance = unrounded(measured, step, kind == "temporal")
             ratio = angle[group] / (np.pi / 2 - angle[group])
             error = np.hypot(measured * np.sqrt(3 / len(group)), _MODEL_ERROR * measured)
+            if kind == "spatial":  # third differences keep what is left of a steep surface's own shape
+                error += _RELIEF**2 * float((slope[group] ** 2).mean())
             # Noise larger than the step spreads values evenly over it; then the variance of rounding is exact.
             error += _ROUNDING_ERROR * step**2 / 12 * np.exp(-10 * variance / step**2)
             rows.append(
-                (variance * 1e6, error * 1e6, float(z[group].mean()), float((slope[group] ** 2).mean()) * 1e6)
-                + (float(ratio.mean()), float((ratio**2).mean()), len(group))
+                (
+                    variance * 1e6,
+                    error * 1e6,
+                    float(z[group].mean()),
+                    float((slope[group] ** 2).mean()) * 1e6,
+                    float(ratio.mean()),
+                    float((ratio**2).mean()),
+                    len(group),
+                )
             )
     table = np.array(rows).reshape(-1, 7).T
-    return NoiseBins(*table[:6], table[6].astype(np.int64))
+    variance_mm2, error_mm2, range_m, slope2_mm2, mean_ratio, ratio2, count = table
+    return NoiseBins(variance_mm2, error_mm2, range_m, slope2_mm2, mean_ratio, ratio2, count.astype(np.int64))
 
 
 def unrounded(variance: float, step: float, temporal: bool) -> float:
@@ -210,7 +225,19 @@ def _chosen(
                 fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
                 fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
     _, base, fit = min(fits, key=lambda each: each[0])
-    return _findings(base, fit, bins, residuals, focal_px, baseline_m)
+    if _at_grazing(base, fit, float(np.median(bins.range_m))) < _MATTERS:
+        _, base, fit = min((each for each in fits if "grazing_mm" not in each[2].parameters), key=lambda each: each[0])
+    return _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
+
+
+def _at_grazing(base: str, fit: Fit, range_m: float) -> float:
+    """The share that noise grows by from facing the camera to 75 degrees, infinite for a formula without growth."""
+    if "grazing_mm" not in fit.parameters:
+        return float("inf")
+    values = {name: value for name, (value, _) in fit.parameters.items()}
+    grazing = values["grazing_mm"] * 25.0 / np.sqrt(range_m)  # (75 / 15) squared
+    quadratic = values.get("constant_mm", 0.0) + values.get("quadratic_mm", 0.0) * (range_m - FROM_M) ** 2
+    return float(grazing / max(values.get("sigma_mm", quadratic), 1e-9))
 
 
 def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
@@ -254,6 +281,7 @@ def _findings(
     residuals: Sequence[Residuals],
     focal_px: float,
     baseline_m: float | None,
+    ragged: bool,
 ) -> list[Finding]:
     found = {name: Estimate(value, error) for name, (value, error) in fit.parameters.items()}
     kinds = " and ".join(sorted({each.kind for each in residuals}))
@@ -276,7 +304,7 @@ def _findings(
     if largest >= LEAST_MM:
         name, strengths = _strengths(base, axial, focal_px, baseline_m)
         findings[name] = Finding(name, NEEDED, f"{seen} ({where})", axial, strengths)
-    if lateral:
+    if lateral and lateral["constant_px"].value + 2 * lateral.get("grazing_px", Estimate(0.0)).value >= LEAST_PX:
         strengths = {name: rounded(value.value) for name, value in lateral.items()}
         reason = "; ".join(f"{name} {value}" for name, value in lateral.items())
         relative = lateral["constant_px"].error / max(lateral["constant_px"].value, 1e-9)
@@ -287,7 +315,8 @@ def _findings(
             "lateral_noise", NEEDED if told else UNKNOWN, reason, lateral, strengths if told else {}
         )
     else:
-        findings["lateral_noise"] = Finding("lateral_noise", NOT_SEEN, "noise does not grow with slope")
+        reason = "noise does not grow with slope" if ragged else "outlines lose no pixels, as jitter would"
+        findings["lateral_noise"] = Finding("lateral_noise", NOT_SEEN, reason)
     return list(findings.values())
 
 

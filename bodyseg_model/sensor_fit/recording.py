@@ -51,7 +51,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames of one camera. step_m: metres in one step of the files. pairs: indices of frames that follow each other."""
+    """Frames of one camera. step_m: metres in one step of the files. pairs: indices of successive frames."""
 
     frames: tuple[Frame, ...]
     camera: Camera
@@ -120,7 +120,7 @@ def read_recording(
 
 
 def chosen_frames(count: int, most: int = MOST_FRAMES) -> tuple[list[int], tuple[tuple[int, int], ...]]:
-    """Indices of the frames to measure, ascending, and the pairs of neighbours among them, as positions in that list."""
+    """Indices of the frames to measure, ascending, and pairs of neighbours as positions in that list."""
     if count <= most:
         return list(range(count)), tuple((index, index + 1) for index in range(count - 1))
     starts = np.unique(np.linspace(0, count - 2, most // 2).round().astype(int))
@@ -145,8 +145,6 @@ def _frame(
         for pixels in find_bodies(range_m, camera, background):
             body.ravel()[pixels] = True
     return Frame(name, stored, range_m, body)
-
-
 
 
 def _robust(values: Floats) -> float:

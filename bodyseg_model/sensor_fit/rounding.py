@@ -106,9 +106,7 @@ def _range_steps(unit: float, comb: Comb) -> tuple[Steps, list[Finding]]:
     return Steps(unit, range_m=comb.spacing), [found, _not_seen("the steps are even in range, not in disparity")]
 
 
-def _disparity_steps(
-    recording: Recording, comb: Comb, baseline_m: float | None, z: Floats
-) -> tuple[Steps, Finding]:
+def _disparity_steps(recording: Recording, comb: Comb, baseline_m: float | None, z: Floats) -> tuple[Steps, Finding]:
     focal = recording.camera.focal_px
     per_m = Estimate(comb.spacing, comb.error)
     middle = float(np.median(z))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -24,6 +25,7 @@ LEAST_PX: Final = 2.0
 
 _LEAST_DEPTH_M: Final = 0.2
 _ONE_SIDED: Final = 1.25  # least ratio of the wider to the narrower shadow that gives a side
+_MIDDLE: Final = (0.2, 0.8)
 _MARGIN: Final = 3
 
 Floats = NDArray[np.float64]
@@ -60,10 +62,12 @@ def measure_shadow(recording: Recording) -> Shadow | None:
     baselines, widths = {}, {}
     for side, (width, scale) in rows.items():
         each = width / scale
-        spread = 1.4826 * float(np.median(np.abs(each - np.median(each))))
-        # Rows of one frame, and frames of one pose, are alike: as many independent ones as frames, times ten.
-        independent = min(len(each), 10 * len(recording.frames))
-        baselines[side] = Estimate(float(np.median(each)), 1.25 * spread / np.sqrt(independent))
+        low, high = np.quantile(each, _MIDDLE)
+        middle = each[(each >= low) & (each <= high)]
+        # Rows of one frame, and frames of one pose, are alike: as many independent ones as frames, times ten. Widths
+        # are whole pixels, so the mean of the middle ones is finer than the median.
+        independent = min(len(middle), 10 * len(recording.frames))
+        baselines[side] = Estimate(float(middle.mean()), float(middle.std()) * 1.5 / np.sqrt(independent))
         widths[side] = float(np.median(width))
     narrow, wide = sorted(baselines, key=lambda side: baselines[side].value)
     clear = baselines[wide].value > _ONE_SIDED * baselines[narrow].value
@@ -107,15 +111,17 @@ def shadow_finding(shadow: Shadow | None, projector: Side | None) -> Finding:
     reason = f"gaps of {widths}: baselines of {sides}"
     if shadow.side is None:
         return Finding("occlusion", UNKNOWN, f"{reason}, alike on both sides as edges are", estimates)
-    narrow = "left" if shadow.side == "right" else "right"
+    narrow: Side = "left" if shadow.side == "right" else "right"
     if shadow.width_px[narrow] >= LEAST_PX:
-        total = Estimate(shadow.total_m, float(np.hypot(*(each.error for each in shadow.baseline_m.values()))))
+        total = Estimate(shadow.total_m, math.hypot(*(each.error for each in shadow.baseline_m.values())))
         estimates["baseline_m"] = total
         reason += f", {total} m together: the image is seen from between camera and projector, or edges are lost too"
     else:
         estimates["baseline_m"] = shadow.baseline_m[shadow.side]
     if (mirrored := probably_mirrored(shadow, projector)) is not None:
-        reason += f"; a projector on the camera's {projector} " + ("cannot" if mirrored else "does") + " cast them there"
+        reason += (
+            f"; a projector on the camera's {projector} " + ("cannot" if mirrored else "does") + " cast them there"
+        )
         reason += ": frames are probably mirrored" if mirrored else ": frames are not mirrored"
     return Finding("occlusion", NEEDED, reason, estimates)
 
@@ -149,7 +155,7 @@ def _gaps(frame: Frame, focal_px: float) -> dict[Side, Floats]:
 
 def _ends(range_m: Floats, body: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Rows in which room follows the last body pixel to the right: rows, that pixel's column, and the room's first."""
-    rows, columns = range_m.shape
+    columns = range_m.shape[1]
     index = np.arange(columns)
     last = np.where(body, index, -1).max(1)
     room = (range_m > 0) & ~body & (index > last[:, None])

@@ -1,4 +1,4 @@
-"""Pixels lost for how the surface lies: at grazing incidence, and beside an edge; told apart by counting both at once."""
+"""Pixels lost for how the surface lies: at grazing incidence, and beside edges, told apart by counting both at once."""
 
 from __future__ import annotations
 

@@ -98,7 +98,8 @@ def _incidence(value: Floats, across: Floats, down: Floats, camera: Camera, box:
     focal = camera.focal_px
     normal = np.sqrt((focal * across) ** 2 + (focal * down) ** 2 + (value + u * across + v * down) ** 2)
     ray = np.sqrt(1 + (u / focal) ** 2 + (v / focal) ** 2)
-    return np.arccos(np.clip(value / (normal * ray), 0, 1))
+    angle: Floats = np.arccos(np.clip(value / (normal * ray), 0, 1))
+    return angle
 
 
 def _along(image: Floats, kernel: Floats, axis: int) -> Floats:
