@@ -19,9 +19,10 @@ demo: install
 	rm -rf demo
 	$(BIN)/bodyseg demo --out demo
 
-# Two files of tests at a time, each with one thread of PyTorch: twice two threads wait for each other.
+# Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
+# wait for each other. Bytecode is kept, also where the shell says otherwise: hundreds of processes are started.
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: install
 	$(BIN)/ruff check .

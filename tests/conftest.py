@@ -1,21 +1,58 @@
-"""Fixtures that several test files share."""
+"""Fixtures that several test files share, and the order of the files."""
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
 import pytest
 from fakes import FiguresEntry
-from folders import SHARED_DATA
+from folders import SHARED_DATA, TESTS
 
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
+
+_LONG_FILES: Final = (
+    "packing/test_pack.py",
+    "packing/test_engines.py",
+    "training/test_loop.py",
+    "bodies/test_landmark_fitting.py",
+    "commands/test_cli.py",
+    "loading/test_loader_faults.py",
+    "bodies/test_motions.py",
+    "rendering/test_renderers.py",
+    "networks/test_fcn_alexnet.py",
+    "shards/test_stores.py",
+    "test_wheel.py",
+    "bodies/sources/test_open_bodies.py",
+    "packing/test_shadow_thresholds.py",
+    "artifacts/test_occlusion.py",
+    "benches/data/test_loader.py",
+    "loading/test_loader.py",
+    "loading/test_range_images.py",
+    "networks/test_registry.py",
+    "training/test_distributed.py",
+    "meshes/partition/test_geodesics.py",
+    "test_structure.py",
+)
+"""Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    order = {TESTS / name: index for index, name in enumerate(_LONG_FILES)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()  # what is there by now stays to the end: garbage collections need not go through it again
 
 
 @pytest.fixture(scope="session")

@@ -82,18 +82,16 @@ def test_fields_of_dataclasses_and_methods_are_checked() -> None:
     for made in (lambda: project["make"](wrong), lambda: project["change"](Seen(good), wrong)):
         with pytest.raises(BrokenPromise, match=r"Seen: labels must be uint8 \[H, W\], found int64 \(1,\)"):
             made()
-    with pytest.raises(BrokenPromise, match=r"Seen.doubled returns what must be uint8 \[H, W\], found uint16"):
+    with pytest.raises(BrokenPromise, match=r"Seen\.doubled returns .* uint8 \[H, W\], found uint16"):
         Seen(good).doubled()
 
 
 def test_the_projects_own_promises_are_checked() -> None:
     """What tests import is checked already."""
-    with pytest.raises(
-        BrokenPromise, match=r"colour_labels returns what must be uint8 \[H, W, 3\], found uint8 \(1, 2, 3, 3\)"
-    ):
+    with pytest.raises(BrokenPromise, match=r"colour_labels returns .* \[H, W, 3\], found uint8 \(1, 2, 3, 3\)"):
         colour_labels(np.zeros((1, 2, 3), np.uint8))
     with pytest.raises(BrokenPromise, match=r"add_noise: draws must be uint32 \[N\], found uint64 \(3,\)"):
-        add_noise(np.ones(3, np.uint16), 1.0, np.ones(3, np.uint64))  # type: ignore[arg-type]
+        add_noise(np.ones(3, np.uint16), np.float32(1), np.ones(3, np.uint64))  # type: ignore[arg-type]
     project: dict[str, Any] = {"Surface": Surface, "__name__": "bodyseg_data.rendering.made_up"}
     exec("def see(range, face): return Surface(range, face)", project)
     ranges = np.zeros((2, 3), np.float32)

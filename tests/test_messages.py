@@ -12,13 +12,15 @@ import pytest
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.sources.scape import ScapeBodies
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.rig import Camera, load_rig, parse_rig
 from bodyseg_data.core.sample import check_key, steps
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import check_method
+from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.readers.files import read_mesh
 from bodyseg_data.packing.engines.engine import check_engine
 from bodyseg_data.packing.mesh_reduction import check_tolerance
@@ -26,11 +28,18 @@ from bodyseg_data.packing.pack import Packing
 from bodyseg_data.rendering import check_renderer
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.registry import build
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.frames import metres_a_step
+from bodyseg_model.segmentation.segmenter import Segmenter
 
 NONE: Any = None
 NUMBER: Any = 3
 NAME: Any = "hot"
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+CAMERA = 'format = "bodyseg rig 1"\nname = "d1"\n[camera]\nrows = 480\ncolumns = 640\nfocal_px = 600.5\n'
+LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FACES: Any = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
 
 Case = tuple[Callable[[], Any], type[BodysegError], str]
@@ -126,9 +135,9 @@ CASES: dict[str, Case] = {
         "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'a.b'",
     ),
     "store a range beyond 16 bits": (
-        lambda: steps(np.array([[7.0]]), "here"),
+        lambda: steps(np.array([[7.0]]), 1e-4, "here"),
         BadSample,
-        "here: a range must be 0 to 6.5535 m, found 7 m",
+        "here: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found 7 m",
     ),
     "decode no members": (
         lambda: decode_sample("k", {}),
@@ -222,6 +231,56 @@ CASES: dict[str, Case] = {
         "mesh m: neighbouring faces must agree on their outside, "
         "found faces that clash at the edge of vertices 0 and 1",
     ),
+    "open SCAPE's meshes in a folder without them": (
+        lambda: ScapeBodies(Path("none")),
+        BadConfig,
+        "the source 'scape' needs mesh000.ply to mesh071.ply in its folder: found none in none",
+    ),
+    "put landmarks on a mesh of another topology": (
+        lambda: LandmarkSet("here", "a ball", 643, 1280, tuple(range(33))).for_mesh(Mesh("m", POINTS, FACES)),
+        BadLandmarks,
+        "landmarks here are for meshes of 643 vertices and 1280 faces (a ball), found 4 and 4 in mesh m",
+    ),
+    "divide a mesh by too few landmarks": (
+        lambda: partition(Mesh("m", POINTS, FACES), np.arange(32)),
+        BadLandmarks,
+        "mesh m: landmarks must be 33 whole numbers, found int64 (32,)",
+    ),
+    "render for a camera without a projector": (
+        lambda: parse_rig(CAMERA, "x"),
+        BadConfig,
+        "rig x is a camera alone: rendering for it needs 'stand_off_m' and [projector]",
+    ),
+    "build an unknown network": (
+        lambda: build("unet"),
+        BadConfig,
+        "the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'",
+    ),
+    "load a network from another kind of file": (
+        lambda: load_network(Path("network.pth")),
+        BadConfig,
+        "a network is a run's folder or a .safetensors file, found network.pth",
+    ),
+    "load pretrained weights of a network that has none": (
+        lambda: build("compact").load_pretrained(Path("a.onnx")),
+        BadConfig,
+        "Compact cannot start from pretrained weights, found a.onnx",
+    ),
+    "find bodies between limits in the wrong order": (
+        lambda: Background("limits", 2, 2),
+        BadConfig,
+        "the near limit must be at least 0 m and less than the far one, found 2 and 2 m",
+    ),
+    "read frames in an unknown unit": (
+        lambda: metres_a_step("inch"),
+        BadConfig,
+        "a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found 'inch'",
+    ),
+    "label frames of another size": (
+        lambda: Segmenter(build("compact"), LENS)(np.zeros((80, 60), np.float32)),
+        BadConfig,
+        "a frame must have the camera's size, 60 x 80, found 80 x 60",
+    ),
 }
 
 
@@ -247,6 +306,11 @@ LOADER: dict[str, tuple[dict[str, Any], str]] = {
     "more ranks than samples": (
         {"rank": 0, "world_size": 25},
         "24 samples are fewer than 25 ranks: use fewer ranks",
+    ),
+    "uneven batches": (
+        {"batch_size": 1, "rank": 0, "world_size": 7},
+        "24 samples cannot be shared out to 7 ranks in equally many batches of 1: "
+        "use a larger batch_size, or drop_last=True",
     ),
     "errors ignored": ({"on_error": "ignore"}, "on_error must be stop or skip, found 'ignore'"),
     "skipping without a budget": (

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.surface import angles, box_of, slants
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample, shape_of
+from bodyseg_data.core.sample import Sample, shape_of
 
 Kind = Literal["occlusion", "noise", "missing_data"]
 """The three kinds of artifacts of the paper's Table 1: what the projector does not light, ranges that are wrong, pixels
@@ -35,7 +35,7 @@ that are lost. Every artifact is of one kind, and variants name kinds."""
 class RangeImage:
     """A sample as a sensor would deliver it.
 
-    range: uint16 [H, W], steps of 0.1 mm, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
+    range: uint16 [H, W], in the rig's steps, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
     drawn: the quantities drawn for this image by name (`Artifact.drawn`): "sigma_mm", "missing_rate".
     """
 
@@ -60,7 +60,7 @@ class Scene:
     @property
     def step_m(self) -> float:
         """Metres in one step of a range."""
-        return RANGE_STEP_M
+        return self.rig.range_step_m
 
     @cached_property
     def pixels(self) -> NDArray[np.intp]:

@@ -9,12 +9,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.loops.bounds import forget_occupied, mark_occupied, take_pieces
+from bodyseg_data.artifacts.loops.occlusion import Shadow, find_runs, mark_lit, shadow_of
+from bodyseg_data.artifacts.loops.philox import raw_words
+from bodyseg_data.artifacts.loops.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
 from bodyseg_data.artifacts.noise import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS, Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, shadow_test
-from bodyseg_data.artifacts.occlusion_compiled import Shadow, find_runs, mark_lit, shadow_of
-from bodyseg_data.artifacts.philox_compiled import raw_words
-from bodyseg_data.artifacts.scratch import constant, copy_unless_same, scratch_for
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.sample import FARTHEST_STEPS
@@ -54,25 +55,35 @@ def draw_normals(halves: Any, count: Any, segments: Any, segment_of: Any, normal
 
 
 @_kernel
-def alter(image: Any, labels: Any, runs: Any, scratch: Any, noisy: Any, steps: Any) -> None:
-    """Leave the kept foreground, with noise if `noisy`, in a flat image and its labels."""
-    edges, marks, normals = scratch.edges, scratch.marks, scratch.floats[0]
-    point = np.uint64(0)
-    for run in range(np.uint64(runs)):
-        first = np.uint64(edges[np.uint64(2) * run])
-        length = np.uint64(edges[np.uint64(2) * run + np.uint64(1)]) - first
+def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy: Any, steps: Any) -> None:
+    """Leave the kept points of a chunk, with noise if `noisy`, in a flat image, and in its labels if `losing` any."""
+    pieces, marks, normals = scratch.pieces, scratch.marks, scratch.floats
+    size, piece = np.int64(image.size), np.uint64(0)
+    while piece < np.uint64(found):
+        first, length, point = np.uint64(pieces[0, piece]), np.uint64(pieces[1, piece]), np.uint64(pieces[3, piece])
+        piece += np.uint64(1)
+        while piece < np.uint64(found) and np.uint64(pieces[0, piece]) == first + length:
+            length += np.uint64(pieces[1, piece])
+            piece += np.uint64(1)
+        # Whole blocks are quicker; pixels behind the last point stay.
+        blocks = (np.int64(length) + BLOCK - 1) // BLOCK
+        span = np.uint64(min(size - np.int64(first), blocks * BLOCK))
         if noisy:
-            for i in range(length):
-                value = np.rint(np.float32(image[first + i]) + normals[point + i] * steps)
+            for i in range(span):
+                before = image[first + i]
+                value = np.rint(np.float32(before) + normals[point + i] * steps)
                 value = min(max(value, _NEAREST), FARTHEST_STEPS)
-                image[first + i] = np.uint16(np.int32(value)) * np.uint16(marks[point + i])
+                after = np.uint16(np.int32(value)) * np.uint16(marks[point + i])
+                image[first + i] = np.uint16(after) if i < length else before
         else:
-            for i in range(length):
-                image[first + i] *= np.uint16(marks[point + i])
-        for i in range(length):
-            # A mark less one is 0 for kept pixels and all bits, which is background, for the others.
-            labels[first + i] |= np.uint8(marks[point + i] - np.uint8(1))
-        point += length
+            for i in range(span):
+                before = image[first + i]
+                image[first + i] = np.uint16(before * np.uint16(marks[point + i])) if i < length else before
+        if losing:
+            for i in range(span):
+                # A mark less one is 0 for kept pixels and all bits, which is background, for the others.
+                lost = np.uint8(marks[point + i] - np.uint8(1))
+                labels[first + i] |= lost if i < length else np.uint8(0)
 
 
 @_kernel
@@ -93,27 +104,52 @@ def apply(
     """
     if runs < 0:
         runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
-    count = np.int64(0)
-    for run in range(np.uint64(runs)):
-        count += scratch.edges[np.uint64(2) * run + np.uint64(1)] - scratch.edges[np.uint64(2) * run]
     if occluded:
-        mark_lit(shadow, runs, scratch)
-    else:
-        scratch.marks[:count] = 1
-    if strengths.threshold:
-        raw_words(strengths.missing_0, strengths.missing_1, (count + 3) // 4, scratch.words)
-        for point in range(np.uint64(count)):
-            scratch.marks[point] &= np.uint8(np.uint32(scratch.quarters[point]) >= strengths.threshold)
-    if noisy:
-        raw_words(strengths.noise_0, strengths.noise_1, (count + 1) // 2, scratch.words)
-        draw_normals(scratch.halves, count, segments, scratch.start, scratch.floats[0])
-    alter(image, labels, runs, scratch, noisy, strengths.steps)
+        mark_occupied(shadow, scratch)
+    losing = occluded or strengths.threshold > 0
+    # Only bounds of texels need small pieces, in one row each.
+    width, block = (shadow.width, BLOCK) if occluded else (image.size, CHUNK)
+    pieces, marks, normals = scratch.pieces, scratch.marks, scratch.floats
+    run, taken, row, before = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    while run < runs:
+        run, taken, row, found, count = take_pieces(scratch.edges, runs, run, taken, row, width, block, pieces)
+        if occluded:
+            mark_lit(shadow, found, scratch, marks)
+        else:
+            marks[:count] = 1
+        if strengths.threshold:
+            raw_words(strengths.missing_0, strengths.missing_1, before // 4, (count + 3) // 4, scratch.words)
+            for point in range(np.uint64(count)):
+                marks[point] &= np.uint8(np.uint32(scratch.quarters[point]) >= strengths.threshold)
+        if noisy:
+            raw_words(strengths.noise_0, strengths.noise_1, before // 2, (count + 1) // 2, scratch.words)
+            draw_normals(scratch.halves, count, segments, scratch.ints, normals)
+        alter(image, labels, found, scratch, losing, noisy, strengths.steps)
+        before += count
+    if occluded:
+        forget_occupied(shadow, scratch)
 
 
-_NO_FACING, _NO_TEXELS = constant(np.zeros(0, np.uint8)), constant(np.zeros(0, np.uint16))
-_NO_INDICES: Final = constant(np.zeros(0, np.int32))
-_NO_SLOPES: Final = constant(np.zeros(0, np.float32))
-_NO_OFFSETS: Final = (np.float32(0),) * 3
+_NO_RANGE, _NO_FACING = constant(np.zeros(1, np.uint16)), constant(np.zeros(1, np.uint8))
+_NO_TEXELS: Final = constant(np.zeros(1, np.int32))
+_NO_SLOPES: Final = constant(np.zeros(3))
+_NO_PROJECTION: Final = np.zeros((3, 5), np.float32)
+_NO_PROJECTION.flags.writeable = False
+_NO_SHADOW: Final = Shadow(
+    camera_range=_NO_RANGE,
+    facing=_NO_FACING,
+    projector_range=_NO_RANGE,
+    texels=_NO_TEXELS,
+    width=1,
+    rows=1,
+    columns=1,
+    of_columns=_NO_SLOPES,
+    of_rows=_NO_SLOPES,
+    projection=_NO_PROJECTION,
+    gap_steps=np.float32(0),
+    edge_steps=np.float32(0),
+)
+"""One background pixel, and an empty texel."""
 _NO_STREAM: Final = constant(np.zeros(2, np.uint64))
 
 
@@ -150,11 +186,10 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
         images = sample.range, sample.occluder_range(), sample.faces_projector
         shadow = shadow_of(shadow_test(scene.rig), *images, None if occupancy is None else occupancy.texels)
     else:
-        shadow = Shadow(
-            constant(sample.range), _NO_FACING, _NO_TEXELS, _NO_INDICES, 0, 0, *(_NO_SLOPES,) * 3, *_NO_OFFSETS
-        )
-    strengths = Strengths(noise[0], noise[1], steps_of(sigma_mm), missing[0], missing[1], np.uint32(threshold(rate)))
-    scratch = scratch_for(sample.range.size, shadow.projector_range.size)
+        shadow = _NO_SHADOW._replace(camera_range=constant(sample.range), width=sample.range.shape[1])
+    sigma = steps_of(sigma_mm, scene.step_m)
+    strengths = Strengths(noise[0], noise[1], sigma, missing[0], missing[1], np.uint32(threshold(rate)))
+    scratch = scratch_for(sample.range.size, shadow.rows, shadow.columns)
     runs = -1
     if occupancy is not None and occupancy.edges is not None:
         scratch, runs = scratch._replace(edges=occupancy.edges), len(occupancy.edges) // 2
@@ -167,9 +202,7 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
 
 def compile_all() -> None:
     """Compile the loops, or load their machine code, by applying them to one pixel."""
-    texel, facing, slope = (constant(np.zeros(1, kind)) for kind in (np.uint16, np.uint8, np.float32))
-    shadow = Shadow(texel, facing, texel, _NO_INDICES, 1, 1, slope, slope, slope, *_NO_OFFSETS)
     word = np.uint64(0)
     strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
-    apply(shadow, True, strengths, True, SEGMENTS, -1, scratch_for(1, 1), image, labels)
+    apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch_for(1, 1, 1), image, labels)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import Draws
-from bodyseg_data.core.sample import RANGE_STEP_M
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,8 @@ class Noise(Artifact):
         """As `Artifact.apply`."""
         ranges, pixels = image.range.reshape(-1), scene.pixels
         before = ranges[pixels]
-        noisy = add_noise(before, image.drawn["sigma_mm"], draws.pixels("noise", len(pixels), np.uint32))
+        sigma = steps_of(image.drawn["sigma_mm"], scene.step_m)
+        noisy = add_noise(before, sigma, draws.pixels("noise", len(pixels), np.uint32))
         ranges[pixels] = np.where(before > 0, noisy, 0)
 
 
@@ -100,16 +100,18 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     return signed
 
 
-def steps_of(sigma_mm: float) -> np.float32:
-    """Millimetres as steps of a stored range."""
-    return np.float32(sigma_mm / 1000 / RANGE_STEP_M)
+def steps_of(sigma_mm: float, step_m: float) -> np.float32:
+    """Millimetres as steps of a stored range; step_m: one step, metres."""
+    return np.float32(sigma_mm / 1000 / step_m)
 
 
-def add_noise(foreground: NDArray[np.uint16], sigma_mm: float, draws: NDArray[np.uint32]) -> NDArray[np.uint16]:
-    """Noisy copy of the foreground's ranges, uint16 [N] in and out, steps of 0.1 mm; draws: uint32 [N], random bits.
+def add_noise(foreground: NDArray[np.uint16], sigma: np.float32, draws: NDArray[np.uint32]) -> NDArray[np.uint16]:
+    """Noisy copy of the foreground's ranges, uint16 [N] in and out, in steps.
+
+    sigma: the standard deviation in steps. draws: uint32 [N], random bits.
 
     Rounds to the nearest step and stays within 1 .. 65535: a foreground pixel neither becomes background (0) nor wraps
     around in 16 bits.
     """
-    noisy = foreground.astype(np.float32) + normals(draws) * steps_of(sigma_mm)
+    noisy = foreground.astype(np.float32) + normals(draws) * sigma
     return np.clip(np.rint(noisy), 1, 65535).astype(np.uint16)

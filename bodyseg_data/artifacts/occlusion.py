@@ -13,7 +13,7 @@ shards (`core.sample.ShadowThresholds`). docs/occlusion.md measures the test bes
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -23,14 +23,12 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M, SHADOW_THRESHOLDS
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 Floats = NDArray[np.float32]
 
 # Everything below computes in float32, in steps of a stored range image, in one fixed order of operations, so that
 # every form and every machine gives the same bits.
-_GAP_STEPS: Final = SHADOW_THRESHOLDS.gap_steps
-_EDGE_STEPS: Final = SHADOW_THRESHOLDS.edge_steps
 _ONE: Final = np.float32(1)
 _HALF: Final = np.float32(0.5)
 
@@ -57,24 +55,55 @@ class ShadowTest:
     projector coordinates are quotients (z a + b) / (z c + d), where a and c depend on the pixel only, b and d on
     nothing; the denominator is the point's range in the projector's frame.
 
-    slopes: float32 [3, H * W], a for the texel's x, a for its y, and c. offsets: float32 [3], both b and d, in steps.
+    of_columns: float64 [3, W] and of_rows: float64 [3, H], whose sums are a for the texel's x, a for its y, and c of
+    each pixel, in float32. offsets: float32 [3], both b and d, in steps. gap_steps, edge_steps: float32, the thresholds
+    of the format of shards in steps.
     """
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         rotation, shift_m = rig.camera_to_projector()
-        rays = rig.camera.pixel_rays().reshape(-1, 3) @ rotation.T
         focal, (centre_x, centre_y) = rig.projector.focal_px, rig.projector.centre_px
         # Texel centres lie at half-integers of image coordinates; half a texel off, at integers.
         image_plane = np.array([[focal, 0, centre_x - 0.5], [0, focal, centre_y - 0.5], [0, 0, 1]])
-        self.slopes: Floats = np.ascontiguousarray((rays @ image_plane.T).T, np.float32)
-        self.offsets: Floats = (image_plane @ shift_m / RANGE_STEP_M).astype(np.float32)
+        across, down, forward = (image_plane @ rotation).T[:, :, None]
+        rays = rig.camera.pixel_rays()
+        self.of_columns: NDArray[np.float64] = across * rays[0, :, 0]
+        self.of_rows: NDArray[np.float64] = down * rays[:, 0, 1] + forward
+        self.offsets: Floats = (image_plane @ shift_m / rig.range_step_m).astype(np.float32)
+        self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps(rig.range_step_m)
+        self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps(rig.range_step_m)
 
     def __repr__(self) -> str:
         return f"ShadowTest(rig {self.rig.name!r}, {SHADOW_THRESHOLDS})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ShadowTest, (self.rig,)  # a rig is small, the arrays are not
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """The slopes a for the texel's x, a for its y, and c of all pixels, float32 [3, H * W]."""
+        return (self.of_columns[:, None] + self.of_rows[:, :, None]).astype(np.float32).reshape(3, -1)
+
+    @cached_property
+    def projection(self) -> Floats:
+        """The input of bounds of whole blocks of pixels, float32 [3, 5], read-only; rows: x, y, range.
+
+        Columns: the offset, the plane of the slope, and the margin. Divided by the range, the margins of x and y cover
+        all that rounding can move a point's x and y and their bounds apart; a range must be over its own margin.
+        """
+        camera, projector = self.rig.camera, self.rig.projector
+        columns, rows = self.of_columns, self.of_rows
+        a_column = (columns[:, -1] - columns[:, 0]) / max(camera.columns - 1, 1)
+        a_row = (rows[:, -1] - rows[:, 0]) / max(camera.rows - 1, 1)
+        planes = np.column_stack([a_column, a_row, columns[:, 0] + rows[:, 0]])
+        largest = np.abs(planes) @ (camera.columns, camera.rows, 1)
+        # Every operation is off by at most 2**-24 of its greatest term; there are fewer than sixteen to each bound.
+        off = (float(FARTHEST_STEPS) * largest + np.abs(self.offsets)) * 2.0**-20
+        margins = 2 * (off[0] + projector.columns * off[2]), 2 * (off[1] + projector.rows * off[2]), 4 * off[2]
+        projection = np.column_stack([self.offsets, planes, margins]).astype(np.float32)
+        projection.flags.writeable = False
+        return projection
 
     def lit(
         self,
@@ -84,15 +113,19 @@ class ShadowTest:
     ) -> NDArray[np.bool_]:
         """Mark the camera pixels that see a surface which the projector lights, bool [H, W]; False on background.
 
-        camera_range: uint16 [H, W] and projector_range: uint16 [Hp, Wp], steps of `RANGE_STEP_M` along the optical axis
-        of each device, 0 where there is nothing. faces_projector: bool [H, W], whether the triangle seen turns its
+        camera_range: uint16 [H, W] and projector_range: uint16 [Hp, Wp], in the rig's steps along the optical axis of
+        each device, 0 where there is nothing. faces_projector: bool [H, W], whether the triangle seen turns its
         outside to the projector. Raises BadSample for arrays of another kind or shape than the rig's.
         """
         self.check(camera_range, projector_range, faces_projector)
         answer = np.zeros(camera_range.shape, np.bool_)
         pixels, x, y, away = self.project(camera_range, np.flatnonzero(faces_projector & (camera_range > 0)))
-        answer.ravel()[pixels] = reached(projector_range, x, y, away)
+        answer.ravel()[pixels] = self.reached(projector_range, x, y, away)
         return answer
+
+    def reached(self, projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
+        """As the function `reached`, with the thresholds in the rig's steps."""
+        return reached(projector_range, x, y, away, self.gap_steps, self.edge_steps)
 
     def check(self, camera_range: Any, projector_range: Any, faces_projector: Any) -> None:
         """Raise BadSample for images of another kind or shape than the rig's."""
@@ -130,11 +163,19 @@ def shadow_test(rig: Rig) -> ShadowTest:
     return ShadowTest(rig)
 
 
-def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
+def reached(
+    projector_range: NDArray[np.uint16],
+    x: Floats,
+    y: Floats,
+    away: Floats,
+    gap_steps: np.float32,
+    edge_steps: np.float32,
+) -> NDArray[np.bool_]:
     """Decide whether light reaches points inside the projector's frame, bool [N].
 
     projector_range: uint16 [Hp, Wp]. x, y: float32 [N], texel coordinates, whole at texel centres, from -0.5 to below
-    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. Ranges are in steps of `RANGE_STEP_M`.
+    Wp - 0.5. away: float32 [N], the points' range in the projector's frame. gap_steps, edge_steps: float32,
+    the thresholds. Ranges and thresholds are in the rig's steps.
     """
     texels, along, below = four_texels(projector_range, x, y)
     away = np.minimum(away - _ONE, FARTHEST_STEPS)  # one step off, as the texels are
@@ -144,11 +185,11 @@ def reached(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Flo
     # One surface: it is where the interpolated range says.
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= _GAP_STEPS
+    lit: NDArray[np.bool_] = away - (upper + below * (lower - upper)) <= gap_steps
 
     # An edge: votes.
-    torn = np.flatnonzero(farthest - nearest >= _EDGE_STEPS)
-    limit, right, low = (away - _EDGE_STEPS)[torn], along[torn], below[torn]
+    torn = np.flatnonzero(farthest - nearest >= edge_steps)
+    limit, right, low = (away - edge_steps)[torn], along[torn], below[torn]
     left, high = _ONE - right, _ONE - low
     votes = [
         weight * (texel[torn] >= limit)

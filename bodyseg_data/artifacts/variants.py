@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib import import_module
 from typing import Any, Final, Literal
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
-from bodyseg_data.artifacts.scratch import copy_unless_same
+from bodyseg_data.artifacts.loops.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.kernels import use_compiled
@@ -206,6 +206,7 @@ def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.gen
         )
 
 
+@lru_cache(maxsize=1)
 def _loops() -> Any:
     """The compiled loops; they load numba, so not before they are used."""
     return import_module("bodyseg_data.artifacts.compiled")

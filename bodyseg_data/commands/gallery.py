@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from bodyseg_data.artifacts.artifact import Scene
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.gallery import choose_views, draw_gallery
@@ -40,8 +41,8 @@ def run(options: Options) -> int:
     views = [(images, index) for images in sets for index in range(len(images))]
     count = min(_VIEWS, len(views)) if options.views is None else options.views
     chosen = choose_views([key for images in sets for key in images.keys], count)
-    samples = [images.clean(index) for images, index in (views[number] for number in chosen)]
-    title = f"{len(samples)} of {len(views)} views, rig {sets[0].manifest.rig.name}"
-    save_picture(draw_gallery(samples, camera, title), options.out)
+    scenes = [Scene(images.clean(index), images.manifest.rig) for images, index in (views[number] for number in chosen)]
+    title = f"{len(scenes)} of {len(views)} views, rig {sets[0].manifest.rig.name}"
+    save_picture(draw_gallery(scenes, title), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0

@@ -67,8 +67,10 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     lines = []
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
-        lines.append(Row(sample, {name: make(sample, images.epoch) for name, make in augmentations.items()}))
-    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
+        variants = {name: make(sample, images.epoch) for name, make in augmentations.items()}
+        lines.append(Row(sample, images.step_m, variants))
+    sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
+    title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor)
 
 
@@ -104,6 +106,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "renderer": manifest.renderer,
         "codec": manifest.codec,
         "rig": manifest.rig.name,
+        "range_step_mm": manifest.rig.range_step_mm,
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "shards": len(images.urls()),
         "bytes": images.stored_bytes(),

@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import re
 import sys
 import types
 import typing
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import bodyseg_data
 from bodyseg_data.core.errors import BadConfig
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 Options = TypeVar("Options")
+
+_NEGATIVE_RANGE: Final = re.compile(r"-[0-9]+\.\.[+-]?[0-9]+")
 
 
 def option(
@@ -52,7 +55,7 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
     try:
         with contextlib.redirect_stdout(page):
             options: Options | None = parser(
-                list(arguments), result_action="return_value", exit_on_error=False, print_error=False
+                _with_ranges(arguments), result_action="return_value", exit_on_error=False, print_error=False
             )
     except CycloptsError as error:
         wrong = str(error).rstrip(".")
@@ -61,6 +64,16 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
         raise BadConfig(f"{wrong} (see {program} --help)") from None
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in page.getvalue().splitlines()))
     return options
+
+
+def _with_ranges(arguments: Sequence[str]) -> list[str]:
+    """`--pitch -30..10` as `--pitch=-30..10`: cyclopts takes a word with a hyphen for a flag unless it is a number."""
+    words: list[str] = []
+    for word in arguments:
+        if _NEGATIVE_RANGE.fullmatch(word) and words and words[-1].startswith("--"):
+            word = f"{words.pop()}={word}"
+        words.append(word)
+    return words
 
 
 def command_parser(kind: type[Any], program: str, summary: str, example: str) -> App:

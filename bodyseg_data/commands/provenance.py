@@ -39,8 +39,9 @@ def _commit() -> str:
     here = Path(__file__).parent
 
     def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", str(here), *words], capture_output=True, text=True, check=True, timeout=10)
-        return done.stdout.strip()
+        # Without optional locks: `git status` would write the index, and leave its lock behind if it is stopped.
+        command = ["git", "--no-optional-locks", "-C", str(here), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
         changed = "-changed" if git("status", "--porcelain", "--", str(here.parent)) else ""  # new files, too

@@ -20,7 +20,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.core.views import ViewGrid, parse_choice
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
@@ -42,10 +42,17 @@ class Options:
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
     meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
-    views: int | None = option("number of views of each body (default: all, distances x azimuths)", None)
+    views: int | None = option("number of views of each body (default: all combinations)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
     azimuths: int = option("number of directions around the body", ViewGrid.azimuths)
     azimuth_span: int = option("degrees that the azimuths cover", ViewGrid.span_deg)
+    pitch: tuple[str, ...] = option(
+        "degrees by which the camera, aimed at the body, looks up (negative: down, from above); "
+        "or one range like -30..10, which each view draws from",
+        ("0",),
+    )
+    roll: tuple[str, ...] = option("degrees by which it is turned clockwise about its axis, or one range", ("0",))
+    height: tuple[str, ...] = option("cm by which it is then raised without turning, or one range", ("0",))
     rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
     geodesics: GeodesicMethod = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
@@ -61,7 +68,11 @@ class Options:
 
     def packing(self) -> Packing:
         """Return the options as a `Packing`. Raises BadConfig."""
-        views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views)
+        pitch, roll, height = (
+            parse_choice(words, flag)
+            for words, flag in ((self.pitch, "--pitch"), (self.roll, "--roll"), (self.height, "--height"))
+        )
+        views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views, pitch, roll, height)
         return Packing(
             source=self.source,
             path=None if self.path is None else self.path.absolute(),  # workers may run in another folder

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.splits import SPLITS, Split
-
-RANGE_STEP_M: Final = 1e-4
-"""One step of a stored range image, metres; with 16 bits it reaches 6.5535 m."""
+from bodyseg_data.core.views import View
 
 FARTHEST_STEPS: Final = np.float32(65535)
-"""The largest range that a stored image can hold, in steps."""
+"""The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
 
 _KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
 
@@ -36,24 +34,28 @@ class ShadowThresholds:
     surface_gap_m: float = 0.006
     edge_m: float = 0.020
 
-    @property
-    def gap_steps(self) -> np.float32:
-        """`surface_gap_m` in steps of a stored range."""
-        return np.float32(round(self.surface_gap_m / RANGE_STEP_M))
+    def gap_steps(self, step_m: float) -> np.float32:
+        """`surface_gap_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.surface_gap_m / step_m)))
 
-    @property
-    def edge_steps(self) -> np.float32:
-        """`edge_m` in steps of a stored range."""
-        return np.float32(round(self.edge_m / RANGE_STEP_M))
+    def edge_steps(self, step_m: float) -> np.float32:
+        """`edge_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.edge_m / step_m)))
 
 
 SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
+_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm"})
+
+
 @dataclass(frozen=True)
 class SampleInfo:
-    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test"."""
+    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
+
+    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`.
+    """
 
     source: str
     subset: str
@@ -63,6 +65,22 @@ class SampleInfo:
     distance_cm: int
     azimuth_deg: int
     split: Split
+    pitch_deg: int = 0
+    roll_deg: int = 0
+    height_cm: int = 0
+
+    @property
+    def view(self) -> View:
+        """The view that the sample was rendered from."""
+        return View(self.distance_cm, self.azimuth_deg, self.pitch_deg, self.roll_deg, self.height_cm)
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to a JSON object; pitch, roll and height are in it only where they are not 0."""
+        return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
+
+
+_KINDS: Final = {name: int if name.endswith(("_cm", "_deg")) else str for name in SampleInfo.__dataclass_fields__}
+_REQUIRED: Final = _KINDS.keys() - _OPTIONAL
 
 
 @dataclass(frozen=True)
@@ -81,7 +99,7 @@ class Occupancy:
 class Sample:
     """A clean rendering of one body from one view.
 
-    range: uint16 [H, W], the camera's range in steps of 0.1 mm along its optical axis; 0 is background.
+    range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read.
     labels: uint8 [H, W], part 0..32, 255 where range is 0.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
@@ -144,25 +162,30 @@ def check_key(key: str) -> None:
         raise BadSample(f"a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found {key!r}")
 
 
-def steps(range_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.uint16]:
-    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest. Raises BadSample beyond 6.5535 m."""
-    rounded = np.rint(np.asarray(range_m, np.float64) / RANGE_STEP_M)
+def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDArray[np.uint16]:
+    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest; of foreground, none becomes 0.
+
+    step_m: one step, metres (`Rig.range_step_m`). where: origin of the ranges, for the message. Raises BadSample for a
+    range below 0 or beyond 65535 steps.
+    """
+    rounded = np.rint(np.asarray(range_m, np.float64) / step_m)
     fits = (rounded >= 0) & (rounded <= 65535)  # False for NaN too
     if not fits.all():
-        raise BadSample(f"{where}: a range must be 0 to 6.5535 m, found {range_m[~fits][0]:.5g} m")
+        reach = f"{65535 * step_m:.5g} m, 65535 steps of {1e3 * step_m:g} mm"
+        raise BadSample(f"{where}: a range must be 0 to {reach}, found {range_m[~fits][0]:.5g} m")
     foreground = np.asarray(range_m) > 0
     return np.where(foreground, np.maximum(rounded, 1), 0).astype(np.uint16)
 
 
 def info_from_json(tree: Any, key: str) -> SampleInfo:
     """Check and read a sample's description. Raises BadSample."""
-    fields = SampleInfo.__dataclass_fields__
-    if not isinstance(tree, dict) or set(tree) != set(fields):
-        raise BadSample(f"{key}: the description must have exactly {sorted(fields)}")
-    for field in fields:
-        kind = int if field in ("distance_cm", "azimuth_deg") else str
-        if not isinstance(tree[field], kind) or isinstance(tree[field], bool):
-            raise BadSample(f"{key}: {field!r} must be {kind.__name__}, found {tree[field]!r}")
+    if not isinstance(tree, dict) or (tree.keys() != _REQUIRED and tree.keys() | _OPTIONAL != _KINDS.keys()):
+        raise BadSample(
+            f"{key}: the description must have exactly {sorted(_REQUIRED)}, and may have {sorted(_OPTIONAL)}"
+        )
+    for field, value in tree.items():
+        if type(value) is not _KINDS[field]:
+            raise BadSample(f"{key}: {field!r} must be {_KINDS[field].__name__}, found {value!r}")
     if tree["split"] not in SPLITS:
         raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
     return SampleInfo(**tree)

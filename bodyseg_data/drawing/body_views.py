@@ -70,6 +70,19 @@ def draw_body_views(bodies: Sequence[LabelledBody], heights_px: Sequence[int] | 
 
 def draw_side(body: LabelledBody, azimuth_deg: int, pixels_per_m: float) -> Image.Image:
     """Draw one body from one side with dots and numbers, RGB. azimuth_deg: 0 front, 90 its left, 180 back."""
+    image, dots = draw_parts(body, azimuth_deg, pixels_per_m)
+    _mark(image, dots)
+    return image
+
+
+def draw_parts(
+    body: LabelledBody, azimuth_deg: int, pixels_per_m: float
+) -> tuple[Image.Image, dict[int, tuple[float, float]]]:
+    """Draw one body from one side without marks, RGB, and locate the landmarks that are seen.
+
+    azimuth_deg: as for `draw_side`. Returns the image, and by label the pixel (x, y) of every landmark that faces the
+    viewer with nothing before it.
+    """
     _, mesh, parts, landmarks = body
     normals = mesh.vertex_normals
     camera = _camera(mesh, azimuth_deg, pixels_per_m)
@@ -96,8 +109,7 @@ def draw_side(body: LabelledBody, azimuth_deg: int, pixels_per_m: float) -> Imag
     fine_rows, fine_columns = (np.floor(pixels[:, axis] * _SUPERSAMPLING).astype(np.int64) for axis in (1, 0))
     nearest = seen.range[fine_rows, fine_columns]  # the image holds the whole body, so every landmark is inside
     visible = (towards > 0.12) & ((nearest == 0) | (ranges < nearest + _OCCLUSION_TOLERANCE_M))
-    _mark(image, {int(label): (float(x), float(y)) for label, (x, y) in enumerate(pixels) if visible[label]})
-    return image
+    return image, {int(label): (float(x), float(y)) for label, (x, y) in enumerate(pixels) if visible[label]}
 
 
 def _row(body: LabelledBody, height_px: int) -> Image.Image:

@@ -15,7 +15,7 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.parts import colour_labels
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.sample import Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
@@ -35,15 +35,16 @@ _RAMP: Final = np.array(
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the sheet: a sample as stored, and its range image in each variant."""
+    """One line of the sheet: a sample as stored, one step of its ranges in metres, and its image in each variant."""
 
     sample: Sample
+    step_m: float
     variants: dict[VariantName, RangeImage]
 
 
-def colour_range(image: NDArray[np.uint16], near: int, far: int) -> NDArray[np.uint8]:
-    """Colour a range image uint16 [H, W] as sRGB uint8 [H, W, 3], light at `near` and dark at `far` (in steps)."""
-    position = np.clip((image.astype(np.float64) - near) / max(far - near, 1), 0, 1) * (len(_RAMP) - 1)
+def colour_range(image: NDArray[np.uint16 | np.float32], near: float, far: float) -> NDArray[np.uint8]:
+    """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3], light at `near` and dark at `far`."""
+    position = np.clip((image.astype(np.float64) - near) / ((far - near) or 1), 0, 1) * (len(_RAMP) - 1)
     colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
     colours[image == 0] = _EMPTY
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
@@ -87,8 +88,8 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str
     occluder = sample.occluder_range()
     span, projector_span = _span(sample.range), _span(occluder)
     panels = [
-        (_metres(sample.range), colour_range(sample.range, *span)),
-        (_metres(occluder), colour_range(occluder, *projector_span)),
+        (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
+        (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
         ("", colour_labels(sample.labels, _EMPTY)),
     ]
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
@@ -106,9 +107,9 @@ def _span(image: NDArray[np.uint16]) -> tuple[int, int]:
     return (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
 
 
-def _metres(image: NDArray[np.uint16]) -> str:
+def _metres(image: NDArray[np.uint16], step_m: float) -> str:
     near, far = _span(image)
-    return f"{near * RANGE_STEP_M:.2f} to {far * RANGE_STEP_M:.2f} m" if near else "nothing in view"
+    return f"{near * step_m:.2f} to {far * step_m:.2f} m" if near else "nothing in view"
 
 
 def _fit(picture: NDArray[np.uint8]) -> Image.Image:
@@ -121,9 +122,7 @@ def _fit(picture: NDArray[np.uint8]) -> Image.Image:
 
 def _caption(sample: Sample) -> str:
     info = sample.info
-    return (
-        f"{info.subject}, {info.pose}, {info.distance_cm / 100:.2f} m, {info.azimuth_deg}° ({info.split}, {sample.key})"
-    )
+    return f"{info.subject}, {info.pose}, {info.view.words} ({info.split}, {sample.key})"
 
 
 def _legend(width: int) -> Image.Image:

@@ -10,21 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from bodyseg_data.artifacts.artifact import Scene
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.views import split_key
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 COLUMNS: Final = 12
 _TILE_ROWS: Final = 320
 _CAPTION: Final = 32
+_HIGHER_CAPTION: Final = 46  # with pitch, roll and height
 _GAP: Final = 6
 _EDGE_M: Final = 0.03
 """Difference in range beyond which neighbouring pixels are on different surfaces."""
 
-_KEY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)-d\d+-a\d+")
+_BODY: Final = re.compile(r"(?P<source>[^-]+)-(?P<subject>[^-]+)-(?P<mesh>.+)")
 
 
 def choose_views(keys: Sequence[str], count: int) -> list[int]:
@@ -38,8 +40,9 @@ def choose_views(keys: Sequence[str], count: int) -> list[int]:
         raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
     groups: dict[str, dict[str, list[int]]] = {}
     for index, key in enumerate(keys):
-        match = _KEY.fullmatch(key)
-        if match is None:
+        body, view = split_key(key)
+        match = _BODY.fullmatch(body)
+        if match is None or not view:
             raise BadConfig(f"a gallery needs keys like SOURCE-SUBJECT-MESH-d215-a010, found {key!r}")
         group = f"{match['source']}-{re.sub('[0-9]+', '', match['subject'])}"
         groups.setdefault(group, {}).setdefault(match["mesh"], []).append(index)
@@ -63,47 +66,49 @@ def _from_group(meshes: dict[str, list[int]], share: int) -> list[int]:
     return chosen
 
 
-def draw_gallery(samples: Sequence[Sample], camera: Camera, title: str) -> Image.Image:
-    """Draw a grid of views, twelve a line, with a caption below each and a legend of the parts; RGB.
-
-    camera: of all samples.
-    """
-    tiles = [_tile(sample, camera) for sample in samples]
+def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
+    """Draw a grid of views, twelve a line, with a caption below each and a legend of the parts; RGB."""
+    tiles = [_tile(scene) for scene in scenes]
     width = max(tile.width for tile in tiles)
     lines = -(-len(tiles) // COLUMNS)
     columns = min(COLUMNS, len(tiles))
     legend = draw_legend(max(columns * (width + _GAP), 900))
-    top, step = 44, _TILE_ROWS + _CAPTION + _GAP
+    plain = all(scene.sample.info.view.words.count(",") == 1 for scene in scenes)
+    top, step = 44, _TILE_ROWS + (_CAPTION if plain else _HIGHER_CAPTION) + _GAP
     picture = Image.new("RGB", (legend.width + 2 * _GAP, top + lines * step + legend.height + _GAP), PAPER)
     pen = ImageDraw.Draw(picture)
     pen.text((_GAP + 2, 10), title, INK, font=font(18))
-    for number, (sample, tile) in enumerate(zip(samples, tiles, strict=True)):
+    for number, (scene, tile) in enumerate(zip(scenes, tiles, strict=True)):
         left, upper = _GAP + number % COLUMNS * (width + _GAP), top + number // COLUMNS * step
         picture.paste(tile, (left, upper))
-        info = sample.info
+        info = scene.sample.info
         pen.text((left + 2, upper + _TILE_ROWS + 2), f"{info.subject}, {info.pose}"[:26], INK, font=font(11))
-        where = f"{info.distance_cm / 100:.2f} m, {info.azimuth_deg}°, {info.split}"
+        distance, azimuth, *stance = info.view.words.split(", ")
+        where = f"{distance}, {azimuth}, {info.split}"
         pen.text((left + 2, upper + _TILE_ROWS + 15), where, FAINT, font=font(11))
+        pen.text((left + 2, upper + _TILE_ROWS + 29), ", ".join(stance), FAINT, font=font(9))
     picture.paste(legend, (_GAP, picture.height - legend.height - _GAP))
     return picture
 
 
-def _tile(sample: Sample, camera: Camera) -> Image.Image:
+def _tile(scene: Scene) -> Image.Image:
+    sample = scene.sample
     foreground = sample.labels != BACKGROUND
     canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
-    shade = surface_shading(sample.range, camera)[foreground]
+    shade = surface_shading(sample.range, scene.step_m, scene.rig.camera)[foreground]
     canvas[foreground] = np.clip(COLOURS[sample.labels[foreground]] * (0.35 + 0.7 * shade[:, None]), 0, 255)
     picture = Image.fromarray(canvas)
     return picture.resize((round(picture.width * _TILE_ROWS / picture.height), _TILE_ROWS), Image.Resampling.LANCZOS)
 
 
-def surface_shading(image: NDArray[np.uint16], camera: Camera) -> NDArray[np.float64]:
+def surface_shading(image: NDArray[np.uint16], step_m: float, camera: Camera) -> NDArray[np.float64]:
     """Lambertian shading, float64 [H, W], 0 to 1, by a light a little above and left of the camera.
 
-    image: uint16 [H, W], range in steps, 0 background. A normal is the cross product of the differences to the
-    neighbours right and below (or left and above, where those are on another surface). Background is 0.
+    image: uint16 [H, W], range in steps of `step_m` metres, 0 background. A normal is the cross product of the
+    differences to the neighbours right and below (or left and above, where those are on another surface). Background
+    is 0.
     """
-    depth = image.astype(np.float64) * RANGE_STEP_M
+    depth = image.astype(np.float64) * step_m
     rows, columns = image.shape
     x = (np.arange(columns) + 0.5 - camera.centre_px[0]) / camera.focal_px
     y = (np.arange(rows) + 0.5 - camera.centre_px[1]) / camera.focal_px

@@ -1,4 +1,4 @@
-"""Batches of range images, made in worker processes and delivered without a copy."""
+"""Batches of range images, made by worker threads or processes and delivered without a copy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
 from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
-from bodyseg_data.loading.workers import InlineWorkers, StartMethod, Workers
+from bodyseg_data.loading.worker_processes import ProcessWorkers, StartMethod
+from bodyseg_data.loading.worker_threads import ThreadWorkers
+from bodyseg_data.loading.workers import (
+    DEFAULT_WORKER_METHOD,
+    InlineWorkers,
+    WorkerMethod,
+    Workers,
+    check_worker_method,
+)
 
 Fault = tuple[int, BodysegError]
 """(index in the batch, error): returned by a worker and raised in the user's process."""
@@ -34,6 +42,7 @@ class LoaderOptions:
     prefetch_factor: int
     metres: bool
     pin_memory: bool
+    worker_method: WorkerMethod
     start_method: StartMethod | None
 
     def __post_init__(self) -> None:
@@ -41,18 +50,23 @@ class LoaderOptions:
         check_int("prefetch_factor", self.prefetch_factor, 1)
         check_bool("metres", self.metres)
         check_bool("pin_memory", self.pin_memory)
+        check_worker_method(self.worker_method)
         if self.start_method not in _START_METHODS:
             raise BadConfig(f"start_method must be fork, spawn, forkserver or None, found {self.start_method!r}")
+        if self.start_method is not None and self.worker_method != "process":
+            raise BadConfig(
+                f"start_method is for worker_method='process', found {self.start_method!r} with {self.worker_method!r}"
+            )
 
 
 @dataclass(frozen=True)
 class _WorkerState:
     """Workers and the memory that they fill. in_flight: slots of the batches requested so far, oldest first.
 
-    close: ends the workers. owner: id of the process that started them.
+    close: ends the workers. owner: id of the process that they belong to.
     """
 
-    workers: InlineWorkers | Workers
+    workers: Workers
     slots: Slots
     close: Callable[[], Any]
     owner: int
@@ -86,7 +100,7 @@ class _BatchMaker:
                     break  # this error ends the run, and every further sample might take as long to fail
             else:
                 if self.metres:
-                    metres(steps, ranges[row, 0])
+                    metres(steps, self.images.step_m, ranges[row, 0])
         return faults
 
 
@@ -159,6 +173,8 @@ class Loader:
                 del batch  # otherwise its slot would stay lent while the next batch is waited for
                 if self._passes != this:
                     raise BadConfig("a loader gives one pass at a time, and a newer one has begun: make another loader")
+                if state.owner != os.getpid():
+                    raise BadConfig("a pass goes on in the process that began it, not in a fork of it: begin another")
             self.order.end_pass()
         except GeneratorExit:
             raise  # the next pass discards the batches in flight
@@ -183,8 +199,15 @@ class Loader:
         slots = Slots(self._prefetched, self.order.largest, camera.rows, camera.columns, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         self.images.augmentation.prepare()
-        workers = Workers(maker, self._workers, options.start_method) if self._workers else InlineWorkers(maker)
+        workers = self._new_workers(maker)
         return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
+
+    def _new_workers(self, maker: _BatchMaker) -> Workers:
+        if not self._workers:
+            return InlineWorkers(maker)
+        if self._options.worker_method == "thread":
+            return ThreadWorkers(maker, self._workers)
+        return ProcessWorkers(maker, self._workers, self._options.start_method)
 
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
         faults: list[Fault] = state.workers.result()
@@ -221,9 +244,10 @@ def loader(
     metres: bool = True,
     pin_memory: bool = False,
     prefetch_factor: int = 2,
+    worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
     start_method: StartMethod | None = None,
 ) -> Loader:
-    """Return a loader of batches of `images`, made in `num_workers` processes (0: in this one); see `Batch`.
+    """Return a loader of batches of `images`, made by `num_workers` workers (0: by the caller's thread); see `Batch`.
 
     shuffle: None shuffles the train split only. drop_last: leave out the last batch if it is not full.
 
@@ -234,10 +258,11 @@ def loader(
     of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
     set (a float below 1). skip_log: a file to which each skipped sample is appended as a line of JSON.
 
-    metres: False leaves ranges as uint16 in steps of 0.1 mm, half the bytes, for a GPU to convert. pin_memory: deliver
-    in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as in
-    PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
-    requested. start_method: "fork", "spawn" or "forkserver"; None is Python's default.
+    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory:
+    deliver in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as
+    in PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
+    requested. worker_method: "thread" or "process"; threads call `images.write` at the same time. start_method: of
+    worker processes, "fork", "spawn" or "forkserver"; None is Python's default.
 
     Raises BadConfig for an option out of its range.
     """
@@ -246,4 +271,5 @@ def loader(
     order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))
-    return Loader(images, order, ledger, LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, start_method))
+    options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)
+    return Loader(images, order, ledger, options)

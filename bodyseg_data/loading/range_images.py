@@ -26,7 +26,7 @@ from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artif
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.shards.cache.addresses import open_store
@@ -38,7 +38,7 @@ from bodyseg_data.shards.tar import ShardReader
 
 
 class Batch(TypedDict):
-    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in 0.1 mm.
+    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
     labels: uint8 [B, H, W], parts 0 to 32, 255 is background. key: the B samples' keys.
     """
@@ -117,6 +117,11 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self.augmentation.variant
 
     @property
+    def step_m(self) -> float:
+        """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
+        return self.manifest.rig.range_step_m
+
+    @property
     def keys(self) -> list[str]:
         """Keys of all samples, in stored order."""
         return [self.manifest.shards[shard].keys[index] for shard, index in self._samples.tolist()]
@@ -165,7 +170,15 @@ class RangeImages(Dataset[dict[str, Any]]):
         this process; `set_epoch` does not reach workers that are already running.
         """
         epoch, index = index if isinstance(index, tuple) else (None, index)
-        return _single(self.image(index, epoch))
+        return self._single(index, epoch)
+
+    def _single(self, index: int, epoch: int | None) -> dict[str, Any]:
+        image = self.image(index, epoch)
+        return {
+            "range": torch.from_numpy(metres(image.range, self.step_m)[None]),
+            "labels": torch.from_numpy(image.labels),
+            "key": image.key,
+        }
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises BadConfig for no integer, or IndexError."""
@@ -173,8 +186,9 @@ class RangeImages(Dataset[dict[str, Any]]):
             number = operator.index(index)
         except TypeError:
             raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"index {number} of {len(self)} samples")
+        count = len(self._samples)
+        if not -count <= number < count:
+            raise IndexError(f"index {number} of {count} samples")
         shard, within = self._samples[number].tolist()
         return shard, within
 
@@ -235,7 +249,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
             for shard in shards:
                 for index in held[shard["url"]]:
-                    yield _single(self.image(index, chosen))
+                    yield self._single(index, chosen)
 
         pipeline = webdataset.FluidWrapper(webdataset.SimpleShardList(list(held)))
         return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)
@@ -249,9 +263,12 @@ class RangeImages(Dataset[dict[str, Any]]):
         return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._samples[:, 0])]
 
 
-def metres(steps: NDArray[np.uint16], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Convert stored steps of 0.1 mm to metres, rounded once; out: float32 array to write into."""
-    found: NDArray[np.float32] = np.multiply(steps, np.float32(RANGE_STEP_M), out=out)
+def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
+
+    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into.
+    """
+    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
     return found
 
 
@@ -259,11 +276,3 @@ def _checked_path(path: str | Path) -> str:
     if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
         raise BadConfig(f"path must be that of a set, as text or a Path, found {path!r}")
     return str(path)
-
-
-def _single(image: RangeImage) -> dict[str, Any]:
-    return {
-        "range": torch.from_numpy(metres(image.range)[None]),
-        "labels": torch.from_numpy(image.labels),
-        "key": image.key,
-    }

@@ -14,28 +14,29 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import Floats, reached
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
+from bodyseg_data.artifacts.occlusion import Floats, ShadowTest
+from bodyseg_data.core.sample import FARTHEST_STEPS
 
 COARSEST_STEP: Final = 1024
 """Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
 
 _EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
-_EDGE, _GAP = int(SHADOW_THRESHOLDS.edge_steps), int(SHADOW_THRESHOLDS.gap_steps)
 _MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
 
 Range = NDArray[np.uint16]
 Ints = NDArray[np.int32]
 
 
-def coarsened(image: Range, x: Floats, y: Floats, away: Floats) -> Range:
-    """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`reached`) as with `image`."""
-    texels = _four_indices(image.shape, x, y)
+def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats) -> Range:
+    """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`ShadowTest.reached`) as with
+    `image`, in the steps of the test's rig.
+    """
+    texels = texel_indices(image.shape, x, y)
     read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
     texels, points = texels[:, read], (x[read], y[read], away[read])
-    answers = reached(image, *points)
-    coarse = _simplest(image, *_bounds(image, texels, points, answers))
-    while len(wrong := np.flatnonzero(reached(coarse, *points) != answers)):
+    answers = test.reached(image, *points)
+    coarse = _simplest(image, *texel_bounds(test, image, texels, points, answers))
+    while len(wrong := np.flatnonzero(test.reached(coarse, *points) != answers)):
         coarse.ravel()[texels[:, wrong]] = image.ravel()[texels[:, wrong]]
     return coarse
 
@@ -45,7 +46,7 @@ def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return answer
 
 
-def _four_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
     """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
@@ -53,8 +54,12 @@ def _four_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.in
     return np.stack([row + column for row in rows for column in columns])
 
 
-def _bounds(
-    image: Range, texels: NDArray[np.intp], points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
+def texel_bounds(
+    test: ShadowTest,
+    image: Range,
+    texels: NDArray[np.intp],
+    points: tuple[Floats, Floats, Floats],
+    lit: NDArray[np.bool_],
 ) -> tuple[Ints, Ints]:
     """The least and the greatest value of every texel, flat [Hp * Wp], less one step as in the test, if all texels that
     may be empty are emptied.
@@ -66,11 +71,11 @@ def _bounds(
     """
     ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
     away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
-    enough = np.ceil(away).astype(np.int32) - _GAP + _MARGIN
+    enough = np.ceil(away).astype(np.int32) - int(test.gap_steps) + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
     hard = np.flatnonzero(~lit | _any(ranges < enough))
     read, needed = texels[:, hard], enough[hard]
-    low, high = _as_they_are(ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
+    low, high = _as_they_are(test, ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
     kept = ~lit[hard]
     left = ~kept
     while kept.any():
@@ -90,27 +95,30 @@ def _bounds(
     return lowest, highest
 
 
-def _as_they_are(ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+def _as_they_are(
+    test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
+) -> tuple[Ints, Ints]:
     """Bounds [4, N] around the texels [4, N] of each point that keep its answer.
 
     points: x, y, and their range as in the test, less one step.
     """
+    gap, edge = int(test.gap_steps), int(test.edge_steps)
     nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
-    limit = np.ceil(points[2]).astype(np.int32) - _EDGE
+    limit = np.ceil(points[2]).astype(np.int32) - edge
     # An edge: each texel stays on its side of the limit, and two of them far enough from each other.
     behind = ranges >= limit
     low = np.where(behind, np.minimum(ranges, limit + _MARGIN), 0)
     high = np.where(behind, _EMPTY, np.maximum(ranges, limit - 1 - _MARGIN))
-    between = np.clip(limit - 1 - _MARGIN, nearest, np.maximum(farthest - _EDGE, nearest))
+    between = np.clip(limit - 1 - _MARGIN, nearest, np.maximum(farthest - edge, nearest))
     high = np.where(ranges == nearest, np.minimum(high, between), high)
-    low = np.where(ranges == farthest, np.maximum(low, between + _EDGE), low)
+    low = np.where(ranges == farthest, np.maximum(low, between + edge), low)
     # One surface: it stays one, and on its side of the point.
     x, y = points[0] - np.floor(points[0]), points[1] - np.floor(points[1])
     upper, lower = ranges[0] + x * (ranges[1] - ranges[0]), ranges[2] + x * (ranges[3] - ranges[2])
-    spare = np.abs(upper + y * (lower - upper) - (points[2] - _GAP)) - _MARGIN
-    flat = (_EDGE - 1 - (farthest - nearest)) // 2
+    spare = np.abs(upper + y * (lower - upper) - (points[2] - gap)) - _MARGIN
+    flat = (edge - 1 - (farthest - nearest)) // 2
     tight = np.minimum(np.maximum(spare, 0).astype(np.int32), flat)
-    one = np.flatnonzero(farthest - nearest < _EDGE)
+    one = np.flatnonzero(farthest - nearest < edge)
     low[:, one] = (ranges - np.where(lit, tight, flat))[:, one]
     high[:, one] = np.minimum(ranges + np.where(lit, flat, tight), _EMPTY)[:, one]
     # All so far in front that it is dark either way.

@@ -74,7 +74,9 @@ def check_tolerance(tolerance_mm: float | None) -> None:
         raise BadConfig(f"the tolerance of a mesh's ranges must be 0 mm or more, found {tolerance_mm:g} mm")
 
 
-def reduced_body(body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: int) -> Body:
+def reduced_body(
+    body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: int, pitches_deg: Sequence[int] = (0,)
+) -> Body:
     """`body` with a mesh as coarse as the tolerance permits, and a note if that changed it.
 
     tolerance_mm: of `reduce`; None: `TOLERANCE_M`, for meshes of `PAYS_FROM` triangles and more; 0: no mesh is reduced.
@@ -82,18 +84,25 @@ def reduced_body(body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: 
     if tolerance_mm == 0 or (tolerance_mm is None and len(body.mesh.faces) < PAYS_FROM):
         return body
     tolerance_m = TOLERANCE_M if tolerance_mm is None else tolerance_mm / 1000
-    reduction = reduce(body.mesh, body.landmarks, tolerance_m, rig, distance_cm)
+    reduction = reduce(body.mesh, body.landmarks, tolerance_m, rig, distance_cm, pitches_deg)
     notes = body.notes if reduction.note is None else (*body.notes, reduction.note)
     return replace(body, mesh=reduction.mesh, landmarks=reduction.landmarks, notes=notes)
 
 
-def reduce(mesh: Mesh, landmarks: NDArray[np.int64], tolerance_m: float, rig: Rig, distance_cm: int = 215) -> Reduction:
+def reduce(
+    mesh: Mesh,
+    landmarks: NDArray[np.int64],
+    tolerance_m: float,
+    rig: Rig,
+    distance_cm: int = 215,
+    pitches_deg: Sequence[int] = (0,),
+) -> Reduction:
     """A mesh of few triangles whose ranges are those of `mesh` within the tolerance.
 
     landmarks: int64 [33], vertices of `mesh`. tolerance_m: metres, positive; `range_error` of the result is at most
-    that, as the rig's camera sees it from four sides, `distance_cm` away. The triangles round landmarks and at
-    open edges stay as they are, and so does the bounding box, by which views are placed. No piece goes, none is joined
-    to another. The same mesh gives the same bits each time.
+    that, as the rig's camera sees it from four sides at each pitch, `distance_cm` away. The triangles round landmarks
+    and at open edges stay as they are, and so does the bounding box, by which views are placed. No piece goes, none is
+    joined to another. The same mesh gives the same bits each time.
 
     A mesh that cannot be reduced is returned whole with a note that says why. Raises BadConfig for a tolerance that is
     not positive, MissingLibrary without pymeshlab or embreex.
@@ -101,7 +110,7 @@ def reduce(mesh: Mesh, landmarks: NDArray[np.int64], tolerance_m: float, rig: Ri
     if not (math.isfinite(tolerance_m) and tolerance_m > 0):
         raise BadConfig(f"a mesh is reduced to a positive tolerance, found {tolerance_m * 1000:g} mm")
     best = Reduction(mesh, landmarks, 0.0)
-    cameras = probe_cameras(mesh, rig, distance_cm)
+    cameras = probe_cameras(mesh, rig, distance_cm, pitches_deg)
     wanted = seen_ranges(mesh, cameras)
     if not any(image.any() for image in wanted):
         return replace(best, note=f"left whole: the rig sees nothing of it at {distance_cm} cm")
@@ -121,8 +130,10 @@ def reduce(mesh: Mesh, landmarks: NDArray[np.int64], tolerance_m: float, rig: Ri
     return replace(best, note=f"reduced from {len(mesh.faces)} to {len(best.mesh.faces)} triangles, {within}")
 
 
-def probe_cameras(mesh: Mesh, rig: Rig, distance_cm: int) -> tuple[PlacedCamera, ...]:
-    """The rig's camera on four sides of a mesh, with fewer, larger pixels."""
+def probe_cameras(
+    mesh: Mesh, rig: Rig, distance_cm: int, pitches_deg: Sequence[int] = (0,)
+) -> tuple[PlacedCamera, ...]:
+    """The rig's camera on four sides of a mesh at each pitch, with fewer, larger pixels."""
     camera, pixel = rig.camera, _COARSER_PIXELS
     small = replace(
         camera,
@@ -132,7 +143,8 @@ def probe_cameras(mesh: Mesh, rig: Rig, distance_cm: int) -> tuple[PlacedCamera,
         centre_px=(camera.centre_px[0] / pixel, camera.centre_px[1] / pixel),
     )
     few = replace(rig, camera=small)
-    return tuple(few.placed(mesh.centre, View(distance_cm, azimuth))[0] for azimuth in _AZIMUTHS_DEG)
+    views = (View(distance_cm, azimuth, pitch) for pitch in pitches_deg for azimuth in _AZIMUTHS_DEG)
+    return tuple(few.placed(mesh.centre, view)[0] for view in views)
 
 
 def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.float32]]:

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
+from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.packing.coarsening import coarsened
 
-# The test interpolates in single precision; one step is far more than it can be off by.
-_SURELY_LIT: Final = SHADOW_THRESHOLDS.gap_steps - np.float32(1)
+_MARGIN: Final = np.float32(1)  # the test interpolates in single precision, which is off by far less than a step
 
 Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
 """Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
@@ -32,7 +31,8 @@ def occluder_range(
     """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in
     steps. The shadow test gives the same bits from it as from the whole exact image. Arguments as `exact_range`'s.
     """
-    return coarsened(*exact_range(test, camera_range, faces_projector, ranges))
+    image, *points = exact_range(test, camera_range, faces_projector, ranges)
+    return coarsened(test, image, *points)
 
 
 def exact_range(
@@ -57,7 +57,7 @@ def exact_range(
     for shift in (1, width, width + 1):
         np.minimum(nearest, texels[shift:].take(start), out=nearest)
     behind = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest
-    image[~_footprint(start[behind > _SURELY_LIT], image.shape)] = 0
+    image[~_footprint(start[behind > test.gap_steps - _MARGIN], image.shape)] = 0
     return image, x, y, away
 
 

@@ -13,7 +13,7 @@ import itertools
 import json
 import shutil
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -32,7 +32,7 @@ from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.packing.sampler import Sampler, body_key
 from bodyseg_data.packing.state import claimed, finished_shards, record_shard
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.shards.codecs import CodecName
@@ -52,7 +52,7 @@ class Packing:
     """The options of a packing. All of them shape the bytes; the number of workers does not.
 
     source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
-    from every subset; all if None. views: distances and azimuths. renderer, codec: by name. shard_samples: samples a
+    from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
     shard. geodesics: how distances along the surface are measured (`geodesics.nearest_sources`). tolerance_mm:
     how coarse meshes may be (`reduced_body`).
     """
@@ -80,10 +80,18 @@ class Packing:
         check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
         check_codec(self.codec)
+        try:
+            self.rig.check_reach(max(self.views.distances_cm) / 100)
+        except BadConfig as error:
+            raise BadConfig(f"rig {self.rig.name}: {error}") from None
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""
         return evenly_sampled(self.opened().bodies(), self.meshes)
+
+    def views_of(self, body: BodyRef) -> Iterator[View]:
+        """The views of one body, in their order."""
+        return self.views.of(body_key(self.source, body))
 
     def opened(self, plan: str = "") -> BodySource:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
@@ -148,7 +156,7 @@ def _cut(packing: Packing) -> list[_Shard]:
     shards = []
     bodies = packing.bodies()
     for split in SPLITS:
-        entries = ((body, view) for body in bodies if body.split == split for view in packing.views)
+        entries = ((body, view) for body in bodies if body.split == split for view in packing.views_of(body))
         for number in itertools.count():
             part = list(itertools.islice(entries, packing.shard_samples))
             if not part:
@@ -174,7 +182,7 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "up": packing.up,
         "geodesics": packing.geodesics,
         "tolerance_mm": packing.tolerance_mm,
-        "views": [view.name for view in packing.views],
+        "views": packing.views.described(),
         "rig": packing.rig.to_json(),
         "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
@@ -201,7 +209,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     """
     source = packing.opened(plan)
     nearest_cm = min(packing.views.distances_cm)
-    built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm)
+    built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm, packing.views.pitches_deg)
     parts = partition(built.mesh, built.landmarks, packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
@@ -244,7 +252,6 @@ def pack(
     description = _describe(packing, shards)
     digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
     total = sum(len(shard) for shard in shards)
-    first_view = next(iter(packing.views))
     try:
         with claimed(out, description, digest) as state:
             records = finished_shards(out, state, [shard.name for shard in shards])
@@ -259,7 +266,9 @@ def pack(
                         for key, members in rendered.samples:
                             writer.write(key, members)
                             done += 1
-                        if views[0] == first_view:  # a body that goes on in the next shard is noted where it begins
+                        if views[0] == next(
+                            packing.views_of(body)
+                        ):  # a body that goes on in the next shard is noted where it begins
                             writer.note(body.mesh, rendered.notes)
                         progress(done, total)
                 if writer.record is None:

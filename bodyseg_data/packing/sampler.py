@@ -23,9 +23,14 @@ _SHARED: Final = 254  # stands for a triangle that parts share; no part has this
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
 
 
+def body_key(source: str, body: BodyRef) -> str:
+    """The beginning of the keys of a body's samples."""
+    return f"{source}-{body.subject}-{body.mesh}"
+
+
 def sample_key(source: str, body: BodyRef, view: View) -> str:
     """The identity of a sample: it names the body and the view, nothing that depends on how shards are cut."""
-    return f"{source}-{body.subject}-{body.mesh}-{view.name}"
+    return f"{body_key(source, body)}-{view.name}"
 
 
 class Sampler:
@@ -46,7 +51,7 @@ class Sampler:
 
     def take(self, view: View) -> Sample:
         """Render one view and label it. Raises BadSample."""
-        body, key = self._body, sample_key(self._source, self._body, view)
+        body, key, step_m = self._body, sample_key(self._source, self._body, view), self._rig.range_step_m
         camera, projector = self._rig.placed(self._mesh.centre, view)
         seen = self._renderer.render(camera)
         pixels = np.flatnonzero(seen.face >= 0)
@@ -54,13 +59,13 @@ class Sampler:
         points = _Points(seen, camera, pixels)
 
         range_image = np.zeros(seen.face.shape, np.uint16)
-        range_image.ravel()[pixels] = steps(seen.range.take(pixels), key)
+        range_image.ravel()[pixels] = steps(seen.range.take(pixels), step_m, key)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         labels.ravel()[pixels] = self._labels(faces, points)
         facing = np.zeros(seen.face.shape, np.bool_)
         facing.ravel()[pixels] = self._facing(faces, points, projector.position)
         occluder = occluder_range(
-            self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), key)
+            self._test, range_image, facing, lambda texels: steps(self._renderer.ranges(projector, texels), step_m, key)
         )
         info = SampleInfo(
             self._source,
@@ -71,6 +76,9 @@ class Sampler:
             view.distance_cm,
             view.azimuth_deg,
             body.split,
+            view.pitch_deg,
+            view.roll_deg,
+            view.height_cm,
         )
         sample = Sample(key, range_image, occluder, labels, facing, info)
         sample.check()

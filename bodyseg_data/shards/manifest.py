@@ -13,15 +13,15 @@ from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.files import write_atomically
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.rig import Rig, rig_from_json
-from bodyseg_data.core.sample import RANGE_STEP_M, check_key
+from bodyseg_data.core.sample import check_key
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
-MANIFEST_FORMAT: Final = "bodyseg shards 3"
+MANIFEST_FORMAT: Final = "bodyseg shards 4"
 
-_FIELDS: Final = {"format", "range_step_m", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
+_FIELDS: Final = {"format", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
 _SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BLOCK: Final = 512
@@ -83,7 +83,6 @@ class Manifest:
         """Convert to a JSON object, with a digest of its other fields."""
         tree: dict[str, Any] = {
             "format": MANIFEST_FORMAT,
-            "range_step_m": RANGE_STEP_M,
             "parts": list(LANDMARKS),
             "rig": self.rig.to_json(),
             "codec": self.codec,
@@ -202,9 +201,8 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
 
 
 def _manifest(tree: dict[str, Any], path: str) -> Manifest:
-    for field, expected in (("parts", list(LANDMARKS)), ("range_step_m", RANGE_STEP_M)):
-        if tree.get(field) != expected:
-            raise BadShard(f"{path}: {field!r} are not those of format {MANIFEST_FORMAT!r}")
+    if tree.get("parts") != list(LANDMARKS):
+        raise BadShard(f"{path}: 'parts' are not those of format {MANIFEST_FORMAT!r}")
     if set(tree) != _FIELDS:
         raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
     texts = {field: tree.get(field) for field in ("codec", "source", "renderer", "plan")}

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from functools import cached_property
+from typing import Final
 
 from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.sample import Occupancy, Sample, info_from_json
+from bodyseg_data.core.sample import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.codecs.codec import OutputArrays
+from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.labels import join_labels
+
+_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
 
 
 def check_codec(name: str) -> str:
@@ -34,7 +37,7 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     """
     chosen = CODECS[check_codec(codec)]
     labels, projector = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
-    members = {"json": json.dumps(asdict(sample.info), sort_keys=True).encode()}
+    members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
     try:
         return members | chosen.encode(sample.range, labels, projector)
     except ValueError as error:
@@ -47,11 +50,13 @@ def decode_sample(
     """Decode the members that `encode_sample` gives, of either codec.
 
     projector: decode the occluder range, too. out: arrays for range and labels, uint16 and uint8 [H, W], contiguous,
-    used if the codec supports it; the sample is then valid until this thread decodes another one.
+    used if the codec supports it; the sample is then valid until this thread decodes another one, and its `info` is
+    parsed when it is asked for.
 
-    Raises BadSample, naming key and member, for members that are missing, unknown or damaged.
+    Raises BadSample, naming key and member, for members that are missing, unknown or damaged; with `out`, a damaged
+    description raises when it is asked for.
     """
-    codec = next((codec for codec in CODECS.values() if members.keys() == {*codec.members, "json"}), None)
+    codec = _BY_MEMBERS.get(frozenset(members))
     if codec is None:
         known = " or ".join(", ".join(sorted([*codec.members, "json"])) for codec in CODECS.values())
         raise BadSample(f"{key}: a sample has the members {known}, found {', '.join(sorted(members)) or 'none'}")
@@ -59,9 +64,38 @@ def decode_sample(
         images = codec.decode(members, projector, out)
     except ValueError as error:
         raise BadSample(f"{key}: {error}") from error
+    if out is None:
+        info = _parse_info(members["json"], key)
+        return Sample(key, images.range, images.occluder, images.labels, images.facing, info)
+    return _IntoArrays.of(key, images, members["json"])
+
+
+def _parse_info(description: bytes, key: str) -> SampleInfo:
     try:
-        info = info_from_json(json.loads(members["json"]), key)
+        return info_from_json(json.loads(description), key)
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
-    occupancy = None if out is None else Occupancy(images.edges, images.texels)
-    return Sample(key, images.range, images.occluder, images.labels, images.facing, info, occupancy)
+
+
+class _IntoArrays(Sample):
+    """A sample decoded into given arrays. Its description, which few artifacts read, is parsed when it is asked for."""
+
+    _description: bytes
+
+    @classmethod
+    def of(cls, key: str, images: DecodedImages, description: bytes) -> Sample:
+        sample = cls.__new__(cls)  # not by __init__, which needs the description
+        sample.__dict__.update(
+            key=key,
+            range=images.range,
+            projector_range=images.occluder,
+            labels=images.labels,
+            faces_projector=images.facing,
+            occupancy=Occupancy(images.edges, images.texels),
+            _description=description,
+        )
+        return sample
+
+    @cached_property
+    def info(self) -> SampleInfo:
+        return _parse_info(self._description, self.key)

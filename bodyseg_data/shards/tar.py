@@ -116,6 +116,7 @@ def _header(name: str, size: int) -> bytes:
 
 
 _NAMELESS: Final = _header("", 0)
+_OWNERS, _TIME, _END = _NAMELESS[100:124], _NAMELESS[135:148], _NAMELESS[154:]
 _REST: Final = int(_NAMELESS[148:154], 8) - sum(b"0" * 11)
 """Contribution to the checksum of all header bytes except the name and the digits of the size."""
 
@@ -123,18 +124,15 @@ _REST: Final = int(_NAMELESS[148:154], 8) - sum(b"0" * 11)
 def _read_header(block: bytes) -> tuple[str, bytes, int]:
     """Parse name, type and size of a tar header. Raises tarfile.HeaderError or UnicodeDecodeError."""
     name, digits = block[:100].rstrip(b"\0"), block[124:135]
-    own = b"".join(
-        (
-            name.ljust(100, b"\0"),
-            _NAMELESS[100:124],
-            digits,
-            _NAMELESS[135:148],
-            b"%06o" % (_REST + sum(name) + sum(digits)),
-            _NAMELESS[154:],
-        )
-    )
     # Equal in all bits to the output of `_header`: tarfile needs a fifth of the time of all decoding for the same.
-    if own == block and name.isascii() and b"\0" not in name and not digits.strip(b"01234567"):
+    fixed = block[100:124] == _OWNERS and block[135:148] == _TIME and block[154:] == _END
+    if (
+        fixed
+        and block[148:154] == b"%06o" % (_REST + sum(name) + sum(digits))
+        and name.isascii()
+        and b"\0" not in name
+        and not digits.strip(b"01234567")
+    ):
         return name.decode("ascii"), tarfile.REGTYPE, int(digits, 8)
     header = tarfile.TarInfo.frombuf(block, "utf-8", "strict")
     return header.name, header.type, header.size
@@ -149,6 +147,8 @@ class ShardReader:
 
     def __init__(self, where: Path | Store, manifest: Manifest) -> None:
         self._store, self._manifest = store_at(where), manifest
+        camera, projector = manifest.rig.camera, manifest.rig.projector
+        self._sizes = (camera.rows, camera.columns), (projector.rows, projector.columns)
 
     def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
         """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
@@ -157,12 +157,12 @@ class ShardReader:
         rig; Unreachable if a remote set cannot be reached.
         """
         record = self._manifest.shards[shard]
-        where = sample_location(record, index)
         for attempt in range(1, READ_ATTEMPTS + 1):
             try:
                 data = self._store.read(record.name, record.offsets[index], record.lengths[index])
             except OSError as error:
-                raise BadShard(f"{where}: cannot be read: {error.strerror or error}") from error
+                problem = error.strerror or error
+                raise BadShard(f"{sample_location(record, index)}: cannot be read: {problem}") from error
             try:
                 check_bytes(data, record, index)
                 break
@@ -172,9 +172,9 @@ class ShardReader:
         key = record.keys[index]
         try:
             sample = decode_sample(key, parse_members(key, data), projector, out)
-            _check_sizes(self._manifest, sample)
+            _check_sizes(sample, *self._sizes)
         except BadSample as error:
-            raise BadShard(f"{where}: {error}") from error
+            raise BadShard(f"{sample_location(record, index)}: {error}") from error
         return sample
 
 
@@ -185,12 +185,14 @@ def sample_location(record: ShardRecord, index: int) -> str:
 
 def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
     """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is as it was written."""
-    where = sample_location(record, index)
-    if len(data) != record.lengths[index]:
-        raise BadShard(f"{where}: cut short: {record.lengths[index]} bytes expected, found {len(data)}")
+    length, checksum = record.lengths[index], record.crc32[index]
+    if len(data) != length:
+        where = sample_location(record, index)
+        raise BadShard(f"{where}: cut short: {length} bytes expected, found {len(data)}")
     found = zlib.crc32(data)
-    if found != record.crc32[index]:
-        raise BadShard(f"{where}: altered: CRC-32 {record.crc32[index]:08x} expected, found {found:08x}")
+    if found != checksum:
+        where = sample_location(record, index)
+        raise BadShard(f"{where}: altered: CRC-32 {checksum:08x} expected, found {found:08x}")
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:
@@ -199,8 +201,8 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
     Raises BadSample unless they are plain files whose names start with `key`.
     """
     members: dict[str, bytes] = {}
-    position = 0
-    while position < len(data):
+    position, end = 0, len(data)
+    while position < end:
         try:
             name, kind, size = _read_header(data[position : position + _BLOCK])
         except (tarfile.HeaderError, UnicodeDecodeError) as error:
@@ -210,7 +212,7 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
         if kind != tarfile.REGTYPE or stem != key or not extension or extension in members:
             raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {name!r}")
         start = position + _BLOCK
-        if not 0 <= size <= len(data) - start:
+        if not 0 <= size <= end - start:
             raise BadSample(f"{key}: {name} claims {size} bytes, the sample ends before")
         members[extension] = data[start : start + size]
         position = start + -(-size // _BLOCK) * _BLOCK
@@ -273,15 +275,17 @@ def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes
     sample.check()
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    _check_sizes(manifest, sample)
-
-
-def _check_sizes(manifest: Manifest, sample: Sample) -> None:
     camera, projector = manifest.rig.camera, manifest.rig.projector
-    devices = {"range": camera, "labels": camera, "faces_projector": camera, "projector_range": projector}
-    for field, device in devices.items():
-        image = getattr(sample, field)
-        if image is not None and image.shape != (device.rows, device.columns):
-            raise BadSample(
-                f"{sample.key}: {field} must be {device.rows} x {device.columns} as in the rig, found {image.shape}"
-            )
+    _check_sizes(sample, (camera.rows, camera.columns), (projector.rows, projector.columns))
+
+
+def _check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
+    """Raise BadSample unless the images have the rows and columns of the rig's camera and projector."""
+    for field, image, size in (
+        ("range", sample.range, camera),
+        ("labels", sample.labels, camera),
+        ("faces_projector", sample.faces_projector, camera),
+        ("projector_range", sample.projector_range, projector),
+    ):
+        if image is not None and image.shape != size:
+            raise BadSample(f"{sample.key}: {field} must be {size[0]} x {size[1]} as in the rig, found {image.shape}")

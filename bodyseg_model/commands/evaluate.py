@@ -17,6 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import Split
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_images
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
@@ -47,7 +48,8 @@ class Options:
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
     batch_size: int = option("images that go through the network together", 16)
-    num_workers: int = option("processes that load images", 2)
+    num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
+    worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 
@@ -137,6 +139,7 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     options.images,
                     batch_size=options.batch_size,
                     num_workers=options.num_workers,
+                    worker_method=options.worker_method,
                     progress=show,
                     watch=None if picture is None else picture.watch,
                 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +28,7 @@ from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_s
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
+from bodyseg_model.segmentation.undistortion import Undistortion
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
@@ -35,6 +37,8 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _FORMAT: Final = "bodyseg segment 1"
 _SUMMARY: Final = "summary.json"
 _PREVIEW: Final = "preview.gif"
+_RESULTS: Final = ("labels", "overlay")
+_UNDISTORTED: Final = "undistorted"
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -70,13 +74,16 @@ def run(options: Options) -> int:
     camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
     trained = shipped_network() if options.run is None else load_network(options.run)
     trained.network.to(find_device(options.device))
-    segmenter = Segmenter(trained.network, camera.camera, background, options.mirrored, options.confidence)
-    _make_folders(options.out)
+    lens = None if camera.camera.distortion is None else Undistortion(camera.camera)
+    ideal = camera.camera if lens is None else lens.camera
+    segmenter = Segmenter(trained.network, ideal, background, options.mirrored, options.confidence)
+    folders = _RESULTS if lens is None else (*_RESULTS, _UNDISTORTED)
+    _make_folders(options.out, folders)
 
     summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            range_m, bodies = _segment(frame, step_m, segmenter, options.out, summary, preview)
+            range_m, bodies = _segment(frame, lens, step_m, segmenter, options.out, summary, preview)
             shadows.add(number, frame.name, range_m, bodies)
             progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(), options.out / "legend.png")
@@ -102,8 +109,22 @@ def run(options: Options) -> int:
     return 0
 
 
+def _read(frame: FrameFile, lens: Undistortion | None) -> NDArray[np.uint16]:
+    pixels = frame.read()
+    try:
+        return pixels if lens is None else lens(pixels)
+    except BadConfig as error:
+        raise BadConfig(f"{frame.where}: {error}") from error
+
+
 def _segment(
-    frame: FrameFile, step_m: float, segmenter: Segmenter, out: Path, summary: SequenceSummary, preview: Preview
+    frame: FrameFile,
+    lens: Undistortion | None,
+    step_m: float,
+    segmenter: Segmenter,
+    out: Path,
+    summary: SequenceSummary,
+    preview: Preview,
 ) -> tuple[NDArray[np.float32], list[NDArray[np.intp]]]:
     """Read, label, write and count one frame; returns its ranges and the pixels of its bodies.
 
@@ -111,14 +132,18 @@ def _segment(
     """
     watch = Stopwatch(STAGES)
     with watch("read"):
-        range_m = to_metres(frame.read(), step_m)
+        pixels = _read(frame, lens)
+        range_m = to_metres(pixels, step_m)
     try:
         result = segmenter(range_m)
     except BadConfig as error:
         raise BadConfig(f"{frame.where}: {error}") from error
     with watch("write"):
         overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies])
-        for folder, image in (("labels", result.labels), ("overlay", overlay)):
+        images: dict[str, NDArray[Any]] = {"labels": result.labels, "overlay": overlay}
+        if lens is not None:
+            images[_UNDISTORTED] = pixels
+        for folder, image in images.items():
             buffer = io.BytesIO()
             Image.fromarray(image).save(buffer, "PNG", compress_level=3)  # a third of the time, a tenth more bytes
             write_result(out / folder / f"{frame.name}.png", buffer.getvalue())
@@ -135,10 +160,10 @@ def _background(options: Options) -> Background:
     return Background(options.background, **given)
 
 
-def _make_folders(out: Path) -> None:
+def _make_folders(out: Path, folders: Sequence[str]) -> None:
     """Make the folders of results. An earlier summary is deleted first, so that a summary is always of all results."""
     try:
-        for folder in ("labels", "overlay"):
+        for folder in folders:
             (out / folder).mkdir(parents=True, exist_ok=True)
         (out / _SUMMARY).unlink(missing_ok=True)
     except OSError as error:

@@ -22,6 +22,7 @@ from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.distributed import joined_process_group, use_threads
@@ -61,7 +62,8 @@ class Options:
     compile: bool = option("compile the network for this machine first", False)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
-    num_workers: int = option("processes that load images", 2)
+    num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
+    worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
@@ -78,7 +80,9 @@ def run(options: Options) -> int:
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
-    run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.compile)
+    run_options = RunOptions(
+        options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
+    )
     images = RangeImages(
         options.data, options.variant, "train", options.seed, sensor=_sensor(options), only=options.only
     )

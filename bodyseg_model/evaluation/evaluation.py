@@ -20,8 +20,10 @@ from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.frame_times import Stopwatch
@@ -175,6 +177,7 @@ def evaluate(
     extras: Collection[Extra] = EXTRAS,
     batch_size: int = 16,
     num_workers: int = 0,
+    worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
     progress: Callable[[int, int], None] | None = None,
     watch: Callable[[PredictedImage, float], None] | None = None,
 ) -> Evaluation:
@@ -199,7 +202,10 @@ def evaluate(
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
     # One process evaluates, also under torchrun; and the order is that of the images' epoch, for every split.
-    batches = iter(loader(images, batch_size, num_workers, shuffle=True, rank=0, world_size=1))
+    data_loader = loader(
+        images, batch_size, num_workers, shuffle=True, rank=0, world_size=1, worker_method=worker_method
+    )
+    batches = iter(data_loader)
     for done in range(0, total, batch_size):
         with stage("loading"):
             batch = next(batches)
@@ -230,8 +236,8 @@ class _CleanSamples:
         self._last: Sample | None = None
 
     def subset(self, key: str) -> str:
-        """The subset of a sample, read once for all views of a body, whose keys differ in the last two words."""
-        body = key.rsplit("-", 2)[0]
+        """The subset of a sample, read once for all views of a body."""
+        body, _ = split_key(key)
         if body not in self._subsets:
             self._subsets[body] = self._read(key).info.subset
         return self._subsets[body]

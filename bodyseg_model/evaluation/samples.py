@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.drawing.contact_sheet import colour_range
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_model.evaluation.evaluation import PredictedImage
@@ -104,9 +103,8 @@ def _caption(accuracy: float, image: PredictedImage) -> str:
 
 def _panels(image: PredictedImage) -> list[NDArray[np.uint8]]:
     body = image.labels != BACKGROUND
-    steps = np.rint(image.range_m / RANGE_STEP_M).astype(np.uint16)
     # Noise has long tails: the ramp covers 98 % of the pixels.
-    near, far = (int(edge) for edge in np.percentile(steps[body], (1, 99)))
+    near, far = (float(edge) for edge in np.percentile(image.range_m[body], (1, 99)))
     kinds = np.zeros(body.shape, np.uint8)
     kinds[body] = KIND_OF[image.labels[body], image.predicted[body]]
     mistakes = np.array([_KIND_COLOURS.get(kind, _SWAPPED) for kind in KINDS], np.uint8)[kinds]
@@ -116,7 +114,7 @@ def _panels(image: PredictedImage) -> list[NDArray[np.uint8]]:
     confident = colour_labels(image.predicted, _EMPTY)
     confident[body & (image.confidence <= PAPERS_THRESHOLD)] = _DROPPED
     return [
-        colour_range(steps, near, far),
+        colour_range(image.range_m, near, far),
         colour_labels(image.labels, _EMPTY),
         colour_labels(image.predicted, _EMPTY),
         mistakes,

@@ -31,13 +31,15 @@ class FrameCamera:
         return None if abs(x) <= abs(y) else "right" if x > 0 else "left"
 
     def to_json(self) -> dict[str, Any]:
-        """Intrinsics and their origin as plain JSON; the pose does not matter to a frame."""
+        """Intrinsics, any distortion and their origin as plain JSON; the pose does not matter to a frame."""
         camera = self.camera
+        lens = {} if camera.distortion is None else {"distortion": camera.distortion.to_json()}
         return {
             "rows": camera.rows,
             "columns": camera.columns,
             "focal_px": camera.focal_px,
             "centre_px": list(camera.centre_px),
+            **lens,
             "origin": self.origin,
         }
 

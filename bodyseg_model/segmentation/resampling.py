@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS
 
 LARGEST_SIDE: Final = 2048
 """Greatest side of a view, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -28,8 +28,6 @@ MARGIN: Final = 64
 """Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
 
 Floats = NDArray[np.float64]
-
-_RANGES_M: Final = (RANGE_STEP_M, 65535 * RANGE_STEP_M)
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,8 @@ def view_body(
     off_centre = np.hypot(across[lost] % 1 - 0.5, down[lost] % 1 - 0.5)
     nearest_last = lost[np.argsort(-off_centre, kind="stable")]
     flat[view_pixels[nearest_last]] = ranges[nearest_last]
-    moved = np.where(view > 0, np.clip(view + (rig.stand_off_m - median), *_RANGES_M), 0)
+    nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
+    moved = np.where(view > 0, np.clip(view + (rig.stand_off_m - median), nearest, farthest), 0)
     return BodyView(moved.astype(np.float32), corner, view_pixels, turn, median, scale)
 
 

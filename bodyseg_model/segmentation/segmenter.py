@@ -61,10 +61,11 @@ class Segmentation:
 class Segmenter:
     """Labels the frames of one camera, each independently.
 
-    network: in evaluation mode; frames are moved to its device. camera: that took the frames. background: rule for
+    network: in evaluation mode; frames are moved to its device. camera: that took the frames, which must be without
+    lens distortion (`Undistortion`). background: rule for
     removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
     drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
-    paper's. Raises BadConfig for a confidence outside 0 to 1.
+    paper's. Raises BadConfig for a confidence outside 0 to 1, or a camera with distortion.
     """
 
     def __init__(
@@ -78,6 +79,8 @@ class Segmenter:
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
+        if camera.distortion is not None:
+            raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.background = background or Background()
         self.rig = rig or load_rig()

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
 from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_model.sensor_fit.masks import closing, connected, dilated, holes, opening
 from bodyseg_model.sensor_fit.noise_samples import body_surface, mean_frame
 from bodyseg_model.sensor_fit.recording import Frame, Recording
@@ -25,6 +24,7 @@ SEEN_SHARE: Final = 0.1
 _CLOSED_PX: Final = 2
 _BAND: Final = 0.02  # of the pixels in a typical row, at most, in a row that is a stripe
 _JUMP_M: Final = 0.03
+_FINE_M: Final = 1e-4  # steps in which surfaces are handed to the functions of artifacts
 _WIDER: Final = 1.3
 _FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
@@ -114,7 +114,7 @@ def _incidence(
     mean: NDArray[np.float64], known: Mask, surface: Surface, sigma_m: float, camera: Camera
 ) -> tuple[NDArray[np.float64], bool]:
     """Angles of incidence, degrees [H, W], and whether noise is so little that neighbouring pixels give them."""
-    steps = np.where(known, np.rint(mean / RANGE_STEP_M), 0).clip(0, 65535).astype(np.uint16)
+    steps = np.where(known, np.rint(mean / _FINE_M), 0).clip(0, 65535).astype(np.uint16)
     box = box_of(steps)
     if box is None or sigma_m > _EXACT * float(np.median(mean[known])) / camera.focal_px:
         return np.degrees(surface.incidence_rad), False
@@ -202,9 +202,9 @@ def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]
     beside[:, -1] |= True
     outermost = full & ~beside
     if range_m is not None:
-        steps = np.where(full, np.rint(range_m / RANGE_STEP_M), 0).clip(0, 65535).astype(np.uint16)
+        steps = np.where(full, np.rint(range_m / _FINE_M), 0).clip(0, 65535).astype(np.uint16)
         steps[full & (steps == 0)] = np.median(steps[steps > 0])
-        outermost |= silhouettes(steps, _JUMP_M / RANGE_STEP_M)
+        outermost |= silhouettes(steps, _JUMP_M / _FINE_M)
     ring = np.zeros(full.shape, np.int64)
     for number in range(RINGS, 0, -1):
         ring[widened(outermost, number - 1) & full] = number

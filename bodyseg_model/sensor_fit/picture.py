@@ -12,7 +12,7 @@ from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample, SampleInfo
+from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.drawing.style import INK, PAPER, font
 from bodyseg_model.sensor_fit.noise_samples import body_surface
 from bodyseg_model.sensor_fit.outlines import outlines_of
@@ -62,13 +62,12 @@ def simulate(clean_m: Floats, recording: Recording, sensor: SensorModel) -> Floa
     """A clean body [H, W], metres, as a sensor shows it, metres; without shadows, which need what a projector sees."""
     names = [artifact.name for artifact in sensor]
     without = sensor.without("occlusion") if "occlusion" in names else sensor
-    steps = np.rint(clean_m / RANGE_STEP_M).clip(0, 65535).astype(np.uint16)
+    rig = Rig("frame", 1.0, recording.camera, recording.camera)
+    steps = np.rint(clean_m / rig.range_step_m).clip(0, 65535).astype(np.uint16)
     labels = np.where(steps > 0, 0, BACKGROUND).astype(np.uint8)
     info = SampleInfo("frame", "", "", "", "", 0, 0, "test")
     sample = Sample("frame", steps, None, labels, steps > 0, info)
-    rig = Rig("frame", 1.0, recording.camera, recording.camera)
-    shown: Floats = Augmentation(rig, "all", 0, without)(sample).range * RANGE_STEP_M
-    return shown
+    return Augmentation(rig, "all", 0, without)(sample).range.astype(np.float64) * rig.range_step_m
 
 
 def _shades(range_m: NDArray[np.floating], full: Mask, near: float, far: float) -> NDArray[np.uint8]:

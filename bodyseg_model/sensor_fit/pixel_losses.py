@@ -109,8 +109,9 @@ def _stripes(outlines: Sequence[Outline]) -> Finding:
 
 def _shares(outlines: Sequence[Outline], masks: Sequence[Mask]) -> NDArray[np.float64]:
     """Share of each body's pixels in a mask, [N]."""
-    lost = np.array([np.count_nonzero(mask) for mask in masks])
-    return lost / np.array([max(int(np.count_nonzero(outline.full)), 1) for outline in outlines])
+    lost = np.array([np.count_nonzero(mask) for mask in masks], np.float64)
+    shares: NDArray[np.float64] = lost / [max(int(np.count_nonzero(outline.full)), 1) for outline in outlines]
+    return shares
 
 
 def _area_loss(

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.rig import RANGE_STEP_MM
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import Recording
 
@@ -92,9 +92,9 @@ def _not_seen(reason: str) -> Finding:
 
 def _file_steps(unit_m: float) -> Finding | None:
     """The finding of "range_rounding" for the unit of the files, where that is coarser than shards store."""
-    if unit_m <= RANGE_STEP_M:
-        return None
     step = 1000 * unit_m
+    if step <= RANGE_STEP_MM * 1.001:
+        return None
     reason = f"the frames' files hold whole steps of {step:g} mm"
     return Finding("range_rounding", NEEDED, reason, {"step_mm": Estimate(step, 0.0)}, {"step_mm": rounded(step)})
 

@@ -10,7 +10,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_model.segmentation.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding
 from bodyseg_model.sensor_fit.recording import Frame, Recording
@@ -94,7 +93,7 @@ class ShadowFrames:
         """As `probably_mirrored`, of the frames kept; None without a projector beside the camera."""
         if camera.projector_side is None or not self._kept:
             return None
-        shadow = measure_shadow(Recording(tuple(self._kept), camera.camera, RANGE_STEP_M))
+        shadow = measure_shadow(Recording(tuple(self._kept), camera.camera, step_m=0.001))
         return probably_mirrored(shadow, camera.projector_side)
 
 

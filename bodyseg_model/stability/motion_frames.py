@@ -74,11 +74,18 @@ def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
     centre = np.mean([body.mesh.centre for body in built], axis=0)
     placed = rig.placed(centre, shot.view)
     for ref, body in zip(shot.bodies, built, strict=True):
-        yield _frame(ref, body, shot.view, sample_key(source.name, ref, shot.view), placed, source.name)
+        key = sample_key(source.name, ref, shot.view)
+        yield _frame(ref, body, shot.view, key, placed, source.name, rig.range_step_m)
 
 
 def _frame(
-    ref: BodyRef, body: Body, view: View, key: str, placed: tuple[PlacedCamera, PlacedCamera], source: str
+    ref: BodyRef,
+    body: Body,
+    view: View,
+    key: str,
+    placed: tuple[PlacedCamera, PlacedCamera],
+    source: str,
+    step_m: float,
 ) -> Frame:
     """Make a sample as `Sampler.take` does, but with camera and projector given and all that the projector sees."""
     camera, projector = placed
@@ -92,5 +99,6 @@ def _frame(
     info = SampleInfo(
         source, ref.subset, ref.subject, ref.mesh, ref.pose, view.distance_cm, view.azimuth_deg, ref.split
     )
-    sample = Sample(key, steps(rendered.surface.range, key), steps(lit.range, key), labels, facing, info)
+    camera_range, projector_range = (steps(seen.range, step_m, key) for seen in (rendered.surface, lit))
+    sample = Sample(key, camera_range, projector_range, labels, facing, info)
     return Frame(sample, rendered)

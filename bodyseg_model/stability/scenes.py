@@ -5,7 +5,6 @@ Images are made on demand. Labelled bodies and their renderers are kept.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -49,10 +48,10 @@ class LabelledImage:
     truth: NDArray[np.uint8] = field(repr=False)
 
 
-def labelled_image(image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> LabelledImage:
-    """Pair a range image in steps with its label image, uint8 [H, W]; every measured pixel is compared."""
+def labelled_image(image: NDArray[np.uint16], step_m: float, labels: NDArray[np.uint8]) -> LabelledImage:
+    """Pair a range image in steps of `step_m` metres with its labels, uint8 [H, W]; measured pixels are compared."""
     pixels = np.flatnonzero(image)
-    return LabelledImage(metres(image), pixels, labels.ravel()[pixels])
+    return LabelledImage(metres(image, step_m), pixels, labels.ravel()[pixels])
 
 
 class Scenes:
@@ -94,9 +93,13 @@ class Scenes:
         if _is_rendered(condition):
             return [body.image(self.rig, condition) for body in self._bodies]
         if condition.sweep == "hard" and self.hard is not None:
-            return [labelled_image(sample.range, sample.labels) for sample in _first(self.hard, self._count)]
+            return [
+                labelled_image(sample.range, self.hard.step_m, sample.labels)
+                for sample in _first(self.hard, self._count)
+            ]
         return [
-            labelled_image(corrupted(sample, condition, self.rig, self.seed), sample.labels) for sample in self._samples
+            labelled_image(corrupted(sample, condition, self.rig, self.seed), self.rig.range_step_m, sample.labels)
+            for sample in self._samples
         ]
 
     @cached_property
@@ -135,29 +138,28 @@ class _PosedBody:
         if sweep == "occlusion":
             return self._lit(with_baseline(rig, strength))
         if sweep in ("nearer", "farther"):
-            return labelled_image(*self._render(rig.camera, strength))
+            return self._rendered(rig, rig.camera, strength)
         if sweep == "tilt":
-            return labelled_image(*self._render(rig.camera, rig.stand_off_m, strength))
+            return self._rendered(rig, rig.camera, rig.stand_off_m, strength)
         if sweep in ("rig", "rig_resampled"):
             camera = sensor(strength)
-            rendered = self._render(camera, rig.stand_off_m)
-            return labelled_image(*rendered) if sweep == "rig" else resampled(*rendered, camera, rig)
-        return labelled_image(*self._render(rig.camera, rig.stand_off_m))
+            made = self._rendered(rig, camera, rig.stand_off_m)
+            return made if sweep == "rig" else resampled(made, camera, rig)
+        return self._rendered(rig, rig.camera, rig.stand_off_m)
 
-    def _render(
-        self, camera: Camera, distance_m: float, tilt_deg: float = 0.0
-    ) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-        """Range image in steps and label image from a camera, without shadows of a projector."""
+    def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
+        """Image of a camera in the rig's steps, without shadows of a projector."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
         rendered = RenderedBody(self.mesh, placed, self.renderer.render(placed))
-        return steps(rendered.surface.range, self.ref.mesh), rendered.labels(self.parts)
+        image = steps(rendered.surface.range, rig.range_step_m, self.ref.mesh)
+        return labelled_image(image, rig.range_step_m, rendered.labels(self.parts))
 
     def _lit(self, rig: Rig) -> LabelledImage:
         """Image of a rig, with the shadows of its projector."""
         sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
         lit = shadow_test(rig).lit(sample.range, sample.occluder_range(), sample.faces_projector)
-        return labelled_image(sample.range * lit, sample.labels)
+        return labelled_image(sample.range * lit, rig.range_step_m, sample.labels)
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
@@ -171,11 +173,8 @@ def looking_down(
     camera: Camera, centre: NDArray[np.float64], azimuth_deg: int, distance_m: float, tilt_deg: float
 ) -> PlacedCamera:
     """A camera whose axis points at a body's centre from `distance_m` away and `tilt_deg` above the horizontal."""
-    right, down, forward = axes_at(azimuth_deg)
-    tilt = math.radians(tilt_deg)
-    ahead = math.cos(tilt) * forward + math.sin(tilt) * down
-    axes = np.stack([right, math.cos(tilt) * down - math.sin(tilt) * forward, ahead])
-    return PlacedCamera(camera, axes, centre - distance_m * ahead)
+    axes = axes_at(azimuth_deg, -tilt_deg)
+    return PlacedCamera(camera, axes, centre - distance_m * axes[2])
 
 
 def sensor(focal_px: float) -> Camera:
@@ -183,11 +182,10 @@ def sensor(focal_px: float) -> Camera:
     return next(other.camera for other in other_sensors() if other.camera.focal_px == focal_px)
 
 
-def resampled(image: NDArray[np.uint16], labels: NDArray[np.uint8], camera: Camera, rig: Rig) -> LabelledImage:
-    """The image as the rig's camera would see the body, resampled as `Segmenter` does."""
-    pixels = np.flatnonzero(image)
-    view = view_body(metres(image), pixels, camera, rig)
-    return LabelledImage(view.range_m, view.view_pixels, labels.ravel()[pixels])
+def resampled(image: LabelledImage, camera: Camera, rig: Rig) -> LabelledImage:
+    """The image of `camera` as the rig's camera would see the body, resampled as `Segmenter` does."""
+    view = view_body(image.range_m, image.pixels, camera, rig)
+    return LabelledImage(view.range_m, view.view_pixels, image.truth)
 
 
 def _first(images: RangeImages, count: int) -> list[Sample]:

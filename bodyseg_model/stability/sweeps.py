@@ -21,7 +21,7 @@ from bodyseg_data.artifacts.variants import shown_with
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.sample import Sample
 from bodyseg_model.segmentation.cameras import other_sensors
 
 Origin = Literal["stored", "rendered"]
@@ -106,7 +106,7 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
 
 
 def corrupted(sample: Sample, condition: Condition, rig: Rig, seed: int) -> NDArray[np.uint16]:
-    """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], steps of 0.1 mm.
+    """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], in the rig's steps.
 
     Pixels that the corruption removes are 0. Draws depend on seed and sample alone, so a greater strength removes the
     pixels of a smaller one, and more. An unchanged image is returned as it is, not copied.
@@ -118,12 +118,14 @@ def corrupted(sample: Sample, condition: Condition, rig: Rig, seed: int) -> NDAr
     if condition.sweep in SHAPES:
         draws = generator(seed, 0, sample.key, condition.sweep)
         return sample.range * ~lost(condition.sweep, sample.range, condition.strength, rig.camera, draws)
-    return _CHANGES[condition.sweep](sample, condition.strength)
+    if condition.sweep == "depth_steps":
+        return _depth_steps(sample, condition.strength, rig.range_step_m)
+    return _CROPS[condition.sweep](sample, condition.strength)
 
 
-def _depth_steps(sample: Sample, bits: float) -> NDArray[np.uint16]:
+def _depth_steps(sample: Sample, bits: float, step_m: float) -> NDArray[np.uint16]:
     """Ranges rounded to one of 2**bits depths, the first and last at the ends of `DEPTHS_M`."""
-    low, high = (depth / RANGE_STEP_M for depth in DEPTHS_M)
+    low, high = (depth / step_m for depth in DEPTHS_M)
     last = 2.0**bits - 1
     step = (high - low) / last
     depths = low + step * np.clip(np.rint((sample.range - low) / step), 0, last)
@@ -146,8 +148,7 @@ _ARTIFACTS: Final[dict[str, Callable[[float], Artifact]]] = {
 }
 """The sweeps of one artifact: name -> the artifact at a strength."""
 
-_CHANGES: Final[dict[str, Callable[[Sample, float], NDArray[np.uint16]]]] = {
-    "depth_steps": _depth_steps,
+_CROPS: Final[dict[str, Callable[[Sample, float], NDArray[np.uint16]]]] = {
     "crop_below": lambda sample, share: _crop(sample.range, share, from_end=True),
     "crop_above": lambda sample, share: _crop(sample.range, share),
     "crop_side": lambda sample, share: np.ascontiguousarray(_crop(sample.range.T, share).T),

@@ -187,7 +187,7 @@ def temporal(
         truth.add(labels, labels, kept)
         for variant, made in images.items():
             for name, network in networks.items():
-                tallies[name][variant].add(_labels(network, made), labels, kept)
+                tallies[name][variant].add(_labels(network, made, rig.range_step_m), labels, kept)
                 advance(frames)
     points = int(truth.points[0, 0])
     return {
@@ -209,10 +209,10 @@ def temporal(
     }
 
 
-def _labels(network: Network, images: Sequence[RangeImage]) -> Labels:
+def _labels(network: Network, images: Sequence[RangeImage], step_m: float) -> Labels:
     """Predict frames one by one; returns label images, uint8 [frames, H, W]."""
     device = device_of(network)
-    ranges = (torch.from_numpy(metres(image.range))[None, None].to(device) for image in images)
+    ranges = (torch.from_numpy(metres(image.range, step_m))[None, None].to(device) for image in images)
     return np.stack([predict(network, range_m).labels[0].cpu().numpy() for range_m in ranges])
 
 

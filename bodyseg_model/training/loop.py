@@ -23,6 +23,7 @@ from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
+from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
@@ -61,19 +62,22 @@ Report = Callable[[Metrics], None]
 class RunOptions:
     """Options that are not part of a training's plan: a resumed training may have others.
 
-    log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers: processes that
-    load images, 0 for none. compile: whether the network is compiled first. Raises BadConfig for a value out of range.
+    log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers, worker_method:
+    number and kind of the workers that load images; see `loader`. compile: whether the network is compiled first.
+    Raises BadConfig for a value out of range.
     """
 
     log_every: int = 20
     checkpoint_every: int = 500
     num_workers: int = 2
+    worker_method: WorkerMethod = DEFAULT_WORKER_METHOD
     compile: bool = False
 
     def __post_init__(self) -> None:
         check_int("log_every", self.log_every, 1)
         check_int("checkpoint_every", self.checkpoint_every, 1)
         check_int("num_workers", self.num_workers, 0)
+        check_worker_method(self.worker_method)
 
 
 class Training:
@@ -128,7 +132,8 @@ class Training:
         loader_state = self._begin(resume)
         batch = self.recipe.batch_size // self.processes.world_size
         pin = self.processes.device.type == "cuda"
-        data_loader = loader(self.images, batch, self.run_options.num_workers, drop_last=True, pin_memory=pin)
+        workers, method = self.run_options.num_workers, self.run_options.worker_method
+        data_loader = loader(self.images, batch, workers, drop_last=True, pin_memory=pin, worker_method=method)
         if loader_state is not None:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()

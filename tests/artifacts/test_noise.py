@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from bodyseg_data.artifacts import variants
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
@@ -94,31 +95,53 @@ def test_rounded_noise_follows_the_exact_law(sigma_mm: float) -> None:
     """Kolmogorov's distance, steps included: P(change <= n) is the normal's at n + 1/2 steps."""
     count = 1_000_000
     draws = pixel_draws(stream(0, 0, f"law-{sigma_mm}", "noise"), count, np.uint32)
-    change = add_noise(np.full(count, 25_000, np.uint16), sigma_mm, draws).astype(int) - 25_000
+    change = add_noise(np.full(count, 25_000, np.uint16), steps_of(sigma_mm, 1e-4), draws).astype(int) - 25_000
     values, counts = np.unique(change, return_counts=True)
-    expected = stats.norm.cdf((values + 0.5) / float(steps_of(sigma_mm)))
+    expected = stats.norm.cdf((values + 0.5) / float(steps_of(sigma_mm, 1e-4)))
     below = np.cumsum(counts) / count
     assert np.abs(below - expected).max() < 2.5 / np.sqrt(count)  # once in 130 000
 
 
 def test_noise_rounds_to_the_nearest_step() -> None:
     draws = pixel_draws(stream(0, 0, "round", "noise"), 50_000, np.uint32)
-    noisy = add_noise(np.full(50_000, 30_000, np.uint16), 0.3, draws)
+    noisy = add_noise(np.full(50_000, 30_000, np.uint16), np.float32(3), draws)
     assert np.abs(noisy - (30_000 + normals(draws).astype(np.float64) * 3)).max() <= 0.5 + 4e-3  # float32 at 30 000
 
 
 @pytest.mark.parametrize("start", [1, 65_535])
 def test_noise_at_the_ends_of_16_bits_stays_within(start: int) -> None:
     draws = pixel_draws(stream(0, 0, "k", "noise"), 10_000, np.uint32)
-    noisy = add_noise(np.full(10_000, start, np.uint16), 100.0, draws)
+    noisy = add_noise(np.full(10_000, start, np.uint16), np.float32(1000), draws)
     assert noisy.min() >= 1
     assert np.count_nonzero(noisy == start) > 4_000, "half of the draws point outwards and stop at the end"
     assert np.abs(noisy.astype(int) - start).max() < 6_500
 
 
+@pytest.mark.parametrize("step_mm", [0.1, 0.5, 1.0, 4.0])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_sigma_is_in_millimetres_whatever_the_step(
+    step_mm: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounding adds a uniform error: its variance is a twelfth of the step's square."""
+    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+    sigma_mm, at = 40.0, round(2500 / step_mm)
+    wall_in_steps, full = np.full((SIDE, SIDE), at, np.uint16), np.ones((SIDE, SIDE), np.bool_)
+    sample = Sample("a", wall_in_steps, wall_in_steps, np.zeros((SIDE, SIDE), np.uint8), full, INFO)
+    rig = Rig("wall", 2.5, CAMERA, CAMERA, range_step_mm=step_mm)
+    fixed = load_sensor_model().with_artifacts(Noise(sigma_mm, sigma_mm))
+    made = Augmentation(rig, "noise", 0, fixed)(sample, 0)
+    change_mm = (made.range.astype(np.float64) - at) * step_mm
+    expected = np.sqrt(sigma_mm**2 + step_mm**2 / 12)
+    assert np.std(change_mm) == pytest.approx(expected, rel=SIGMAS / np.sqrt(2) / SIDE)
+    assert abs(change_mm.mean()) < SIGMAS * expected / SIDE
+    exact = normals(pixel_draws(stream(0, 0, "a", "noise"), SIDE * SIDE, np.uint32)) * sigma_mm
+    assert np.abs(change_mm.ravel() - exact).max() <= step_mm / 2 + 1e-3
+
+
 def test_noise_of_no_strength_changes_nothing() -> None:
     ranges = np.arange(1, 65_536, dtype=np.uint16)
-    assert np.array_equal(add_noise(ranges, 0.0, pixel_draws(stream(0, 0, "k", "noise"), 65_535, np.uint32)), ranges)
+    draws = pixel_draws(stream(0, 0, "k", "noise"), 65_535, np.uint32)
+    assert np.array_equal(add_noise(ranges, np.float32(0), draws), ranges)
 
 
 def test_sigma_is_uniform_from_0_to_100_mm() -> None:
@@ -162,7 +185,7 @@ def test_neighbouring_pixels_are_independent() -> None:
 
 
 def test_every_row_and_column_has_noise_of_its_own() -> None:
-    change = image() / float(steps_of(40.0))
+    change = image() / float(steps_of(40.0, 1e-4))
     for axis in (0, 1):
         # Means of 300 independent normals: variance 1/300, itself known to a factor of 1 +- sqrt(2/300).
         assert np.var(change.mean(axis=axis)) * SIDE == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / SIDE))

@@ -200,7 +200,8 @@ def test_an_artifact_of_the_users_own_streams_and_is_in_the_identity(figures_set
     ]
     for index in range(3):
         made, before = images.image(index).range, clean.image(index).range
-        assert (made % 100 == 0).all() and np.abs(made.astype(int) - before).max() == 50
+        whole = round(0.01 / images.step_m)
+        assert (made % whole == 0).all() and np.abs(made.astype(int) - before).max() == whole // 2
     with pytest.raises(BadConfig, match="sensor x: an artifact must be one of occlusion, .*, found 'rounding'"):
         parse_sensor_model(sensor.to_toml(), "x")
 
@@ -209,9 +210,10 @@ def test_the_order_is_the_models(figures_set: Path) -> None:
     """Rounding before noise leaves noise; after it, whole centimetres."""
     first = RangeImages(figures_set, "noise", sensor=SensorModel("a", (Rounding(), Noise(30.0, 30.0)))).image(0)
     last = RangeImages(figures_set, "noise", sensor=SensorModel("b", (Noise(30.0, 30.0), Rounding()))).image(0)
-    assert (last.range % 100 == 0).all() and (first.range % 100 != 0).mean() > 0.1
+    whole = round(0.01 / RangeImages(figures_set).step_m)
+    assert (last.range % whole == 0).all() and (first.range % whole != 0).mean() > 0.1
     plain = RangeImages(figures_set, "noise", sensor=SensorModel("c", (Noise(30.0, 30.0),))).image(0)
-    np.testing.assert_array_equal(np.rint(plain.range / 100) * 100, last.range)
+    np.testing.assert_array_equal(np.rint(plain.range / whole) * whole, last.range)
 
 
 ADDED = """
@@ -253,8 +255,10 @@ def test_an_installed_package_adds_artifacts(
         'format = "bodyseg sensor 1"\nname = "a"\n[[artifacts]]\nartifact = "haze"\naway_mm = 5', "x"
     )
     assert artifacts_to_json(sensor.artifacts) == [{"artifact": "haze", "version": 1, "away_mm": 5}]
-    hazy, clean = RangeImages(figures_set, sensor=sensor).image(0), RangeImages(figures_set).clean(0)
-    np.testing.assert_array_equal(hazy.range, np.where(clean.range > 0, clean.range + 50, 0))
+    images = RangeImages(figures_set, sensor=sensor)
+    hazy, clean = images.image(0), images.clean(0)
+    away = np.uint16(round(0.005 / images.step_m))
+    np.testing.assert_array_equal(hazy.range, np.where(clean.range > 0, clean.range + away, 0))
     for name, message in (
         ("fog", r"entry point fog = 'weather:Haze' of bodyseg.artifacts: the artifact must be called .*, found 'haze'"),
         ("rain", "entry point rain = .*: an artifact must be a dataclass derived from Artifact, found Nothing"),

@@ -84,7 +84,7 @@ def test_a_lying_body_needs_its_up_axis() -> None:
 
 def test_a_body_between_the_axes_is_refused() -> None:
     body = leaning(45)
-    with pytest.raises(BadMesh, match=r"a\.ply: cannot find which axis points up: the trunk points along .* --up"):
+    with pytest.raises(BadMesh, match=r"a\.ply: cannot find which axis points up: .* --up"):
         find_alignment(body, body[LIST], "auto", "auto", "a.ply")
     find_alignment(body, body[LIST], "auto", "y", "a.ply")
 
@@ -100,12 +100,12 @@ def test_coordinates_that_are_not_finite_stay_where_they_are() -> None:
         (
             67,
             "auto",
-            r"cannot find the unit: the body is .* 67 .*0\.67 m if in cm or 1\.7 m if in in; give it with --units",
+            r"the body is .* 67 .*0\.67 m if in cm or 1\.7 m if in in; .*--units",
         ),
-        (30, "auto", r"the body is .* 30 .*that is 0\.762 m if in in; give it with --units"),
-        (4, "auto", r"must be 0\.5 to 2\.5 m at its largest: found .* 4 .*, which fits in no unit"),
+        (30, "auto", r"the body is .* 30 .*that is 0\.762 m if in in; .*--units"),
+        (4, "auto", r"at its largest: found .* 4 .*, which fits in no unit"),
         (0.0, "auto", "fits in no unit"),
-        (1700, "m", r"must be 0\.5 to 2\.5 m at its largest, found .* 1700 .* m, which would fit in mm"),
+        (1700, "m", r"at its largest, found .* 1700 .* m, which would fit in mm"),
         (70, "m", "which would fit in cm or in"),
         (4, "mm", "found .* 4 .* mm$"),
     ],
@@ -124,7 +124,7 @@ def test_inches_are_read_when_given() -> None:
 def test_standing_means_head_above_feet() -> None:
     check_standing(BODY[LIST], "a.ply")
     upside_down = BODY[LIST] * (1, -1, -1)
-    with pytest.raises(BadMesh, match=r"a\.ply: a standing body has its head above its feet, found the head -1\.\d+ m"):
+    with pytest.raises(BadMesh, match=r"a\.ply: a standing body .*found the head -1\.\d+ m"):
         check_standing(upside_down, "a.ply")
     with pytest.raises(BadMesh, match="axis points up"):
         check_standing(leaning(90)[LIST], "a.ply")

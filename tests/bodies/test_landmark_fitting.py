@@ -206,9 +206,7 @@ def test_a_clothed_man_as_scanned_is_found(mit_folder: Path) -> None:
 
 
 def test_a_mesh_too_coarse_for_33_landmarks_is_refused() -> None:
-    with pytest.raises(
-        BadMesh, match="mesh ball: a body needs 33 vertices for its landmarks, found 12 in its largest piece"
-    ):
+    with pytest.raises(BadMesh, match="mesh ball: a body needs 33 vertices .*, found 12 in"):
         propose(ball(subdivisions=0))
 
 

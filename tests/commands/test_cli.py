@@ -19,6 +19,7 @@ import pytest
 from benches import __main__ as tools
 from benches import bench
 from folders import ROOT
+from people_on_disk import write_by_vertex, write_mesh
 from PIL import Image
 
 import bodyseg_data
@@ -383,12 +384,15 @@ def test_every_bench_has_its_module_and_its_figure() -> None:
 def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shard, "provenance", lambda command: {"command": command})
     report, out = tmp_path / "report.json", tmp_path / "shards"
-    words = ["--meshes", "2", "--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
+    for name in ("one", "two"):  # of files, which workers render without loading the body model
+        write_mesh(tmp_path / "people" / f"{name}.ply")
+    write_by_vertex(tmp_path / "people" / "landmarks.json")
+    words = ["--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
     for made in (4, 0):  # the second time, everything is there
-        assert main(["shard", "--source", "open", *words]) == 0
+        assert main(["shard", "--source", "folder", "--path", str(tmp_path / "people"), *words]) == 0
         figures = json.loads(report.read_text())
         assert (figures["samples"], figures["samples_made"]) == (4, made)
         assert figures["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))
     assert figures["command"] == (
-        "tools/shard --source open --out shards --meshes 2 --views 2 --workers 1 --report report.json"
+        "tools/shard --source folder --path people --out shards --views 2 --workers 1 --report report.json"
     )

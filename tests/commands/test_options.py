@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from bodyseg_data.commands.options import command_line, option, parse
+from bodyseg_data.core.errors import BadConfig
 
 
 @dataclass(frozen=True)
@@ -26,3 +29,28 @@ def test_only_what_differs_from_defaults_is_said_and_no_folder_of_this_machine()
     )
     local = parse(Options, ["a.png", "--data", "/home/me/shards"], "program", "", "")
     assert command_line("program", local) == "program a.png --data shards"
+
+
+@dataclass(frozen=True)
+class Ranges:
+    pitch: tuple[str, ...] = option("numbers or a range", ("0",))
+    roll: tuple[str, ...] = option("numbers or a range", ("0",))
+
+
+@pytest.mark.parametrize(
+    ("line", "pitch", "roll"),
+    [
+        ("--pitch -30..10 --roll -5..-1", ("-30..10",), ("-5..-1",)),
+        ("--pitch=-30..10 --roll 5", ("-30..10",), ("5",)),
+        ("--roll 0 -15 -30 --pitch 3..5", ("3..5",), ("0", "-15", "-30")),
+    ],
+)
+def test_a_range_may_begin_with_a_negative_number(line: str, pitch: tuple[str, ...], roll: tuple[str, ...]) -> None:
+    options = parse(Ranges, line.split(), "program", "", "")
+    assert options == Ranges(pitch, roll)
+    assert parse(Ranges, command_line("program", options).split()[1:], "program", "", "") == options
+
+
+def test_a_range_without_its_flag_is_no_flag_either() -> None:
+    with pytest.raises(BadConfig):
+        parse(Ranges, ["-30..10"], "program", "", "")

@@ -204,7 +204,7 @@ def test_without_numba_the_plain_form_runs_unless_the_compiled_one_is_demanded(m
     assert kernels.use_compiled() is False
     kernels.use_compiled.cache_clear()
     monkeypatch.setenv(kernels.VARIABLE, "compiled")
-    with pytest.raises(MissingLibrary, match=r"^BODYSEG_KERNELS=compiled needs the package 'numba': pip install"):
+    with pytest.raises(MissingLibrary, match=r"^BODYSEG_KERNELS=compiled needs the package 'numba'"):
         kernels.use_compiled()
     with pytest.raises(MissingLibrary, match="the raster renderer needs the package 'numba'"):
         kernels.compiled(lambda x: x, "the raster renderer")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bodyseg_data.artifacts.philox_compiled import raw_words
+from bodyseg_data.artifacts.loops.philox import raw_words
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import Draws, chance, check_seed, generator, permutation, pixel_draws, stream
 
@@ -59,14 +59,15 @@ def test_pixels_get_the_raw_words_cut_up_from_their_low_end(count: int) -> None:
         assert draws.tolist() == expected
 
 
+@pytest.mark.parametrize("first", [0, 4, 512, 3000])
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 8, 9, 4001])
-def test_the_compiled_generator_gives_numpys_raw_words(count: int) -> None:
+def test_the_compiled_generator_gives_numpys_raw_words(count: int, first: int) -> None:
     keys = [stream(0, 0, f"k{number}", "noise") for number in range(20)]
     keys += [np.array(pair, np.uint64) for pair in ((0, 0), (2**64 - 1, 2**64 - 1), (0, 2**63), (1, 0))]
     for key in keys:
         words = np.full(count + 4, 77, np.uint64)
-        raw_words(*key, np.int64(count), words)
-        assert np.array_equal(words[:count], np.random.Philox(key=key).random_raw(count))
+        raw_words(*key, np.int64(first), np.int64(count), words)
+        assert np.array_equal(words[:count], np.random.Philox(key=key).random_raw(first + count)[first:])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 1000])

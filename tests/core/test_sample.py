@@ -41,23 +41,29 @@ def test_keys_that_readers_of_tars_would_split_are_refused(key: str) -> None:
         check_key(key)
 
 
-def test_ranges_become_steps_of_a_tenth_of_a_millimetre() -> None:
+def test_ranges_become_steps() -> None:
     metres = np.array([0.0, 2.15, 2.15004, 2.15006, 0.00001, 6.5535])
-    assert steps(metres, "x").tolist() == [0, 21500, 21500, 21501, 1, 65535]
+    assert steps(metres, 1e-4, "x").tolist() == [0, 21500, 21500, 21501, 1, 65535]
+    assert steps(metres, 1e-3, "x").tolist() == [0, 2150, 2150, 2150, 1, 6553]
+    assert steps(np.array([65.5354]), 1e-3, "x").tolist() == [65535]
 
 
 @pytest.mark.parametrize("metres", [6.55356, -0.1, float("nan"), float("inf")])
 def test_ranges_that_do_not_fit_are_refused_and_never_wrap_around(metres: float) -> None:
     images: NDArray[np.float32] = np.array([[1.0, metres]], np.float32)
-    with pytest.raises(BadSample, match="x: a range must be 0 to 6.5535 m, found"):
-        steps(images, "x")
+    with pytest.raises(BadSample, match="x: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found"):
+        steps(images, 1e-4, "x")
 
 
 def test_thresholds_are_counted_in_stored_steps() -> None:
-    assert (SHADOW_THRESHOLDS.gap_steps, SHADOW_THRESHOLDS.edge_steps) == (60, 200)
-    coarse = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1)
-    assert (coarse.gap_steps, coarse.edge_steps) == (13, 1000)
-    assert coarse.gap_steps.dtype == coarse.edge_steps.dtype == np.float32
+    for step_mm, expected in ((0.1, (60, 200)), (0.25, (24, 80)), (1, (6, 20)), (2, (3, 10)), (10, (1, 2))):
+        step_m = step_mm / 1000
+        assert (SHADOW_THRESHOLDS.gap_steps(step_m), SHADOW_THRESHOLDS.edge_steps(step_m)) == expected
+    other = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1)
+    gap, edge = other.gap_steps(1e-4), other.edge_steps(1e-4)
+    assert (gap, edge) == (13, 1000)
+    assert gap.dtype == edge.dtype == np.float32
+    assert ShadowThresholds(0.001, 0.002).gap_steps(0.01) == ShadowThresholds(0.001, 0.002).edge_steps(0.01) == 1
 
 
 def test_a_sample_is_shown_in_a_line() -> None:

@@ -12,7 +12,7 @@ from shapes import ball
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import COLOURS
 from bodyseg_data.drawing import body_views as portrait
-from bodyseg_data.drawing.body_views import LabelledBody, draw_body_views, draw_side
+from bodyseg_data.drawing.body_views import LabelledBody, draw_body_views, draw_parts, draw_side
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition
@@ -39,9 +39,8 @@ def hue(colour: Any) -> Any:
 
 
 @pytest.mark.parametrize(("azimuth", "label"), [(0, 0), (90, 1), (180, 2), (270, 3)])
-def test_each_side_shows_its_own_parts(azimuth: int, label: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(portrait, "_mark", lambda image, dots: None)
-    image = np.asarray(draw_side(quartered(), azimuth, 200))
+def test_each_side_shows_its_own_parts(azimuth: int, label: int) -> None:
+    image = np.asarray(draw_parts(quartered(), azimuth, 200)[0])
     rows, columns = image.shape[:2]
     np.testing.assert_allclose(hue(image[rows // 2, columns // 2]), hue(COLOURS[label]), atol=0.02)
     # Looking at the front, the subject's left is on the right.
@@ -50,13 +49,12 @@ def test_each_side_shows_its_own_parts(azimuth: int, label: int, monkeypatch: py
     assert tuple(image[2, 2]) == portrait.PAPER
 
 
-def test_landmarks_are_marked_where_they_are_and_only_if_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    marked: list[dict[int, tuple[float, float]]] = []
-    monkeypatch.setattr(portrait, "_mark", lambda image, dots: marked.append(dots))
+def test_landmarks_are_marked_where_they_are_and_only_if_seen() -> None:
     title, mesh, parts, landmarks = quartered()
-    picture = draw_side((title, mesh, parts, landmarks), 0, 200)
+    picture, dots = draw_parts((title, mesh, parts, landmarks), 0, 200)
+    marked = np.asarray(draw_side((title, mesh, parts, landmarks), 0, 200)) != np.asarray(picture)
+    assert all(marked[round(y) - 4 : round(y) + 5, round(x) - 4 : round(x) + 5].any() for x, y in dots.values())
     ways = mesh.vertices[landmarks] - mesh.centre
-    (dots,) = marked
     assert set(dots) == set(np.flatnonzero(ways[:, 2] > 0.5 * 0.12 + 0.01)) | {
         label for label in dots if abs(ways[label, 2] - 0.06) <= 0.01
     }
@@ -66,9 +64,7 @@ def test_landmarks_are_marked_where_they_are_and_only_if_seen(monkeypatch: pytes
         np.testing.assert_allclose((x, y), expected, atol=0.04 * 100 + 0.5)
 
 
-def test_a_landmark_behind_something_is_not_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    marked: list[dict[int, tuple[float, float]]] = []
-    monkeypatch.setattr(portrait, "_mark", lambda image, dots: marked.append(dots))
+def test_a_landmark_behind_something_is_not_marked() -> None:
     _, whole, parts, landmarks = quartered()
     shield = ball(radius_m=0.45, centre=(0.0, 0.9, 1.1), subdivisions=4)
     mesh = Mesh(
@@ -77,11 +73,11 @@ def test_a_landmark_behind_something_is_not_marked(monkeypatch: pytest.MonkeyPat
         np.concatenate([whole.faces, shield.faces + len(whole.vertices)]),
     )
     both = np.concatenate([parts.labels, np.full(len(shield.vertices), 9, np.uint8)])
-    draw_side(("hidden", mesh, whole_corners(mesh, both), landmarks), 0, 200)
+    _, dots = draw_parts(("hidden", mesh, whole_corners(mesh, both), landmarks), 0, 200)
     ways = whole.vertices[landmarks] - whole.centre
     aside = np.hypot(ways[:, 0], ways[:, 1])
-    assert not any(aside[label] < 0.40 for label in marked[0])
-    assert len(marked[0]) > 0
+    assert not any(aside[label] < 0.40 for label in dots)
+    assert len(dots) > 0
 
 
 def test_numbers_do_not_cover_each_other_or_the_dots() -> None:

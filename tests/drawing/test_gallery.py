@@ -49,6 +49,12 @@ def test_a_choice_of_more_than_there_is_is_refused(count: int) -> None:
         choose_views(keys({"A": 5}), count)
 
 
+def test_views_from_above_and_turned_are_views_of_the_same_mesh() -> None:
+    names = [f"open-A-mesh-0{mesh}-d215-a000{more}" for mesh in range(3) for more in ("", "-p-30", "-p010-r005-h-20")]
+    chosen = [names[index] for index in choose_views(names, 3)]
+    assert sorted(name.split("-")[3] for name in chosen) == ["00", "01", "02"]
+
+
 def test_a_key_of_another_kind_is_named() -> None:
     with pytest.raises(BadConfig, match="found 'elsewhere'"):
         choose_views(["elsewhere"], 1)
@@ -62,7 +68,7 @@ def test_shading_follows_the_surface() -> None:
     depth = 2.5 * normal[2] / (normal[0] * x + normal[1] * y + normal[2])
     image = np.rint(depth * 1e4).astype(np.uint16)
     image[:100] = 0
-    shade = surface_shading(image, CAMERA)
+    shade = surface_shading(image, 1e-4, CAMERA)
     light = np.array([-0.3, -0.45, -1.0])
     expected = normal @ light / np.linalg.norm(normal) / np.linalg.norm(light)
     assert np.all(shade[:100] == 0)
@@ -72,7 +78,7 @@ def test_shading_follows_the_surface() -> None:
 def test_a_step_in_range_does_not_darken_its_edge() -> None:
     image = np.full((20, 20), 20000, np.uint16)
     image[:, 10:] = 30000
-    shade = surface_shading(image, CAMERA)
+    shade = surface_shading(image, 1e-4, CAMERA)
     assert shade.min() > 0.8
 
 

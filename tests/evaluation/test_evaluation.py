@@ -186,7 +186,7 @@ def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
     drawn = open_images(str(figures_set), "all")
     assert len({drawn.image(index).drawn["sigma_mm"] for index in range(8)}) == 8
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
-        with pytest.raises(BadConfig, match="is for a variant that has (noise|missing_data), found variant"):
+        with pytest.raises(BadConfig, match=f"has (noise|missing_data), found variant '{variant}'"):
             open_images(str(figures_set), variant, **strengths)  # type: ignore[arg-type]
     with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
         open_images(str(figures_set), missing=1.5)

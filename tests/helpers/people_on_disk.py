@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
+from spheres import icosphere
 
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
@@ -46,9 +46,9 @@ _LEFT: Final = {
 
 def person(name: str = "person", height_m: float = 1.7) -> Mesh:
     """An upright egg, 642 vertices."""
-    shape = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
-    vertices = np.asarray(shape.vertices) * (0.25, 0.85, 0.15) + (0, 0.85, 0)
-    return Mesh(name, np.round(vertices * height_m / 1.7, 5), np.asarray(shape.faces))
+    points, faces = icosphere(3, 1.0)
+    vertices = points * (0.25, 0.85, 0.15) + (0, 0.85, 0)
+    return Mesh(name, np.round(vertices * height_m / 1.7, 5), faces)
 
 
 PERSON: Final = person()

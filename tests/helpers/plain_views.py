@@ -48,8 +48,8 @@ def take_whole_frames(
     labels[rows, columns] = parts.labels_at(mesh, faces, points)
     facing = np.zeros(seen.face.shape, np.bool_)
     facing[rows, columns] = faces_towards(mesh, faces, points, projector.position)
-    whole = steps(cast_whole_frame(mesh, projector).range, "projector")
-    return steps(seen.range, "camera"), whole, labels, facing
+    whole = steps(cast_whole_frame(mesh, projector).range, rig.range_step_m, "projector")
+    return steps(seen.range, rig.range_step_m, "camera"), whole, labels, facing
 
 
 def check_rays(mesh: Mesh, camera: PlacedCamera) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import trimesh
+from spheres import icosphere
 
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.mesh import Mesh
@@ -18,8 +18,8 @@ def ball(
     name: str = "ball",
 ) -> Mesh:
     """A finely triangulated sphere standing where a body would."""
-    shape = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_m)
-    return Mesh(name, np.asarray(shape.vertices) + centre, np.asarray(shape.faces))
+    vertices, faces = icosphere(subdivisions, radius_m)
+    return Mesh(name, vertices + centre, faces)
 
 
 def figure(name: str = "figure") -> Mesh:
@@ -33,10 +33,10 @@ def figure(name: str = "figure") -> Mesh:
     ]
     vertices, faces, count = [], [], 0
     for a, b, c, centre in parts:
-        shape = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
-        vertices.append(np.asarray(shape.vertices) * (a, b, c) + centre)
-        faces.append(np.asarray(shape.faces) + count)
-        count += len(shape.vertices)
+        points, triangles = icosphere(3, 1.0)
+        vertices.append(points * (a, b, c) + centre)
+        faces.append(triangles + count)
+        count += len(points)
     return Mesh(name, np.concatenate(vertices), np.concatenate(faces))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -16,8 +17,8 @@ import torch
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import BadConfig, WorkerLost
-from bodyseg_data.loading import workers as processes
 from bodyseg_data.loading.batch_order import BatchOrder
+from bodyseg_data.loading.worker_processes import ProcessWorkers
 
 
 def _open_files() -> int:
@@ -66,7 +67,7 @@ def test_a_program_may_change_its_folder(figures_set: Path, tmp_path: Path) -> N
         "    os.chdir(sys.argv[1])\n"
         "    images = RangeImages(sys.argv[2], 'none', split='test')\n"
         "    os.chdir('/')\n"
-        "    batches = loader(images, 4, num_workers=1, start_method='spawn')\n"
+        "    batches = loader(images, 4, num_workers=1, worker_method='process', start_method='spawn')\n"
         "    print(images.path, sum(len(batch['key']) for batch in batches) == len(images))\n"
     )
     command = [sys.executable, str(script), str(figures_set.parent), figures_set.name]
@@ -138,11 +139,13 @@ def test_an_epoch_of_nothing_is_refused(images: RangeImages) -> None:
 
 def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> None:
     """A batch, prefetch factor or number of workers larger than the set costs what the set costs."""
-    batches = loader(images, 10**30, num_workers=10**30, prefetch_factor=10**30, start_method="fork")
+    batches = loader(
+        images, 10**30, num_workers=10**30, prefetch_factor=10**30, worker_method="process", start_method="fork"
+    )
     passed = list(batches)
     assert [len(batch["key"]) for batch in passed] == [len(images)]
     state = batches._state
-    assert state is not None and isinstance(state.workers, processes.Workers) and len(state.workers._processes) == 1
+    assert state is not None and isinstance(state.workers, ProcessWorkers) and len(state.workers._processes) == 1
     assert state.slots.arrays(0)[0].shape[0] == len(images) and state.slots._count == 4
 
 
@@ -162,7 +165,7 @@ def test_workers_that_cannot_start(images: RangeImages, monkeypatch: pytest.Monk
     with pytest.raises(
         WorkerLost, match="^worker 0 of 2 could not be started: Too many open files; use fewer workers$"
     ):
-        list(loader(images, 4, num_workers=2, start_method="fork"))
+        list(loader(images, 4, num_workers=2, worker_method="process", start_method="fork"))
     assert _open_files() == before
 
 
@@ -171,7 +174,8 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
     script.write_text(
         "import sys\n"
         "from bodyseg_data import RangeImages, loader\n"
-        "list(loader(RangeImages(sys.argv[1], 'none'), 4, num_workers=1, start_method='spawn'))\n"
+        "images = RangeImages(sys.argv[1], 'none')\n"
+        "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
     )
     done = subprocess.run([sys.executable, str(script), str(figures_set)], capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
@@ -179,10 +183,10 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
 
 
 def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(size: int) -> int:
+    def full(file: int, size: int) -> None:
         raise OSError(12, "Cannot allocate memory")
 
-    monkeypatch.setattr("bodyseg_data.loading.slots._anonymous_file", full)
+    monkeypatch.setattr(os, "ftruncate", full)
     with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be allocated: Cannot"):
         list(loader(images, 3))
 

@@ -18,6 +18,9 @@ from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.slots import SPARE, Slots
 
+WAYS = [(0, "thread"), (2, "process"), (2, "thread")]
+"""Numbers of workers, and their kind."""
+
 
 def bits(batch: Any) -> tuple[list[str], bytes, bytes]:
     return batch["key"], batch["range"].numpy().tobytes(), batch["labels"].numpy().tobytes()
@@ -30,11 +33,11 @@ def expected(figures_set: Path) -> list[tuple[list[str], bytes, bytes]]:
     return [bits(batch) for _ in range(2) for batch in batches]
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(("workers", "method"), WAYS)
 def test_a_batch_that_is_held_never_changes(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
 ) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers)
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers, worker_method=method)
     held = [batch for _ in range(2) for batch in batches]
     for _ in range(2):
         for _ in batches:
@@ -44,11 +47,11 @@ def test_a_batch_that_is_held_never_changes(
     assert [bits(batch) for batch in held] == expected
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(("workers", "method"), WAYS)
 def test_a_part_of_a_batch_is_held_too(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
 ) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers)
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers, worker_method=method)
     kept: list[Any] = []
     for number, batch in enumerate(batches):
         ranges = batch["range"]
@@ -66,17 +69,17 @@ def test_a_part_of_a_batch_is_held_too(
 def test_start_methods_give_the_same_bits(
     figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], start_method: Any
 ) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, 1, start_method=start_method)
+    batches = loader(RangeImages(figures_set, "all", "train"), 3, 1, worker_method="process", start_method=start_method)
     assert [bits(batch) for batch in batches] == expected[:6]
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int) -> None:
+@pytest.mark.parametrize(("workers", "method"), WAYS)
+def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int, method: Any) -> None:
     images = RangeImages(figures_set, "all")
-    pairs = zip(loader(images, 5, workers, metres=False), loader(images, 5), strict=True)
+    pairs = zip(loader(images, 5, workers, metres=False, worker_method=method), loader(images, 5), strict=True)
     for steps, metres in pairs:
         assert steps["range"].dtype == torch.uint16
-        assert torch.equal(steps["range"].to(torch.float32).mul_(1e-4), metres["range"])
+        assert torch.equal(steps["range"].to(torch.float32).mul_(images.step_m), metres["range"])
         assert torch.equal(steps["labels"], metres["labels"])
 
 
@@ -112,7 +115,7 @@ def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
     figures_set: Path, expected: list[tuple[list[str], bytes, bytes]]
 ) -> None:
     images = RangeImages(figures_set, "all", "train")
-    first = loader(images, 3, 2)
+    first = loader(images, 3, 2, worker_method="process")
     assert isinstance(first, Stateful)
     states = [first.state_dict()]
     for _ in range(2):
@@ -122,7 +125,7 @@ def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
     ]  # fmt: skip
     assert first.state_dict() == {**states[0], "epoch": 2}
     for done in (0, 2, 5, 6, 7, 12):
-        again = loader(RangeImages(figures_set, "all", "train"), 3, done % 2)
+        again = loader(RangeImages(figures_set, "all", "train"), 3, done % 2, worker_method="thread")
         again.load_state_dict(json.loads(json.dumps(states[done])))
         rest = [bits(batch) for _ in range(again.epoch, 2) for batch in again]
         assert rest == expected[done:]
@@ -222,6 +225,11 @@ def test_bad_options_are_refused(figures_set: Path) -> None:
         ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
         ({"prefetch_factor": 0}, "prefetch_factor .*found 0"),
         ({"start_method": "thread"}, "start_method .*found 'thread'"),
+        ({"worker_method": "fibre"}, "^worker_method must be process or thread, found 'fibre'$"),
+        (
+            {"worker_method": "thread", "start_method": "fork"},
+            "^start_method is for worker_method='process', found 'fork'",
+        ),
         ({"rank": 1, "world_size": 1}, "rank .*found 1 of 1"),
     ]
     for options, message in cases:
@@ -240,6 +248,6 @@ def test_an_image_of_another_size_is_refused(figures_set: Path) -> None:
 
 def test_a_worker_process_has_no_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
-    batches: Loader = loader(RangeImages(figures_set), 4, 1)
-    with pytest.raises(BadConfig, match="a worker process can have no workers of its own"):
+    batches: Loader = loader(RangeImages(figures_set), 4, 1, worker_method="process")
+    with pytest.raises(BadConfig, match="a worker process can have no processes of its own"):
         next(iter(batches))

@@ -47,6 +47,10 @@ def await_end(processes: list[int]) -> None:
         time.sleep(0.02)
 
 
+def with_processes(images: RangeImages, workers: int = 2) -> Loader:
+    return loader(images, 3, workers, worker_method="process")
+
+
 def keys(batches: Loader) -> list[str]:
     return [key for batch in batches for key in batch["key"]]
 
@@ -54,7 +58,7 @@ def keys(batches: Loader) -> list[str]:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_worker_that_is_killed_is_one_line_and_no_hang(figures_set: Path, number: int, victim: int) -> None:
-    batches = loader(RangeImages(figures_set), 3, 2)
+    batches = with_processes(RangeImages(figures_set))
     delivered = iter(batches)
     next(delivered)
     processes = worker_ids(batches)
@@ -77,7 +81,7 @@ def test_a_worker_that_ends_itself_is_named_too(figures_set: Path) -> None:
     with pytest.raises(
         WorkerLost, match=r"worker 0 of 1 \(process \d+\) ended with status 3 before its batch was made"
     ):
-        list(loader(Leaving(figures_set), 3, 1))
+        list(with_processes(Leaving(figures_set), 1))
 
 
 def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(figures_set: Path) -> None:
@@ -86,7 +90,7 @@ def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(figure
             raise MemoryError("no more\nof it")
 
     with pytest.raises(WorkerLost) as caught:
-        list(loader(Failing(figures_set), 3, 2))
+        list(with_processes(Failing(figures_set)))
     assert re.fullmatch(r"worker 0 of 2 \(process \d+\) failed: MemoryError: no more of it", str(caught.value))
     assert "in write" in caught.value.__notes__[0]
 
@@ -94,7 +98,7 @@ def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(figure
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_pass_may_be_left_and_another_begun(figures_set: Path, workers: int) -> None:
     images = RangeImages(figures_set, "all")
-    batches = loader(images, 3, workers)
+    batches = with_processes(images, workers)
     whole = [[batch["range"].sum().item() for batch in batches] for _ in range(3)]
     images.set_epoch(0)
     before: list[int] = []
@@ -109,7 +113,7 @@ def test_a_pass_may_be_left_and_another_begun(figures_set: Path, workers: int) -
 
 
 def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches = loader(RangeImages(figures_set), 3, 2)
+    batches = with_processes(RangeImages(figures_set))
     delivered = iter(batches)
     next(delivered)
     assert batches._state is not None
@@ -128,7 +132,7 @@ def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monke
 def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
     figures_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batches = loader(RangeImages(figures_set), 3, 2)
+    batches = with_processes(RangeImages(figures_set))
     delivered = iter(batches)
     next(delivered)
     assert batches._state is not None
@@ -162,7 +166,7 @@ def test_a_pass_left_early_makes_no_batch_in_vain(figures_set: Path) -> None:
 def test_a_loader_that_is_dropped_ends_its_workers_at_once(figures_set: Path, held: str) -> None:
     gc.disable()  # none of this waits for the garbage collector
     try:
-        batches: Any = loader(RangeImages(figures_set), 3, 2)
+        batches: Any = with_processes(RangeImages(figures_set))
         delivered: Any = iter(batches)
         batch: Any = next(delivered)
         processes = worker_ids(batches)
@@ -187,7 +191,7 @@ def test_workers_end_when_told_to_whoever_else_has_their_pipes(
         raise AssertionError("had to be killed")
 
     monkeypatch.setattr(multiprocessing.process.BaseProcess, "kill", kill)
-    pair = [loader(RangeImages(figures_set), 3, 2) for _ in range(2)]
+    pair = [with_processes(RangeImages(figures_set)) for _ in range(2)]
     for batches in pair:  # the second one's workers are forks that have the first one's pipes
         next(iter(batches))
     processes = worker_ids(pair[0])
@@ -197,7 +201,7 @@ def test_workers_end_when_told_to_whoever_else_has_their_pipes(
 
 
 def test_a_fork_of_the_process_has_workers_of_its_own(figures_set: Path) -> None:
-    batches = loader(RangeImages(figures_set), 3, 1)
+    batches = with_processes(RangeImages(figures_set), 1)
     delivered = iter(batches)
     first = next(delivered)
     processes = worker_ids(batches)
@@ -230,7 +234,7 @@ def resources() -> dict[str, int]:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_epochs_leave_nothing_behind(figures_set: Path, workers: int) -> None:
-    batches = loader(RangeImages(figures_set, "all"), 3, workers)
+    batches = with_processes(RangeImages(figures_set, "all"), workers)
     before = resources()
     seen = []
     sizes = []
@@ -253,7 +257,7 @@ def test_errors_leave_nothing_behind(figures_set: Path) -> None:
                 raise BodysegError("twenty")
             super().write(index, *where)
 
-    batches = loader(Failing(figures_set), 3, 2)
+    batches = with_processes(Failing(figures_set))
     before = resources()
     for _ in range(5):
         with pytest.raises(BodysegError, match="^twenty$"):
@@ -264,7 +268,8 @@ def test_errors_leave_nothing_behind(figures_set: Path) -> None:
 ENDLESS = """
 import multiprocessing, sys
 from bodyseg_data import RangeImages, loader
-two = [loader(RangeImages(sys.argv[1]), 3, int(sys.argv[3]), start_method=sys.argv[2]) for _ in range(2)]
+two = [loader(RangeImages(sys.argv[1]), 3, int(sys.argv[3]), worker_method="process", start_method=sys.argv[2])
+       for _ in range(2)]
 passes = [iter(batches) for batches in two]
 while True:
     for number, batches in enumerate(two):

@@ -41,8 +41,10 @@ def test_a_batch_is_what_the_documentation_says(figures_set: Path) -> None:
     assert batch["labels"].dtype == torch.uint8
     assert batch["labels"].shape == (3, 640, 329)
     assert len(batch["key"]) == 3
-    clean = RangeImages(figures_set).clean(0)
-    assert np.array_equal(batch["range"][0, 0].numpy(), clean.range.astype(np.float32) * np.float32(1e-4))
+    images = RangeImages(figures_set)
+    steps = images.clean(0).range.astype(np.float32)
+    assert images.step_m == images.manifest.rig.range_step_m
+    assert np.array_equal(batch["range"][0, 0].numpy(), steps * np.float32(images.step_m))
     foreground = batch["range"] > 0
     assert 1.5 < batch["range"][foreground].min() < batch["range"].max() < 3.5
     assert torch.equal(foreground[:, 0], batch["labels"] != 255)

@@ -194,5 +194,5 @@ def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = ball(subdivisions=1)
     monkeypatch.setitem(sys.modules, "pymeshlab", None)
-    with pytest.raises(MissingLibrary, match=r"needs the package 'pymeshlab': pip install 'bodyseg\[render\]'"):
+    with pytest.raises(MissingLibrary, match=r"package 'pymeshlab': pip install 'bodyseg\[render\]'"):
         repair("ball", whole.vertices, whole.faces)

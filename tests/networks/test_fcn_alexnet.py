@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -109,56 +109,79 @@ def field(number: int, content: bytes | int) -> bytes:
     return varint(number << 3 | 2) + varint(len(content)) + content
 
 
-def alexnet() -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.float32]]]:
+Pieces = list[bytes | memoryview]
+
+
+def field_of(number: int, pieces: Pieces) -> Pieces:
+    """As `field`, in pieces: joined, hundreds of megabytes would be copied for every message around them."""
+    return [varint(number << 3 | 2) + varint(sum(map(len, pieces))), *pieces]
+
+
+def numbers(number: int, array: NDArray[np.float32]) -> Pieces:
+    return field_of(number, [array.data.cast("B")])
+
+
+Layers = list[tuple[str, NDArray[np.float32], NDArray[np.float32]]]
+
+
+@pytest.fixture(scope="module")
+def alexnet() -> Layers:
+    """Name, weight and bias of each layer, drawn at random."""
     draw = np.random.default_rng(5)
-    for name, shape in SHAPES.items():
-        yield name, draw.random(shape, np.float32) - 0.5, draw.random(shape[0], np.float32)
+    return [
+        (name, draw.random(shape, np.float32) - 0.5, draw.random(shape[0], np.float32))
+        for name, shape in SHAPES.items()
+    ]
 
 
-def onnx_file() -> bytes:
-    graph = b""
-    for name, weight, bias in alexnet():
+def onnx_file(alexnet: Layers) -> Pieces:
+    graph: Pieces = [field(2, b"graph")]
+    for name, weight, bias in alexnet:
         for array, kind in ((weight, "w"), (bias, "b")):
             dims = b"".join(field(1, size) for size in array.shape)
-            graph += field(5, dims + field(2, 1) + field(8, f"{name}_{kind}_0".encode()) + field(9, array.tobytes()))
-    return field(1, 7) + field(2, b"maker") + field(7, field(2, b"graph") + graph)
+            head = dims + field(2, 1) + field(8, f"{name}_{kind}_0".encode())
+            graph += field_of(5, [head, *numbers(9, array)])
+    return [field(1, 7), field(2, b"maker"), *field_of(7, graph)]
 
 
-def caffe_file() -> bytes:
-    layers = field(100, field(1, b"data") + field(2, b"Input"))
-    for name, weight, bias in alexnet():
-        blobs = b""
+def caffe_file(alexnet: Layers) -> Pieces:
+    layers: Pieces = [field(100, field(1, b"data") + field(2, b"Input"))]
+    for name, weight, bias in alexnet:
+        blobs: Pieces = []
         for array in (weight, bias):
             shape = b"".join(varint(size) for size in array.shape)
-            blobs += field(7, field(5, array.tobytes()) + field(7, field(1, shape)))
-        layers += field(100, field(1, name.encode()) + field(2, b"Convolution") + blobs)
-    return field(1, b"AlexNet") + layers
+            blobs += field_of(7, [*numbers(5, array), field(7, field(1, shape))])
+        layers += field_of(100, [field(1, name.encode()), field(2, b"Convolution"), *blobs])
+    return [field(1, b"AlexNet"), *layers]
 
 
-def old_caffe_file() -> bytes:
-    layers = b""
-    for name, weight, bias in alexnet():
-        blobs = b""
+def old_caffe_file(alexnet: Layers) -> Pieces:
+    layers: Pieces = []
+    for name, weight, bias in alexnet:
+        blobs: Pieces = []
         for array in (weight, bias):
             sizes = (1, 1, 1, 1, *array.shape)[-4:]
             shape = b"".join(field(number, size) for number, size in enumerate(sizes, 1))
-            blobs += field(6, shape + field(5, array.tobytes()))
-        layers += field(2, field(2, b"bottom") + field(4, name.encode()) + field(5, 4) + blobs)
-    return field(1, b"AlexNet") + layers
+            blobs += field_of(6, [shape, *numbers(5, array)])
+        layers += field_of(2, [field(2, b"bottom"), field(4, name.encode()), field(5, 4), *blobs])
+    return [field(1, b"AlexNet"), *layers]
 
 
 @pytest.mark.parametrize(
     ("name", "make"),
     [("a.onnx", onnx_file), ("a.caffemodel", caffe_file), ("b.caffemodel", old_caffe_file)],
 )
-def test_alexnet_is_imported_weight_by_weight(tmp_path: Path, name: str, make: Callable[[], bytes]) -> None:
+def test_alexnet_is_imported_weight_by_weight(
+    alexnet: Layers, tmp_path: Path, name: str, make: Callable[[Layers], Pieces]
+) -> None:
     path = tmp_path / name
-    path.write_bytes(make())
+    with path.open("wb") as file:
+        file.writelines(make(alexnet))
     network = FcnAlexnet(normalise=True)
     new = {key: value.clone() for key, value in network.state_dict().items() if key[:5] in ("conv8", "upfea", "score")}
     import_alexnet(network, path)
     got = {key: value.numpy() for key, value in network.state_dict().items()}
-    for layer, weight, bias in alexnet():
+    for layer, weight, bias in alexnet:
         kept = {"fc6": "conv6", "fc7": "conv7"}.get(layer, layer)
         if layer == "conv1":
             np.testing.assert_allclose(got["conv1.weight"][:, 0], weight.mean(axis=1), atol=1e-7)

@@ -87,7 +87,7 @@ def test_every_network_is_trained_at_any_loss_stride(name: str) -> None:
 
 
 def test_by_default_a_network_reads_no_pretrained_weights(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match=r"Compact cannot start from pretrained weights, found .*a\.onnx"):
+    with pytest.raises(BadConfig, match=r"Compact .* pretrained weights, found .*a\.onnx"):
         small("compact").load_pretrained(tmp_path / "a.onnx")
 
 
@@ -109,7 +109,7 @@ def test_a_network_must_define_its_scores() -> None:
 
 
 def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(BadConfig, match="the network must be one of fcn_alexnet, compact, .*, found 'unet'"):
+    with pytest.raises(BadConfig, match="one of fcn_alexnet, compact, .*, found 'unet'"):
         build("unet")
 
 

@@ -225,17 +225,13 @@ def test_workers_that_would_give_other_bytes_are_named(
     with monkeypatch.context() as patch:
         patch.setattr(cluster, "expected", lambda packing: replace(workers.expected(packing), installed=ours))
         with (
-            pytest.raises(
-                BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .*, this machine has 0.1: install"
-            ),
+            pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .* has 0\.1: "),
             open_engine(nodes.engine, None, PACKING),
         ):
             pass
     monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
     with (
-        pytest.raises(
-            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies of the source open than this machine"
-        ),
+        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies of .* open "),
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
@@ -264,9 +260,7 @@ def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pyt
 
     monkeypatch.setattr(Figures, "build", build)
     with (
-        pytest.raises(
-            BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds A-0 with other bits than this machine: use"
-        ),
+        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds A-0 with other bits"),
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
@@ -369,7 +363,7 @@ def test_nodes_without_bodyseg_are_named(nodes: Nodes, tmp_path: Path, monkeypat
             patch.setattr(cluster, name, getattr(only_here, name))
             patch.setattr(cluster, "expected", lambda packing, wanted=wanted: wanted)
             with (
-                pytest.raises(BadConfig, match=f"^{node} cannot load bodyseg of this version.*No module.*only_here"),
+                pytest.raises(BadConfig, match=f"^{node} cannot load bodyseg .*No module.*only_here"),
                 open_engine(nodes.engine, None, PACKING),
             ):
                 pass

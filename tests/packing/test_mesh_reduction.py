@@ -129,17 +129,24 @@ def test_a_smaller_tolerance_keeps_more_triangles(reduction: Reduction) -> None:
 @pytest.mark.parametrize(("power", "misses"), [(1.2, 0), (1.6, 0), (1.95, 0), (3.0, 1)])
 def test_the_search_neither_goes_too_far_nor_creeps(power: float, misses: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With an error that is a power of the count: up to 2 no stage is made in vain, and each takes away enough."""
-    tolerance_m, tried = 5e-4, list[tuple[float, float]]()
+    tolerance_m, tried = 5e-4, list[float]()
 
-    def modelled(before: Reduction, share: float, *_: object) -> Reduction:
-        left = round(len(before.mesh.faces) * share)
-        tried.append((share, 3e-5 * (len(BALL.faces) / left) ** power))
-        return replace(before, mesh=cast(Mesh, SimpleNamespace(faces=BALL.faces[:left])), error_m=tried[-1][1])
+    def collapsed(mesh: Mesh, landmarks: NDArray[np.int64], count: int) -> tuple[Mesh, NDArray[np.int64]]:
+        tried.append(count / len(mesh.faces))
+        return cast(Mesh, SimpleNamespace(faces=BALL.faces[:count])), landmarks
 
-    monkeypatch.setattr(mesh_reduction, "_coarser", modelled)
+    errors: list[float] = []
+
+    def modelled(mesh: Mesh, cameras: object) -> list[NDArray[np.float64]]:
+        errors.append(0.0 if mesh is BALL else 3e-5 * (len(BALL.faces) / len(mesh.faces)) ** power)
+        return [np.full((1, 1), 1 + errors[-1])]
+
+    monkeypatch.setattr(mesh_reduction, "edges_collapsed", collapsed)
+    monkeypatch.setattr(mesh_reduction, "seen_ranges", modelled)
     found = reduce(BALL, MARKS, tolerance_m, RIG)
-    assert all(0.6 <= share <= 0.85 for share, _ in tried)
-    assert sum(error > tolerance_m for _, error in tried) == misses
+    assert len(errors) == 1 + len(tried) > 2
+    assert all(0.599 <= share <= 0.851 for share in tried), "but for whole triangles"
+    assert sum(error > tolerance_m for error in errors) == misses
     assert 0.85**2 * 0.95 * tolerance_m <= found.error_m <= tolerance_m
 
 
@@ -239,29 +246,21 @@ def test_a_collapse_that_fails_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyP
 
 
 def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    def inside_out(coarse: object, mesh: Mesh, *_: object) -> Mesh:
-        return Mesh(mesh.name, mesh.vertices, mesh.faces[:, ::-1])
-
-    monkeypatch.setattr(mesh_reduction, "_taken_back", inside_out)
+    pymeshlab = load_pymeshlab("a test")
+    faces = pymeshlab.Mesh.face_matrix
+    monkeypatch.setattr(pymeshlab.Mesh, "face_matrix", lambda mesh: faces(mesh)[:, ::-1])
     reduction = reduce(BALL, MARKS, 5e-4, RIG)
     assert reduction.mesh is BALL
     assert reduction.note is not None
     assert reduction.note.startswith("left whole: mesh ball: faces must point outwards")
 
 
-def test_a_lost_landmark_is_an_error() -> None:
-    class Lost:
-        def vertex_scalar_array(self) -> NDArray[np.float64]:
-            return np.arange(len(BALL.vertices), dtype=np.float64)
-
-        def vertex_matrix(self) -> NDArray[np.float64]:
-            return BALL.vertices + 1e-9
-
-        def face_matrix(self) -> NDArray[np.int32]:
-            return BALL.faces
-
+def test_a_lost_landmark_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    pymeshlab = load_pymeshlab("a test")
+    vertices = pymeshlab.Mesh.vertex_matrix
+    monkeypatch.setattr(pymeshlab.Mesh, "vertex_matrix", lambda mesh: vertices(mesh) + 1e-9)
     with pytest.raises(BadMesh, match="collapsing edges moved a landmark"):
-        mesh_reduction._taken_back(Lost(), BALL, MARKS, BALL.vertices.min(axis=0), BALL.vertices.max(axis=0))
+        edges_collapsed(BALL, MARKS, len(BALL.faces) // 2)
 
 
 @pytest.mark.parametrize("tolerance_m", [0.0, -1e-3, np.nan, np.inf])
@@ -310,6 +309,13 @@ def test_probes_see_the_body_from_all_sides() -> None:
     for camera in cameras:
         assert camera.camera.rows * 4 == full.rows
         assert camera.camera.focal_px * 4 == full.focal_px
+
+
+def test_probes_see_the_body_from_all_sides_at_every_pitch() -> None:
+    cameras = probe_cameras(BALL, RIG, 295, (0, -90))
+    places = np.array([camera.position - BALL.centre for camera in cameras])
+    assert np.linalg.norm(places, axis=1) == pytest.approx([2.95] * 8)
+    assert places[:, 1] == pytest.approx([0.0] * 4 + [2.95] * 4)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

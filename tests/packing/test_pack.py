@@ -24,7 +24,8 @@ from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.core.views import Drawn, ViewGrid
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing import pack as packing
@@ -55,6 +56,29 @@ def test_shard_size_changes_how_samples_are_cut_and_nothing_else(
     ]
     assert listed[0] == listed[1]
     assert [len(shard) for shard in other.shards] == [7, 7, 2, 7, 1]
+
+
+def test_views_drawn_from_ranges_are_the_same_however_they_are_packed(tmp_path: Path, pack_figures: Pack) -> None:
+    views = ViewGrid(span_deg=360, count=3, pitch_deg=Drawn(-30, 10), roll_deg=(0, 5), height_cm=Drawn(-20, 20))
+    once = pack_figures(tmp_path / "once", views=views, meshes=3, shard_samples=4)
+    rendered: dict[Any, Any] = {}
+    with pytest.raises(Interrupted):
+        pack_figures(tmp_path / "again", Renders(rendered, 2), views=views, meshes=3, shard_samples=4)
+    with ThreadPoolExecutor(2) as two:
+        pack_figures(tmp_path / "again", two, views=views, meshes=3, shard_samples=4)
+    assert contents(tmp_path / "again") == contents(once)
+    keys = [key for shard in read_manifest(once).shards for key in shard.keys]
+    drawn = {key.partition("-d")[2] for key in keys}
+    assert len(keys) == 9 and len(drawn) == 9, "every body has views of its own"
+    for variant in ("none", "all"):
+        assert len(list(RangeImages(once, variant))) == 9
+    images = RangeImages(once, "none")
+    assert [images.clean(index).info.view.name for index in range(9)] == [
+        f"d{key.rpartition('-d')[2]}" for key in images.keys
+    ]
+    other = replace(views, pitch_deg=Drawn(-30, 11))
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
+        pack_figures(once, views=other, meshes=3, shard_samples=4)
 
 
 def test_no_mesh_has_views_on_both_sides(figures_set: Path) -> None:
@@ -300,6 +324,8 @@ def test_a_plan_counts_without_rendering() -> None:
     counts = plan(Packing("open", views=ViewGrid(count=6)))
     assert counts["meshes"] == 71 + 825 + 850 + 583 == 2329
     assert counts["views"] == counts["meshes"] * 6 == counts["train"] + counts["test"]
+    pitched = plan(Packing("open", views=ViewGrid(count=100, pitch_deg=(0, -15), roll_deg=Drawn(-5, 5))))
+    assert pitched["views"] == counts["meshes"] * 100 and pitched["views_per_mesh"] == 100
     assert counts["subsets"]["A"] == {"meshes": 71, "views": 426, "train": 57 * 6, "test": 14 * 6}
     assert counts["subsets"]["people"] == {"meshes": 583, "views": 3498, "train": 467 * 6, "test": 116 * 6}
 
@@ -327,6 +353,25 @@ def test_sources_say_what_they_need() -> None:
         open_source("open", Path())
 
 
+@pytest.mark.parametrize(
+    ("words", "views", "error"),
+    [
+        ("--pitch 0 -15 -30 --roll 0 90 --azimuths 2", 36, ""),
+        ("--pitch -30..10 --roll -5..5 --height -20..20 --azimuths 2", 6, ""),
+        ("--pitch -91", 0, "bodyseg shard: a view's pitch must be between -90 and 90 degrees, found [-91]\n"),
+        ("--height 1.5", 0, "bodyseg shard: --height takes whole numbers, or one range like -30..10, found '1.5'\n"),
+        ("--roll 5..5", 0, "bodyseg shard: a range of roll must go up, found 5..5\n"),
+    ],
+)
+def test_views_are_options_of_the_command(
+    words: str, views: int, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main(["shard", "--source", "open", "--meshes", "4", "--plan", *words.split()])
+    said = capsys.readouterr()
+    assert (status, said.err) == (2 if error else 0, error)
+    assert error or json.loads(said.out)["views_per_mesh"] == views
+
+
 COMMAND = ["-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "4", "--views", "2", "--shard-samples", "3"]
 
 
@@ -338,20 +383,16 @@ def _shard(out: Path, workers: int, command: list[str] = COMMAND) -> list[str]:
     return [sys.executable, *command, "--workers", str(workers), "--out", str(out)]
 
 
-@pytest.fixture(scope="module")
-def real_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Real bodies, packed by the command with one worker."""
-    out = tmp_path_factory.mktemp("real") / "shards"
-    done = subprocess.run(_shard(out, 1), capture_output=True, text=True, timeout=200, check=False)
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+    """Real bodies, by the command with two workers and in this process."""
+    done = subprocess.run(_shard(tmp_path / "two", 2), capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     assert "8 samples in 3 shards" in done.stdout
     assert "packing: 8 of 8 views" in done.stderr
-    return out
-
-
-def test_any_number_of_workers_gives_the_same_bytes(real_set: Path, tmp_path: Path) -> None:
-    subprocess.run(_shard(tmp_path / "two", 2), check=True, capture_output=True, timeout=200)
-    assert contents(tmp_path / "two") == contents(real_set)
+    with ThreadPoolExecutor(1) as thread:
+        bodies = Packing("open", meshes=4, views=ViewGrid(count=2), shard_samples=3)
+        packing.pack(bodies, tmp_path / "here", thread, 1)
+    assert contents(tmp_path / "two") == contents(tmp_path / "here")
 
 
 def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
@@ -388,8 +429,9 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: 
 def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     signals: list[signal.Signals], said: str, status: int, tmp_path: Path
 ) -> None:
-    command = _shard(tmp_path / "shards", 2)
-    process = start_interruptible(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    command, environment = _shard(tmp_path / "shards", 2, FIGURES), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    (tmp_path / "slow").touch()
+    process = start_interruptible(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 60
     while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
         assert time.monotonic() < deadline

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadSample, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.sample import Sample, info_from_json
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
@@ -79,7 +80,7 @@ def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: i
     foreground = sample.range > 0
     assert np.array_equal(foreground[sure], (discriminant > 0)[sure])
     inner = foreground & sure
-    assert np.abs(sample.range[inner] * RANGE_STEP_M - z[inner]).max() < 0.002
+    assert np.abs(sample.range[inner] * rig.range_step_m - z[inner]).max() < 0.002
     points = camera.to_body(rays * z[..., None])
     left = points[..., 0] > 0
     clear = inner & (np.abs(points[..., 0]) > 0.002)
@@ -143,6 +144,15 @@ def test_a_sample_is_that_of_whole_frames_with_any_projector(projector: dict[str
     check_against_whole_frames(rig, mesh, halves(mesh), View(215, 10))
 
 
+@pytest.mark.parametrize("view", [View(215, 60, -35, 25, 10), View(255, 200, 20, -70), View(295, 0, -90)])
+@pytest.mark.parametrize("roll", [0.0, 40.0])
+def test_a_sample_from_above_and_turned_is_that_of_whole_frames(view: View, roll: float) -> None:
+    rig, mesh = replace(RIG, projector=replace(RIG.projector, roll_deg=roll)), figure()
+    stored, seen, shaded = check_against_whole_frames(rig, mesh, halves(mesh), view)
+    assert stored < 0.25 * seen
+    assert shaded > 100 or view.azimuth_deg != 60, "the arm is between the light and the trunk"
+
+
 @pytest.mark.parametrize("index", [20, 400])  # bare and dressed
 def test_open_bodies_samples_are_those_of_whole_frames(index: int) -> None:
     source = open_source("open")
@@ -165,8 +175,25 @@ def test_a_sample_is_named_and_described_by_body_and_view() -> None:
     assert sample.info.split == "test"
     assert (sample.info.subset, sample.info.pose) == ("people", "standing")
     assert (sample.info.distance_cm, sample.info.azimuth_deg) == (255, 30)
+    assert set(json.loads(encode_sample(sample)["json"])).isdisjoint({"pitch_deg", "roll_deg", "height_cm"})
+
+
+def test_a_sample_from_above_is_named_and_described_by_its_pitch_roll_and_height() -> None:
+    sample, _ = sample_of("raster", View(255, 30, -20, 5, 15))
+    assert sample.key == "open-P007-ball-1-d255-a030-p-20-r005-h015"
+    assert sample.info.view == View(255, 30, -20, 5, 15), "also once it was stored and read"
+    described = json.loads(encode_sample(sample)["json"])
+    assert (described["pitch_deg"], described["roll_deg"], described["height_cm"]) == (-20, 5, 15)
+    pitched = json.loads(encode_sample(replace(sample, info=replace(sample.info, roll_deg=0)))["json"])
+    assert "roll_deg" not in pitched and pitched["pitch_deg"] == -20
+    with pytest.raises(BadSample, match="'roll_deg' must be int, found '5'"):
+        info_from_json({**pitched, "roll_deg": "5"}, "k")
+    with pytest.raises(BadSample, match=r"must have exactly \['azimuth_deg', .* and may have \['height_cm'"):
+        info_from_json({**pitched, "yaw_deg": 5}, "k")
 
 
 def test_a_body_beyond_what_16_bits_hold_is_refused() -> None:
-    with pytest.raises(BadSample, match=r"open-P007-ball-1-d700-a000: a range must be 0 to 6.5535 m, found"):
-        sample_of("embree", View(700, 0))
+    with pytest.raises(
+        BadSample, match=r"open-P007-ball-1-d700-a000: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found"
+    ):
+        sample_of("embree", View(700, 0), replace(RIG, range_step_mm=0.1))

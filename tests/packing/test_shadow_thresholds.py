@@ -33,7 +33,8 @@ from fakes import Figures
 from plain_views import take_whole_frames
 from shapes import figure
 from test_sampler import REF, RIG, check_against_whole_frames, halves
-from bodyseg_data.artifacts import occlusion, occlusion_compiled
+from bodyseg_data.artifacts import occlusion
+from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.packing import pack as packing
@@ -61,7 +62,7 @@ packing.pack(packing.Packing("open", meshes=2, views=views), out, ThreadPoolExec
 
 def test_a_change_of_threshold_is_a_change_of_format() -> None:
     """Sets do not say which thresholds they were packed for: their format does."""
-    assert MANIFEST_FORMAT == "bodyseg shards 3"
+    assert MANIFEST_FORMAT == "bodyseg shards 4"
     assert asdict(SHADOW_THRESHOLDS) == {"surface_gap_m": 0.006, "edge_m": 0.020}
     text = (ROOT / "docs" / "shard_format.md").read_text()
     assert f"at most {1000 * SHADOW_THRESHOLDS.surface_gap_m:g} mm behind the surface" in text

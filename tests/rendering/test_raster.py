@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec, module_from_spec
 
 import numpy as np
 import pytest
 from plain_views import check_filled
 from shapes import figure
 
+from bodyseg_data.core import kernels
 from bodyseg_data.core.rig import PlacedCamera, load_rig
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering import raster
 from bodyseg_data.rendering.raster import RasterRenderer
 
 RIG = load_rig()
@@ -76,9 +77,12 @@ def test_the_compiled_loops_give_the_bits_of_plain_python(monkeypatch: pytest.Mo
     device = replace(placed.camera, rows=64, columns=32, focal_px=75.0, centre_px=(16.2, 31.7))
     cameras = [replace(placed, camera=device), PlacedCamera(device, placed.axes, np.array([0.1, 1.2, 0.5]))]
     compiled = [RasterRenderer(mesh).render(camera) for camera in cameras]
-    monkeypatch.setattr(raster, "_project", raster._project_loop)
-    monkeypatch.setattr(raster, "_fill", raster._fill_loop)
-    plain = RasterRenderer(Mesh("part", mesh.vertices, mesh.faces))
+    monkeypatch.setattr(kernels, "compiled", lambda loops, feature: loops)
+    spec = find_spec(RasterRenderer.__module__)
+    assert spec is not None and spec.loader is not None
+    uncompiled = module_from_spec(spec)
+    spec.loader.exec_module(uncompiled)
+    plain = uncompiled.RasterRenderer(Mesh("part", mesh.vertices, mesh.faces))
     for camera, expected in zip(cameras, compiled, strict=True):
         seen = plain.render(camera)
         assert (seen.face >= 0).sum() > 50

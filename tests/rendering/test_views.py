@@ -17,6 +17,7 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 
 RIG = load_rig()
+TURNED = replace(RIG, projector=replace(RIG.projector, roll_deg=30.0))
 
 Check = Callable[[Mesh, PlacedCamera], int]
 
@@ -28,6 +29,13 @@ pytestmark = pytest.mark.parametrize("check", [check_filled, check_rays])
 def test_shapes_from_all_round(check: Check, azimuth: int, distance: int) -> None:
     for mesh in (ball(subdivisions=1), figure()):
         for camera in RIG.placed(mesh.centre, View(distance, azimuth)):
+            assert check(mesh, camera) > 5000
+
+
+@pytest.mark.parametrize("view", [View(215, 40, -35, 25, 10), View(215, 130, 20, -160), View(255, 10, -90)])
+def test_shapes_from_above_and_below_and_turned(check: Check, view: View) -> None:
+    for mesh in (ball(subdivisions=1), figure()):
+        for camera in TURNED.placed(mesh.centre, view):
             assert check(mesh, camera) > 5000
 
 

@@ -54,8 +54,8 @@ def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("shape", "options", "message"),
     [
-        ((1, 1), {}, r"^no sensor is assumed for frames of 1 x 1 pixels: give --focal or --rig \(a.png\)$"),
-        ((30, 40), {"rig": "paper"}, "frames must have the size of the rig's camera, 640 x 329, found 30 x 40: a.png"),
+        ((1, 1), {}, r"frames of 1 x 1 pixels: give --focal or --rig \(a.png\)$"),
+        ((30, 40), {"rig": "paper"}, "the rig's camera, 640 x 329, found 30 x 40: a.png"),
         ((640, 329), {"rig": "paper", "focal_px": 5.0}, "^give either --rig or --focal and --centre$"),
         ((640, 329), {"rig": "papr"}, "no rig is called 'papr'"),
         ((30, 40), {"focal_px": 5.0, "centre_px": (1.0,)}, "^--centre takes two numbers, x and y, found 1$"),

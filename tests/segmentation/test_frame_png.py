@@ -52,18 +52,14 @@ def test_every_changed_byte_of_a_png_is_noticed() -> None:
 def test_a_wrong_checksum_is_shown() -> None:
     whole = bytearray(png(RAMP[:4, :5]))
     whole[-1] ^= 0xFF
-    with pytest.raises(
-        BadConfig, match="checksums must be right, found ae42607d instead of ae426082 for b'IEND': here"
-    ):
+    with pytest.raises(BadConfig, match="found ae42607d instead of ae426082 for b'IEND': here"):
         parse_frame(bytes(whole), "here")
 
 
 def test_sizes_beyond_reason_are_refused_before_memory_is_taken() -> None:
     header = struct.pack(">IIBBBBB", 1 << 30, 1 << 30, 16, 0, 0, 0, 0)
     data = png()[:8] + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-    with pytest.raises(
-        BadConfig, match="^a frame's side must be 1 to 4096 pixels, found 1073741824 x 1073741824: here$"
-    ):
+    with pytest.raises(BadConfig, match="^a frame's side .* found 1073741824 x 1073741824: here$"):
         parse_frame(data, "here")
 
 

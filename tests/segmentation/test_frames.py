@@ -246,7 +246,7 @@ def test_units(unit: str, metres: float) -> None:
     "unit", ["", "m", "inch", "0mm", "-1mm", "mm2", "1e-3m", "nan mm", "11cm", "0.0001mm", "9" * 400 + "mm"]
 )
 def test_what_is_no_unit(unit: str) -> None:
-    with pytest.raises(BadConfig, match="^a unit must be a length from 0.001mm to 10cm, such as mm or 0.1mm, found"):
+    with pytest.raises(BadConfig, match=f"^a unit must be .* found {unit!r}$"):
         metres_a_step(unit)
 
 

@@ -19,6 +19,7 @@ from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.segmentation.resampling import LARGEST_SIDE, BodyView, view_body
 
 PAPER = load_rig()
+NEAREST_M, FARTHEST_M = PAPER.range_step_m, 65535 * PAPER.range_step_m
 Image = NDArray[np.float32]
 
 
@@ -166,7 +167,7 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
     assert (view.back(view.range_m) > 0).all()
     ranges, ahead = turned(image, pixels, lens, view)
     assert view.median_range_m == pytest.approx(np.median(ranges), rel=1e-9)
-    moved = (ranges + 2.5 - view.median_range_m).clip(1e-4, 6.5535).astype(np.float32)
+    moved = (ranges + 2.5 - view.median_range_m).clip(NEAREST_M, FARTHEST_M).astype(np.float32)
     assert np.isin(view.range_m[view.range_m > 0], moved).all(), "ranges are never blended"
     # Where the view is nowhere coarser, every pixel gets its own range back.
     if view.scale > 1.0001 * ahead.max() ** 2:
@@ -213,19 +214,19 @@ def test_thin_things_are_not_lost_where_the_view_is_coarser() -> None:
         assert set(sums) in ({0, 1, 10}, {0, 1, 11}) and (sums >= 10).sum() == 1
 
 
-def test_ranges_stay_what_a_range_can_be() -> None:
-    image = np.array([[0.5, 9.0, 9.0, 9.0, 30.0]], np.float32)
-    view = viewed(image, camera(1, 5, 50.0))
-    assert view.range_m[view.range_m > 0].min() == pytest.approx(1e-4)
-    assert view.range_m.max() == pytest.approx(6.5535)
+@pytest.mark.parametrize("step_mm", [0.1, 1.0])
+def test_ranges_stay_what_a_range_of_the_rig_can_be(step_mm: float) -> None:
+    image = np.array([[0.5, 9.0, 9.0, 9.0, 300.0 * step_mm]], np.float32)
+    rig = replace(PAPER, range_step_mm=step_mm)
+    view = view_body(image, np.arange(5), camera(1, 5, 50.0), rig)
+    assert view.range_m[view.range_m > 0].min() == pytest.approx(step_mm / 1000)
+    assert view.range_m.max() == pytest.approx(65.535 * step_mm)
     assert (view.back(view.range_m) > 0).all()
 
 
 def test_a_view_beyond_reason_is_refused() -> None:
     image = np.full((480, 640), 60.0, np.float32)
-    with pytest.raises(
-        BadConfig, match="^a body's view must be at most 2048 pixels wide and high, found 22293 x 16752"
-    ):
+    with pytest.raises(BadConfig, match="^a body's view must be at most 2048 .*found 22293 x 16752 "):
         viewed(image, KINECT_1)
     wide = replace(KINECT_1, focal_px=KINECT_1.focal_px * 60)
     assert max(viewed(image, wide).range_m.shape) < LARGEST_SIDE

@@ -20,9 +20,11 @@ from PIL import Image
 from pngs import png
 
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
+from bodyseg_model.segmentation.undistortion import Undistortion
 
 Frame = NDArray[np.uint16]
 
@@ -166,6 +168,38 @@ def test_confidence_limits_and_mirrors_are_options(recording: Path, tmp_path: Pa
     assert report(tmp_path / "wall")["background"] == {"mode": "limits", "near_m": 3.0, "far_m": 4.0}
     assert run(frame, *options, "--mirrored", "--out", tmp_path / "mirrored") == 0
     assert report(tmp_path / "mirrored")["camera"]["mirrored"]
+
+
+def test_frames_of_a_camera_with_lens_distortion_are_undistorted(recording: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "bent.toml"
+    lens = 'distortion = {model = "brown_conrady", k1 = 0.1, p2 = 0.01}'
+    rig.write_text(
+        f'format = "bodyseg rig 1"\nname = "bent"\n[camera]\nrows = 60\ncolumns = 80\nfocal_px = 100\n{lens}\n'
+    )
+    out = tmp_path / "out"
+    assert run(recording, "--rig", rig, "--out", out) == 0
+    frame, found = pixels(recording / "7.png"), pixels(out / "undistorted" / "7.png")
+    expected = Undistortion(load_sensor(rig).camera)(frame)
+    np.testing.assert_array_equal(found, expected)
+    assert found.dtype == np.uint16 and not np.array_equal(found, frame)
+    np.testing.assert_array_equal(pixels(out / "labels" / "7.png") != BACKGROUND, found == 2000)
+    distortion = {"model": "brown_conrady", "k1": 0.1, "k2": 0.0, "p1": 0.0, "p2": 0.01, "k3": 0.0}
+    assert report(out)["camera"]["distortion"] == distortion
+    assert run(recording, "--focal", "100", "--out", tmp_path / "plain") == 0
+    assert not (tmp_path / "plain" / "undistorted").exists()
+
+
+def test_a_later_frame_of_another_size_is_refused_by_name_before_it_is_undistorted(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "bent.toml"
+    rig.write_text(
+        'format = "bodyseg rig 1"\nname = "bent"\n[camera]\nrows = 60\ncolumns = 80\nfocal_px = 100\n'
+        'distortion = {model = "brown_conrady", k1 = 0.1}\n'
+    )
+    save(recording / "8.png", standing(5, 2000, (60, 81)))
+    assert run(recording, "--rig", rig, "--out", tmp_path / "out") == 2
+    assert "8.png: a frame must have the camera's size, 60 x 80, found 60 x 81" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

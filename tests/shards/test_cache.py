@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
@@ -150,6 +150,29 @@ def test_whatever_fsspec_knows_is_read_with_the_same_bits(memory: str, figures_s
         assert images.keys == local.keys
         for index in (0, 9, 23):
             assert images.image(index).range.tobytes() == local.image(index).range.tobytes()
+
+
+def test_a_filesystem_that_is_not_asynchronous_is_used_by_one_thread(memory: str, figures_set: Path) -> None:
+    """It may talk over a single connection, as those of FTP and SFTP do."""
+    users: dict[int, set[int]] = {}
+
+    class OneConnection(fsspec.get_filesystem_class("memory")):  # type: ignore[misc]  # known at run time only
+        protocol = "oneconnection"
+
+        @classmethod
+        def _strip_protocol(cls, path: str) -> Any:
+            return super()._strip_protocol(path.replace("oneconnection://", "memory://"))
+
+        def cat_file(self, *arguments: Any, **options: Any) -> Any:
+            users.setdefault(id(self), set()).add(threading.get_ident())
+            return super().cat_file(*arguments, **options)
+
+    fsspec.register_implementation("oneconnection", OneConnection, clobber=True)
+    images = RangeImages(memory.replace("memory", "oneconnection"), "none", cache_bytes=0)
+    first, *_ = loader(images, 3, 2, worker_method="thread")
+    assert first["key"] == images.keys[:3]
+    assert len(users) > 1
+    assert all(len(threads) == 1 for threads in users.values())
 
 
 def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path) -> None:

@@ -452,6 +452,64 @@ def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_any
                 assert np.array_equal(np.concatenate([*held, np.zeros(0, int)]), np.flatnonzero(sample.range))
 
 
+@pytest.mark.parametrize("choice", KERNELS)
+def test_damaged_samples_leave_nothing_behind_in_the_next_one(choice: str) -> None:
+    """A thread keeps its occluder range: texels of a sample that was refused half-way must not stay."""
+    generator = np.random.default_rng(1)
+    ranges, labels, occluder = figure_images()
+    data = encode_images(ranges, labels, occluder)
+    end = 64 + struct.unpack_from("<I", data, 40)[0]
+    numbers = zstandard.ZstdDecompressor().decompress(data[end:])
+    refused = 0
+    with computed_by(choice):
+        for _ in range(60):
+            edited = bytearray(numbers)
+            for place in generator.integers(0, len(edited), 2):
+                edited[place] = generator.choice((0, 1, 254, 255))
+            checked = data[8:end] + _frame(bytes(edited))
+            out = np.full(ranges.shape, 7, np.uint16), np.full(ranges.shape, 7, np.uint8)
+            try:
+                decode_images(data[:4] + struct.pack("<I", zlib.crc32(checked)) + checked, True, out)
+            except ValueError:
+                refused += 1
+            decoded = decode_images(data, True, out)
+            for image, expected in zip(decoded[:4], (ranges, *split_labels(labels), occluder), strict=True):
+                assert np.array_equal(image, expected)
+            assert decoded.texels is not None
+            assert np.array_equal(decoded.texels, np.flatnonzero(occluder))
+    assert 10 < refused < 60
+
+
+@pytest.mark.parametrize("choice", KERNELS)
+def test_a_threads_occluder_range_cannot_be_written_to(choice: str) -> None:
+    """What was written would show in samples that follow."""
+    ranges, labels, occluder = figure_images()
+    data = encode_images(ranges, labels, occluder)
+    with computed_by(choice):
+        kept = decode_images(data, True, (np.empty_like(ranges), np.empty_like(labels)))
+        apart = decode_images(data, True)
+    for array in (kept.occluder, kept.texels):
+        assert array is not None
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 1
+    assert apart.occluder is not None
+    apart.occluder[...] = 1
+    assert np.array_equal(kept.occluder, occluder)
+
+
+def test_the_description_of_a_sample_in_given_arrays_is_parsed_when_it_is_asked_for() -> None:
+    sample = ramp_sample()
+    stored = encode_sample(sample)
+    out = np.empty_like(sample.range), np.empty_like(sample.labels)
+    assert decode_sample(sample.key, stored, out=out).info == INFO
+    copied = replace(decode_sample(sample.key, stored, out=out), labels=sample.labels)
+    assert same(copied, sample)
+    damaged = decode_sample(sample.key, stored | {"json": b"{"}, out=out)
+    for _ in range(2):
+        with pytest.raises(BadSample, match=f"^{sample.key}: json: "):
+            _ = damaged.info
+
+
 @pytest.mark.parametrize("codec", CODECS)
 def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
     sample = ramp_sample()

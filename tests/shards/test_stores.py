@@ -392,17 +392,26 @@ def test_workers_read_remote_sets_however_they_are_started(
     local = torch.stack(
         [torch.frombuffer(bytearray(image[1]), dtype=torch.uint16).view(1, 640, -1) for image in expected]
     )
-    assert torch.equal(ranges, local.to(torch.float32) * 1e-4)
+    assert torch.equal(ranges, local.to(torch.float32) * images.step_m)
     assert len(web.log(".tar")) == len(manifest.shards), "each shard is fetched once, whoever needs it"
 
 
-def test_forked_workers_read_by_range_while_their_parent_does(web: WebServer, expected: Any) -> None:
+@pytest.mark.parametrize("method", ["process", "thread"])
+def test_workers_read_by_range_while_their_parent_does(method: Any, web: WebServer, expected: Any) -> None:
     images = RangeImages(web.url("good"), "noise", cache_bytes=0, retry_policy=QUICK)
     keys = []
-    for batch in loader(images, 4, 2):
+    for batch in loader(images, 4, 2, worker_method=method):
         keys += batch["key"]
         assert images.image(len(keys) - 1).range.tobytes() == expected[len(keys) - 1][1]
     assert keys == [image[0] for image in expected]
+
+
+def test_threads_fetch_each_shard_once(web: WebServer, manifest: Manifest, tmp_path: Path, expected: Any) -> None:
+    images = RangeImages(web.url("good"), "noise", cache=tmp_path, retry_policy=QUICK)
+    batches = loader(images, 1, 6, shuffle=True, metres=False, worker_method="thread")
+    found = sorted((batch["key"][0], batch["range"].numpy().tobytes()) for batch in batches)
+    assert found == sorted(image[:2] for image in expected)
+    assert len(web.log(".tar")) == len(manifest.shards)
 
 
 READER = """
@@ -525,13 +534,15 @@ def test_a_set_in_a_bucket_is_read_like_any_other(
     assert sum(line.status == 503 for line in s3.log()) > 2
 
 
-def test_workers_read_buckets(s3: WebServer, tmp_path: Path, expected: Any) -> None:
+@pytest.mark.parametrize("method", ["process", "thread"])
+def test_workers_read_buckets(method: Any, s3: WebServer, tmp_path: Path, expected: Any) -> None:
     options, retry_policy = s3_options(s3), replace(QUICK, stall_s=10)
     images = RangeImages(
         "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, retry_policy=retry_policy
     )
     images.image(0)
-    assert [key for batch in loader(images, 4, 2) for key in batch["key"]] == [image[0] for image in expected]
+    batches = loader(images, 4, 2, worker_method=method)
+    assert [key for batch in batches for key in batch["key"]] == [image[0] for image in expected]
 
 
 @pytest.mark.parametrize(

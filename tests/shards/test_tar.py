@@ -169,10 +169,10 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 3', found 'list'"),
+        (lambda data: b"[]", "'format' must be 'bodyseg shards 4', found 'list'"),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
-        (_edit("format", "bodyseg shards 4"), "'format' must be 'bodyseg shards 3', found 'bodyseg shards 4'"),
+        (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 4', found 'bodyseg shards 3'"),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
         (lambda data: data.replace(b'"samples": 5', b'"samples": 6', 1), "altered after it was written"),
     ],

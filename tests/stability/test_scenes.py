@@ -48,7 +48,7 @@ def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages)
         np.testing.assert_array_equal(a.pixels, b.pixels)
         np.testing.assert_array_equal(a.truth, b.truth)
         sample = images.clean(int(images.order(0)[number]))
-        np.testing.assert_array_equal(a.range_m, sample.range * np.float32(1e-4))
+        np.testing.assert_array_equal(a.range_m, sample.range * np.float32(images.step_m))
         np.testing.assert_array_equal(a.truth, sample.labels[sample.range > 0])
 
 
@@ -153,7 +153,7 @@ def test_hard_poses_are_another_sets_images(scenes: Scenes) -> None:
 
 def test_a_picture_counts_what_was_measured() -> None:
     image, labels = np.array([[0, 20_000], [30_000, 0]], np.uint16), np.array([[255, 7], [9, 4]], np.uint8)
-    made = labelled_image(image, labels)
+    made = labelled_image(image, 1e-4, labels)
     np.testing.assert_array_equal(made.range_m, np.float32([[0, 2], [3, 0]]))
     assert made.pixels.tolist() == [1, 2] and made.truth.tolist() == [7, 9]
 
@@ -161,6 +161,6 @@ def test_a_picture_counts_what_was_measured() -> None:
 def test_bodies_of_files_cannot_be_drawn_anew(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "manifest", replace(images.manifest, source="mit"))
     scenes = Scenes(images, 3)
-    with pytest.raises(BadConfig, match="the sweep 'tilt' renders bodies anew, .* found a set of 'mit'.*--sweeps"):
+    with pytest.raises(BadConfig, match="the sweep 'tilt' .* found a set of 'mit'.*--sweeps"):
         scenes.labelled_images(Condition("tilt", 5))
     assert len(scenes.labelled_images(Condition("noise", 10))) == 3

@@ -56,7 +56,8 @@ def test_what_is_changed_is_a_copy_on_the_body(name: str, sample: Sample, rig: R
         np.testing.assert_array_equal(image, corrupted(sample, Condition(name, strength), rig, 0))
         assert image.dtype == np.uint16 and image.shape == sample.range.shape
         assert not image[sample.range == 0].any()
-        assert (image != sample.range).any()
+        finer = name == "depth_steps" and (DEPTHS_M[1] - DEPTHS_M[0]) / (2**strength - 1) <= rig.range_step_m
+        assert (image != sample.range).any() != finer, "steps no coarser than the stored ones change nothing"
     np.testing.assert_array_equal(sample.range, before)
     assert corrupted(sample, CLEAN["stored"], rig, 0) is sample.range
 
@@ -83,13 +84,16 @@ def test_shares_are_of_the_body(name: str, sample: Sample, rig: Rig) -> None:
 def test_noise_has_the_sigma_asked_for(sample: Sample, rig: Rig) -> None:
     body = sample.range > 0
     off = {
-        sigma: (corrupted(sample, Condition("noise", sigma), rig, 0)[body].astype(float) - sample.range[body]) / 10
+        sigma: (corrupted(sample, Condition("noise", sigma), rig, 0)[body].astype(float) - sample.range[body])
+        * rig.range_step_mm
         for sigma in (10, 40)
     }
     for sigma, each in off.items():
         assert each.std() == pytest.approx(sigma, rel=0.05)
         assert abs(each.mean()) < 0.05 * sigma
-    np.testing.assert_allclose(off[40], 4 * off[10], atol=0.5, err_msg="the same draws, four times as strong")
+    np.testing.assert_allclose(
+        off[40], 4 * off[10], atol=5 * rig.range_step_mm, err_msg="the same draws, four times as strong"
+    )
     assert (
         corrupted(sample, Condition("noise", 10), rig, 1) != corrupted(sample, Condition("noise", 10), rig, 0)
     ).any()
@@ -100,19 +104,22 @@ def test_few_bits_leave_few_depths(sample: Sample, rig: Rig) -> None:
     for bits in (12, 8):
         step_mm = 1000 * (DEPTHS_M[1] - DEPTHS_M[0]) / (2**bits - 1)
         image = corrupted(sample, Condition("depth_steps", bits), rig, 0)
-        depths_mm = np.unique(image[body]) / 10
-        assert np.abs(image[body].astype(float) - sample.range[body]).max() / 10 <= step_mm / 2 + 0.05
+        depths_mm = np.unique(image[body]) * rig.range_step_mm
+        assert (
+            np.abs(image[body].astype(float) - sample.range[body]).max() * rig.range_step_mm
+            <= (step_mm + rig.range_step_mm) / 2
+        )
         codes = (depths_mm - 1000 * DEPTHS_M[0]) / step_mm
-        np.testing.assert_allclose(codes, np.rint(codes), atol=0.05 / step_mm + 1e-6)
+        np.testing.assert_allclose(codes, np.rint(codes), atol=rig.range_step_mm / 2 / step_mm + 1e-6)
     assert len(depths_mm) < 60 < len(np.unique(sample.range[body])), "8 bits: a step of 15.7 mm"
 
 
 def test_depths_beyond_the_interval_are_its_ends(sample: Sample, rig: Rig) -> None:
     image = np.zeros_like(sample.range)
-    image[0, :3] = 1000, 25_000, 60_000
+    image[0, :3] = np.rint(np.array([0.1, 2.5, 6.0]) / rig.range_step_m)
     made = corrupted(Sample("k", image, None, sample.labels, sample.faces_projector, sample.info),
                    Condition("depth_steps", 8), rig, 0)  # fmt: skip
-    assert made[0, [0, 2, 3]].tolist() == [5000, 45_000, 0]
+    assert made[0, [0, 2, 3]].tolist() == [round(0.5 / rig.range_step_m), round(4.5 / rig.range_step_m), 0]
 
 
 def test_crops_take_their_share_from_their_side(sample: Sample, rig: Rig) -> None:

@@ -269,7 +269,7 @@ def test_shots_lie_evenly_along_motions_to_test_on() -> None:
     ]
     assert [shot.view for shot in shots] == [View(255, azimuth) for azimuth in AZIMUTHS_DEG[:3]]
     assert len(choose_shots(Walk(), 1, 7)[0].bodies) == 7
-    with pytest.raises(BadConfig, match="the source 'open' needs a motion of 8 frames to test on, found at most 7"):
+    with pytest.raises(BadConfig, match="'open' needs a motion of 8 frames .*, found at most 7"):
         choose_shots(Walk(), 1, 8)
 
 
@@ -301,7 +301,7 @@ def plainly(network: Network, source: Walk, frames: int, window: int) -> dict[st
     taken = list(render_shot(source, choose_shots(source, 1, frames)[0], SMALL))
     labels: list[NDArray[np.uint8]] = []
     for frame in taken:
-        image = torch.from_numpy(frame.sample.range * np.float32(1e-4))[None, None]
+        image = torch.from_numpy(frame.sample.range * np.float32(SMALL.range_step_m))[None, None]
         labels.append(predict(network.eval(), image).labels[0].numpy().ravel())
     both: dict[int, list[int]] = {part: [0, 0, 0] for part in range(PART_COUNT)}
     for first, later, here, there in zip(taken, taken[1:], labels, labels[1:], strict=False):
@@ -371,7 +371,7 @@ def test_the_seed_is_that_of_the_artifacts() -> None:
         ({"shots": 0}, "the number of shots must be a whole number of at least 1"),
         ({"window": 1}, "the frames of a window must be a whole number of at least 2"),
         ({"frames": 1}, "the frames of a shot must be a whole number of at least 2"),
-        ({"frames": 7}, "a shot must be at least as long as a window, found 7 frames and a window of 8"),
+        ({"frames": 7}, "a shot .* found 7 frames and a window of 8"),
         ({"variants": ()}, "temporal consistency needs at least one variant, found none"),
         ({"variants": ("some",)}, "the variant must be one of"),
     ],

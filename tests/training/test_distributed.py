@@ -126,7 +126,7 @@ def test_a_pass_goes_on_with_other_ranks_and_batch_sizes(data: st.DataObject) ->
     left = len(images) - sum(map(len, part))
     others = orders(images, data.draw(st.integers(2, 7)), data.draw(st.integers(1, 4)))
     if 0 < left < len(others):
-        with pytest.raises(BadConfig, match=f"{left} samples cannot give each of {len(others)} ranks a batch"):
+        with pytest.raises(BadConfig, match=f"{left} samples .* of {len(others)} ranks a batch"):
             others[0].load_state_dict(state)
         return
     for order in others:
@@ -178,7 +178,7 @@ def test_states_of_something_else_are_refused() -> None:
     for wrong, message in cases:
         with pytest.raises(BadConfig, match=message):
             order.load_state_dict(wrong)
-    with pytest.raises(BadConfig, match="batches must be a number of batches of the current pass, found 2"):
+    with pytest.raises(BadConfig, match="a number of batches of the current pass, found 2"):
         order.state_dict(batches=2)
 
 
@@ -192,7 +192,7 @@ def test_ranks_come_from_arguments_or_the_environment(monkeypatch: pytest.Monkey
     assert find_rank() == (1, 3)
     assert find_rank(0, 2) == (0, 2)
     monkeypatch.setenv("RANK", "one")
-    with pytest.raises(BadConfig, match="RANK and WORLD_SIZE must be whole numbers, found 'one' and '3'"):
+    with pytest.raises(BadConfig, match="WORLD_SIZE must be whole numbers, found 'one' and '3'"):
         find_rank()
     for rank, world_size, message in (
         (1, None, "given together or not at all"),
@@ -207,7 +207,7 @@ def test_ranks_come_from_arguments_or_the_environment(monkeypatch: pytest.Monkey
 def test_impossible_shares_are_refused() -> None:
     with pytest.raises(BadConfig, match="3 samples are fewer than 4 ranks"):
         BatchOrder(Numbers(3), 2, rank=0, world_size=4)
-    with pytest.raises(BadConfig, match="7 samples cannot be shared out to 3 ranks in equally many batches of 1"):
+    with pytest.raises(BadConfig, match="7 samples .* to 3 ranks in equally many batches of 1"):
         BatchOrder(Numbers(7), 1, rank=0, world_size=3)
     assert len(BatchOrder(Numbers(7), 1, drop_last=True, rank=0, world_size=3)) == 2
 

@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 import torch
 from folders import HELPERS
+from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig, Diverged
-from bodyseg_data.core.rig import Camera, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_model.commands.cli import main
@@ -87,15 +87,8 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name.startswith("network")}
 
 
-def quarter(camera: Camera) -> Camera:
-    """The camera with a quarter of its pixels each way."""
-    return dataclasses.replace(camera, rows=160, columns=82, focal_px=camera.focal_px / 4, centre_px=(41.0, 80.0))
-
-
 def test_four_bodies_are_learned(tmp_path: Path) -> None:
-    paper = load_rig()
-    rig = dataclasses.replace(paper, name="quarter", camera=quarter(paper.camera), projector=quarter(paper.projector))
-    bodies = Packing("open", meshes=4, views=ViewGrid((215,), azimuths=4, span_deg=120), rig=rig)
+    bodies = Packing("open", meshes=4, views=ViewGrid((215,), azimuths=4, span_deg=120), rig=SMALL)
     with ThreadPoolExecutor(1) as executor:
         pack(bodies, tmp_path / "shards", executor, 1)
     changes = {
@@ -122,7 +115,7 @@ def test_four_bodies_are_learned(tmp_path: Path) -> None:
     matrix = ConfusionMatrix()
     for index in range(len(images)):
         image = images.image(index)
-        range_m = torch.from_numpy(image.range.astype("float32") * 1e-4)[None, None]
+        range_m = torch.from_numpy(image.range.astype("float32") * images.step_m)[None, None]
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
     assert matrix.average_per_class_accuracy() > 0.95
     assert trained.card["variant"] == "occ"

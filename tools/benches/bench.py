@@ -9,10 +9,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from benches.charts.processors import FOLDER, folder_name
 from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.machine import hardware
 from bodyseg_data.drawing.style import check_picture, new_chart
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"
@@ -41,6 +43,7 @@ class Bench:
 
 BENCHES: Final = {
     "occlusion": Bench("data.occlusion.bench", "figure", "views in all, 60"),
+    "quantisation": Bench("data.occlusion.quantisation", "quantisation_figure", "views of each step, 40"),
     "borders": Bench("data.surface.borders", "borders_figure", "views of each body, 12"),
     "partition": Bench("data.surface.partition", "partition_figure", optional=("mit",)),
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
@@ -52,6 +55,7 @@ BENCHES: Final = {
     "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),
     "codec": Bench("data.codec.bench", "figure", "samples in all, 60"),
     "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", optional=("num_workers",)),
+    "workers": Bench("data.workers.bench", "figure", "samples in all, 540", optional=("num_workers",)),
     "variants": Bench(
         "model.variants.bench", "figure", required=("data", "runs"), optional=("seeds", "steps", "images", "alone")
     ),
@@ -92,10 +96,14 @@ class Options:
     what: BenchName = option("what to measure", positional=True)
     json: Path | None = option("write the figures to this file (default: print them)", None)
     figure: Path | None = option("also draw what was measured to this PNG file", None)
+    results: Path | None = option(
+        "folder of results: write figures and picture to processors/PROCESSOR/ there, as BENCH.json and BENCH.png",
+        None,
+    )
     views: int | None = option(f"size of the measurement (with its default: {_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     num_workers: tuple[int, ...] | None = option(
-        "for loader: numbers of loader processes to measure with (default 0 2)", None
+        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4)", None
     )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
@@ -127,6 +135,8 @@ class Options:
     )
 
 
+_OF_ALL: Final = ("what", "json", "figure", "results")
+
 _FLAGS: Final = {field.name: flag_of(field) for field in fields(Options)}
 
 
@@ -134,23 +144,40 @@ def run(options: Options) -> int:
     """Measure, and write or print the figures."""
     _check(options)
     bench = BENCHES[options.what]
+    json_file, picture = _targets(options)
     given = {name: value for name in bench.accepted if _is_given(value := getattr(options, name))}
     shown = [f"{_FLAGS[name]} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
-    shown += [f"{_FLAGS[name]} {path}" for name in ("json", "figure") if (path := getattr(options, name)) is not None]
+    shown += [f"{_FLAGS[name]} {path}" for name in ("json", "figure", "results") if (path := getattr(options, name))]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
     measuring = importlib.import_module(f"benches.{bench.module}")
     with Progress("measuring", "steps") as progress:
         figures: dict[str, Any] = getattr(measuring, f"bench_{options.what}")(progress=progress.update, **given)
-    if options.json is None:
+    if json_file is None:
         sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
     else:
-        write_figures(options.json, origin | figures)
-        sys.stderr.write(f"wrote {options.json}\n")
-    if options.figure is not None:
+        write_figures(json_file, origin | figures)
+        sys.stderr.write(f"wrote {json_file}\n")
+    if picture is not None:
         drawing = importlib.import_module(f"benches.{bench.module.rpartition('.')[0]}.{bench.figure}")
-        getattr(drawing, f"draw_{options.what}")(figures, options.figure)
-        sys.stderr.write(f"wrote {options.figure}\n")
+        getattr(drawing, f"draw_{options.what}")(figures, picture)
+        sys.stderr.write(f"wrote {picture}\n")
     return 0
+
+
+def _targets(options: Options) -> tuple[Path | None, Path | None]:
+    """Files for the figures and for the picture; None: printed, or not drawn."""
+    if options.results is None:
+        return options.json, options.figure
+    folder = options.results / FOLDER / folder_name(hardware())
+    drawn = BENCHES[options.what].figure is not None
+    return folder / f"{options.what}.json", folder / f"{options.what}.png" if drawn else None
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadConfig(f"cannot make the folder {folder}: {error.strerror or error}") from error
 
 
 def _is_given(value: Any) -> bool:
@@ -168,16 +195,27 @@ def _shown(value: Any) -> str:
 
 def _check(options: Options) -> None:
     bench = BENCHES[options.what]
+    if options.results is not None:
+        if options.json is not None or options.figure is not None:
+            raise BadConfig("--results names both files: leave --json and --figure out")
+        if not options.results.is_dir():
+            raise BadConfig(f"--results must be a folder, found {options.results}")
+        _make(options.results / FOLDER / folder_name(hardware()))
     if options.figure is not None:
         if bench.figure is None:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
         check_picture(options.figure, "--figure")
         check_target(options.figure, "--figure")
+    if _targets(options)[1] is not None:
         new_chart(1, 1)  # what cannot be drawn should not be found out after hours
     if options.json is not None:
         check_target(options.json, "--json")
     for name in (field.name for field in fields(options)):
-        if name in ("what", "json", "figure") or not _is_given(getattr(options, name)) or name in bench.accepted:
+        if (
+            name in ("what", "json", "figure", "results")
+            or not _is_given(getattr(options, name))
+            or name in bench.accepted
+        ):
             continue
         if name == "views" and not bench.module.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")

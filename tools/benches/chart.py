@@ -9,8 +9,8 @@ from typing import Any
 
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture, draw
-from benches.charts.fields import read_fields
 from benches.charts.page import render_page
+from benches.charts.processors import figures_of, panels_of
 from benches.charts.report import described
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.provenance import write_figures
@@ -26,7 +26,7 @@ _ALL = "charts.json"
 class Options:
     """Options of the command."""
 
-    in_: Path = option("folder of the benches' figures, BENCH.json each", flag="in")
+    in_: Path = option("folder of the benches' figures: BENCH.json, or processors/PROCESSOR/BENCH.json", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
     page: Path | None = option("also fill the template PATH.in with numbers of --in, and write it to this file", None)
 
@@ -41,18 +41,22 @@ def run(options: Options) -> int:
     descriptions: dict[str, Any] = {}
     left_out: dict[str, str] = {}
     for choice in CHOICES:
-        file = options.in_ / f"{choice.bench}.json"
-        if not file.exists():
+        figures = figures_of(options.in_, choice.bench)
+        if not figures:
+            file = options.in_ / f"{choice.bench}.json"
             left_out[choice.name] = f"no {file.name}, which `tools/bench {choice.bench} --json {file}` makes"
             continue
-        fields = read_fields(file)
-        panels = choice.panels(fields)
+        panels = panels_of(choice, figures)
         if not panels:
-            left_out[choice.name] = f"nothing to compare in {file}"
+            left_out[choice.name] = f"nothing to compare in {', '.join(str(one.file) for one in figures)}"
             continue
-        source = {name: fields[name].text() for name in ("command", "commit", "hardware")}
-        drawn[choice.name] = draw(choice, panels, source)
-        descriptions[choice.name] = described(choice, panels, {"file": file.name, **source})
+        sources = [
+            {"file": one.file.relative_to(options.in_).as_posix()}
+            | {name: one[name].text() for name in ("command", "commit", "hardware")}
+            for one in figures
+        ]
+        drawn[choice.name] = draw(choice, panels, sources)
+        descriptions[choice.name] = described(choice, panels, sources)
     for name, why in left_out.items():
         sys.stderr.write(f"chart {name} is left out: {why}\n")
     if not drawn:

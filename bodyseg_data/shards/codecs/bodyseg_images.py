@@ -11,12 +11,15 @@ import struct
 import threading
 import zlib
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
 from typing import Any, ClassVar, Final
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.runs import (
@@ -31,7 +34,7 @@ from bodyseg_data.shards.codecs.runs import (
     from_byte_planes,
     to_byte_planes,
 )
-from bodyseg_data.shards.codecs.slopes import PixelIndices, Slopes, decode_slopes, encode_slopes, foreground_runs
+from bodyseg_data.shards.codecs.slopes import Slopes, decode_slopes, encode_slopes, foreground_runs
 
 MAX_SIDE: Final = 8192
 """Longest side of an image, pixels; larger ones are refused before memory is allocated."""
@@ -40,9 +43,10 @@ _MAGIC: Final = b"BSI2"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
 _PROJECTOR: Final = struct.Struct("<6H2I")
-_HEADER: Final = _START.size + _CAMERA.size + _PROJECTOR.size
+_HEADER: Final = struct.Struct("<4sI6H6I6H2I")  # the three in one
 
 Range = NDArray[np.uint16]
+PixelIndices = NDArray[np.int32]
 
 
 class BodysegImages:
@@ -103,100 +107,166 @@ def decode_images(data: bytes, projector: bool, out: tuple[Range, Bytes] | None 
 
     Raises ValueError, naming the problem, for bytes that `encode_images` did not produce.
     """
-    if len(data) < _HEADER:
-        raise ValueError(f"images have a header of {_HEADER} bytes, found {len(data)} bytes in all")
-    magic, stored = _START.unpack_from(data)
+    if len(data) < _HEADER.size:
+        raise ValueError(f"images have a header of {_HEADER.size} bytes, found {len(data)} bytes in all")
+    magic, stored, *fields = _HEADER.unpack_from(data)
     if magic != _MAGIC:
         raise ValueError(f"images start with {_MAGIC!r}, found {magic!r}")
-    computed = zlib.crc32(memoryview(data)[_START.size :])
+    view = memoryview(data)
+    computed = zlib.crc32(view[_START.size :])
     if stored != computed:
         raise ValueError(f"altered: CRC-32 {stored:08x} expected, found {computed:08x}")
-    *geometry, runs, long, starts, pixels, escapes, frame = _CAMERA.unpack_from(data, _START.size)
-    size, box = _checked_geometry(geometry)
-    _check_counts(box, runs, long, starts, pixels, escapes)
-    rows = [runs, runs, 4 * long, 2 * starts, pixels - starts, 2 * escapes]
-    values, lengths, longs, firsts, steps, large = _number_rows(data[_HEADER : _HEADER + frame], rows)
-    images = _empty_images(size, out)
-    runs_of_labels = Runs(values, checked_lengths(lengths, longs, box))
-    edges = decode_slopes(runs_of_labels, Slopes(firsts, steps, large), box, *images)
-    occluder, texels = _decode_projector(data, _HEADER + frame, out is not None) if projector else (None, None)
-    return DecodedImages(*images, occluder, edges, texels)
+    end = _HEADER.size + fields[11]
+    image, labels, facing, edges = _decode_camera(view[_HEADER.size : end], fields[:6], fields[6:11], out)
+    occluder, texels = None, None
+    if projector:
+        occluder, texels = _decode_projector(view[end:], fields[12:18], fields[18:], out is not None)
+    return DecodedImages(image, labels, facing, occluder, edges, texels)
 
 
-def _empty_images(size: tuple[int, int], out: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, NDArray[np.bool_]]:
-    """Range, labels and facing of an image of background."""
+def _decode_camera(
+    frame: memoryview, geometry: list[int], counts: list[int], out: tuple[Range, Bytes] | None
+) -> tuple[Range, Bytes, NDArray[np.bool_], PixelIndices | None]:
+    """Range, labels and facing, and the edges of foreground, None without the compiled loops."""
+    runs, long, starts, pixels, escapes = counts
+    _check_header(geometry, runs, long, starts, pixels, escapes)
+    sizes = [runs, runs, 4 * long, 2 * starts, pixels - starts, 2 * escapes]
+    numbers = _numbers(frame, sum(sizes))
+    images = _camera_images((geometry[0], geometry[1]), out)
+    if use_compiled():
+        edges = np.empty(2 * (starts + geometry[4]), np.int32)  # the end of a row divides at most one stretch
+        found = _loops().fill_camera(numbers, *counts, *geometry[2:], *images, edges)
+        if found >= 0:
+            return *images, edges[:found]
+    # Numbers that the compiled loop refuses get here, too: the NumPy form says what is wrong with them.
+    values, lengths, longs, firsts, steps, large = _split(numbers, sizes)
+    box = Box(*geometry[2:])
+    decode_slopes(Runs(values, checked_lengths(lengths, longs, box)), Slopes(firsts, steps, large), box, *images)
+    return *images, None
+
+
+def _decode_projector(
+    frame: memoryview, geometry: list[int], counts: list[int], keep: bool
+) -> tuple[Range, PixelIndices]:
+    """The occluder range, and the flat indices of what it holds. keep: in this thread's memory, read-only."""
+    runs, long = counts
+    _check_header(geometry, runs, long, 0, 0, 0)
+    sizes = [2 * runs, runs, 4 * long]
+    numbers = _numbers(frame, sum(sizes))
+    rows, columns, *corner_and_size = geometry
+    memory = _of_thread.occluder
+    if not keep or memory.image.shape != (rows, columns):
+        memory = OccluderMemory((rows, columns))
+    if keep:
+        _of_thread.occluder = memory
+    if use_compiled():
+        held, memory.held = memory.held, 0
+        found = _loops().fill_projector(numbers, runs, long, *corner_and_size, memory.image, memory.texels, held)
+        if found >= 0:
+            memory.held = found
+            return memory.seen(keep)
+    memory.clear()
+    values, lengths, longs = _split(numbers, sizes)
+    box = Box(*corner_and_size)
+    stored = Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box))
+    memory.hold(stored.write_into(memory.image, box))
+    return memory.seen(keep)
+
+
+class OccluderMemory:
+    """An occluder range [Hp, Wp] and the flat indices of the `held` texels that are not 0.
+
+    A few texels in a hundred hold anything: to clear those takes less time than to clear the image.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.image: Range = np.zeros(size, np.uint16)
+        self.texels: PixelIndices = np.empty(size[0] * size[1], np.int32)
+        self.held = 0
+        self._read_only = self.image.view()
+        self._read_only.flags.writeable = False
+
+    def clear(self) -> None:
+        """Make the image empty."""
+        self.image.reshape(-1)[self.texels[: self.held]] = 0
+        self.held = 0
+
+    def hold(self, texels: PixelIndices) -> None:
+        """Note what the image holds."""
+        self.held = len(texels)
+        self.texels[: self.held] = texels
+
+    def seen(self, read_only: bool) -> tuple[Range, PixelIndices]:
+        """The image and its texels; read-only if the memory is used again: what is written there would stay."""
+        texels = self.texels[: self.held]
+        if not read_only:
+            return self.image, texels
+        texels.flags.writeable = False
+        return self._read_only, texels
+
+
+class _ThreadMemory(threading.local):
+    """What a thread keeps from sample to sample: making it takes as long as decoding."""
+
+    def __init__(self) -> None:
+        self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
+        self.facing: NDArray[np.bool_] = np.empty((0, 0), np.bool_)
+        self.occluder = OccluderMemory((0, 0))
+
+
+_of_thread = _ThreadMemory()
+
+
+def _camera_images(size: tuple[int, int], out: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, NDArray[np.bool_]]:
+    """Arrays for range, labels and facing, whatever they hold."""
     if out is None or not (_fits(out[0], size, np.uint16) and _fits(out[1], size, np.uint8)):
-        return np.zeros(size, np.uint16), np.full(size, BACKGROUND, np.uint8), np.zeros(size, np.bool_)
-    image, labels = out
-    image.fill(0)
-    labels.fill(BACKGROUND)
-    return image, labels, _thread_image("facing", size, np.bool_)
+        return np.empty(size, np.uint16), np.empty(size, np.uint8), np.empty(size, np.bool_)
+    if _of_thread.facing.shape != size:
+        _of_thread.facing = np.empty(size, np.bool_)
+    return *out, _of_thread.facing
 
 
 def _fits(array: NDArray[Any], size: tuple[int, int], kind: type[np.generic]) -> bool:
     return array.dtype == kind and array.shape == size and array.flags.carray
 
 
-def _thread_image(name: str, size: tuple[int, int], kind: type[np.generic]) -> NDArray[Any]:
-    """The thread's own image of that name, all zeros: allocating one takes as long as decoding into it."""
-    image: NDArray[Any] | None = getattr(_thread_local, name, None)
-    if image is None or image.shape != size:
-        image = np.zeros(size, kind)
-        setattr(_thread_local, name, image)
-    else:
-        image.fill(0)
-    return image
+def _check_header(geometry: list[int], runs: int, long: int, starts: int, pixels: int, escapes: int) -> None:
+    """Raise ValueError for sizes and counts, by which memory is allocated, that no image can have.
 
-
-def _decode_projector(data: bytes, start: int, keep: bool) -> tuple[Range, PixelIndices]:
-    *geometry, runs, long = _PROJECTOR.unpack_from(data, _START.size + _CAMERA.size)
-    size, box = _checked_geometry(geometry)
-    _check_counts(box, runs, long, 0, 0, 0)
-    values, lengths, longs = _number_rows(data[start:], [2 * runs, runs, 4 * long])
-    image = _thread_image("projector", size, np.uint16) if keep else np.zeros(size, np.uint16)
-    return image, Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box)).write_into(image, box)
-
-
-def _checked_geometry(geometry: Sequence[int]) -> tuple[tuple[int, int], Box]:
+    geometry: rows and columns of the image; top, left, height and width of its box.
+    """
     rows, columns, top, left, height, width = geometry
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         raise ValueError(f"an image side is 1 to {MAX_SIDE} pixels, found {rows} x {columns}")
     if top + height > rows or left + width > columns:
         raise ValueError(f"a box of {height} x {width} at {top}, {left} does not fit {rows} x {columns} pixels")
-    return (rows, columns), Box(top, left, height, width)
-
-
-def _check_counts(box: Box, runs: int, long: int, starts: int, pixels: int, escapes: int) -> None:
-    """Raise ValueError for counts, by which memory is allocated, that no box of this size can have."""
-    area = box.height * box.width
+    area = height * width
     if runs > area or long * ESCAPE > area or 2 * starts > runs + 1 or not escapes <= pixels <= area or starts > pixels:
         raise ValueError(
-            f"{box.height} x {box.width} pixels cannot have {runs} runs ({long} long) and {starts} stretches of "
+            f"{height} x {width} pixels cannot have {runs} runs ({long} long) and {starts} stretches of "
             f"{pixels} pixels of body ({escapes} escaped)"
         )
 
 
-def _number_rows(frame: bytes, sizes: Sequence[int]) -> list[Bytes]:
-    """Decompress a frame into its sequences of numbers. sizes: of these, bytes."""
-    total = sum(sizes)
+def _numbers(frame: memoryview, total: int) -> Bytes:
+    """Decompress a frame of `total` bytes of numbers."""
     try:
         # Checked before decoding: zstd allocates the size that the frame claims.
         claimed = zstandard.frame_content_size(frame)
         if claimed != total:
             raise ValueError(f"{total} bytes of numbers expected, the frame claims {claimed}")
-        numbers = np.frombuffer(_decompressor().decompress(frame), np.uint8)
+        return np.frombuffer(_of_thread.decompressor.decompress(frame), np.uint8)
     except zstandard.ZstdError as error:
         raise ValueError(f"zstd cannot decode the numbers: {error}") from error
+
+
+def _split(numbers: Bytes, sizes: Sequence[int]) -> list[Bytes]:
+    """Divide numbers into rows. sizes: of these, bytes."""
     ends = np.cumsum(sizes).tolist()
     return [numbers[end - size : end] for end, size in zip(ends, sizes, strict=True)]
 
 
-_thread_local = threading.local()
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    """The thread's decompressor: construction is costly, and threads must not share one."""
-    if not hasattr(_thread_local, "decompressor"):
-        _thread_local.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
-    decompressor: zstandard.ZstdDecompressor = _thread_local.decompressor
-    return decompressor
+@lru_cache(maxsize=1)
+def _loops() -> Any:
+    """The compiled loops; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.shards.codecs.bodyseg_compiled")

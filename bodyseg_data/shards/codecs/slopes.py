@@ -12,13 +12,11 @@ is modulo 65536. For foreground pixels inside the box, in reading order across t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import compiled, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.shards.codecs.labels import split_labels
 from bodyseg_data.shards.codecs.runs import (
@@ -26,14 +24,12 @@ from bodyseg_data.shards.codecs.runs import (
     Bytes,
     Runs,
     escape_large,
-    find_escapes,
     from_byte_planes,
     to_byte_planes,
     unescape,
 )
 
 Range = NDArray[np.uint16]
-PixelIndices = NDArray[np.int32]
 _BACKGROUND: Final = int(BACKGROUND)
 
 
@@ -88,15 +84,10 @@ def encode_slopes(crop: Range, runs: Runs) -> Slopes:
     return Slopes(firsts, *escape_large(coded[inner], np.uint16))
 
 
-def decode_slopes(
-    runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]
-) -> PixelIndices | None:
-    """Decode range, labels and facing into images [H, W] that hold background only.
+def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]) -> None:
+    """Decode range, labels and facing into images [H, W], whatever they hold.
 
-    runs: of label bytes, filling the box. Returns the flat indices where foreground begins, ends, begins ... in reading
-    order, None without the compiled loops.
-
-    Raises ValueError if the labels require another number of values.
+    runs: of label bytes, filling the box. Raises ValueError if the labels require another number of values.
     """
     starts, lengths = foreground_runs(runs)
     if len(slopes.firsts) != 2 * len(starts) or len(slopes.steps) != lengths.sum() - len(starts):
@@ -105,21 +96,14 @@ def decode_slopes(
             f"ranges and {len(slopes.steps)} others"
         )
     firsts = np.cumsum(unzigzag(from_byte_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
-    if use_compiled():
-        unzigzag_bytes, fill_ranges, fill_labels = _loops()
-        steps = np.empty(len(slopes.steps), np.uint16)
-        unzigzag_bytes(slopes.steps, *find_escapes(slopes.steps, slopes.escapes, np.uint16), steps)
-        last = np.zeros(box.width, np.uint16)
-        edges = np.empty(2 * (len(starts) + box.height), np.int32)  # the end of a row divides at most one run
-        count = fill_ranges(starts, lengths, firsts, steps, last, image, box.top, box.left, edges)
-        fill_labels(runs.values, runs.lengths, labels, facing, box.top, box.left, box.width)
-        return edges[:count]
     steps = unzigzag(unescape(slopes.steps, slopes.escapes, np.uint16))
+    image.fill(0)
+    labels.fill(BACKGROUND)
+    facing.fill(False)
     stored = np.repeat(runs.values, runs.lengths).reshape(box.height, box.width)
     box.crop(labels)[:], box.crop(facing)[:] = split_labels(stored)
     body = stored != BACKGROUND
     np.multiply(_ranges(firsts, steps, starts, body), body, out=box.crop(image))
-    return None
 
 
 def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArray[np.bool_]) -> Range:
@@ -139,77 +123,3 @@ def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArra
         flat[starts[1:]] -= gone[:-1]
     np.cumsum(flat, dtype=np.uint16, out=flat)
     return crop
-
-
-def _unzigzag_bytes(low: Any, where: Any, large: Any, steps: Any) -> None:
-    """Decode as `unzigzag` of `unescape`. where, large: index and value of each escaped number."""
-    for i in range(len(low)):
-        coded = np.uint16(low[i])
-        steps[i] = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
-    for i in range(len(where)):
-        coded = large[i]
-        steps[where[i]] = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
-
-
-def _fill_ranges(
-    starts: Any, lengths: Any, firsts: Any, steps: Any, last: Any, image: Any, top: int, left: int, edges: Any
-) -> int:
-    """Decode as `_ranges`, directly into the image. last: uint16 [width], zeros: the last step in each column.
-
-    edges: receives the flat indices where foreground begins, ends, begins ...; returns their number.
-    """
-    width, index, count_of_edges = len(last), 0, 0
-    for stretch in range(len(starts)):
-        row, column = top + starts[stretch] // width, starts[stretch] % width
-        value = firsts[stretch]
-        image[row, left + column] = value
-        begin = row * image.shape[1] + left + column
-        edges[count_of_edges] = begin
-        end = begin + 1
-        remaining, column = lengths[stretch] - 1, column + 1
-        while remaining > 0:
-            if column == width:
-                row, column = row + 1, 0
-                edges[count_of_edges + 1] = end
-                count_of_edges += 2
-                end = row * image.shape[1] + left
-                edges[count_of_edges] = end
-            count = min(remaining, width - column)
-            end += count
-            above, change = last[column : column + count], steps[index : index + count]
-            ranges = image[row, left + column : left + column + count]
-            for i in range(count):  # a loop of its own, so that it is vectorised
-                above[i] += change[i]
-            for i in range(count):
-                value += above[i]
-                ranges[i] = value
-            index, column, remaining = index + count, column + count, remaining - count
-        edges[count_of_edges + 1] = end
-        count_of_edges += 2
-    return count_of_edges
-
-
-def _fill_labels(values: Any, lengths: Any, labels: Any, facing: Any, top: int, left: int, width: int) -> None:
-    """Decode as `split_labels`, directly from the runs into images that hold background."""
-    row, column = top, 0
-    for run in range(len(values)):
-        remaining = lengths[run]
-        if values[run] == 255:
-            column += remaining
-            row, column = row + column // width, column % width
-            continue
-        label, faces = np.uint8(values[run] & 0xBF), (values[run] & 0x40) != 0
-        while remaining > 0:
-            count = min(remaining, width - column)
-            begin, end = left + column, left + column + count
-            labels[row, begin:end] = label
-            facing[row, begin:end] = faces
-            column, remaining = column + count, remaining - count
-            if column == width:
-                row, column = row + 1, 0
-
-
-@lru_cache(maxsize=1)
-def _loops() -> tuple[Any, Any, Any]:
-    feature = "restoring ranges"
-    return compiled(_unzigzag_bytes, feature), compiled(_fill_ranges, feature), compiled(_fill_labels, feature)

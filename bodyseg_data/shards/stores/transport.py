@@ -9,6 +9,7 @@ import errno
 import inspect
 import os
 import re
+import threading
 import time
 import uuid
 import weakref
@@ -66,12 +67,18 @@ class Transport(Protocol):
         """Size of a file, bytes."""
 
 
-_FILESYSTEMS: dict[tuple[int, str], Any] = {}
-"""Filesystems by process and token. A fork keeps but never uses its parent's: closing it would affect the parent."""
+_FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
+"""Filesystems by process, token and thread, 0 for those that threads share.
+
+A fork keeps but never uses its parent's: closing it would affect the parent.
+"""
 
 
 class _Filesystem:
-    """An fsspec filesystem that every process opens for itself; only its options are pickled."""
+    """An fsspec filesystem that every process opens for itself; only its options are pickled.
+
+    Every thread has its own, too, unless the filesystem is asynchronous: others may talk over a single connection.
+    """
 
     def __init__(self, protocol: str, options: Mapping[str, Any]) -> None:
         self._protocol, self._options = protocol, dict(options)
@@ -79,10 +86,13 @@ class _Filesystem:
         weakref.finalize(self, _forget, self._token)
 
     def get(self) -> Any:
-        key = (os.getpid(), self._token)
-        if key not in _FILESYSTEMS:
-            _FILESYSTEMS.setdefault(key, self._open())
-        return _FILESYSTEMS[key]
+        process = os.getpid()
+        for thread in (0, threading.get_ident()):
+            if (process, self._token, thread) in _FILESYSTEMS:
+                return _FILESYSTEMS[process, self._token, thread]
+        opened = self._open()
+        thread = 0 if getattr(opened, "async_impl", False) else threading.get_ident()
+        return _FILESYSTEMS.setdefault((process, self._token, thread), opened)
 
     def _open(self) -> Any:
         try:
@@ -98,7 +108,9 @@ class _Filesystem:
 
 
 def _forget(token: str) -> None:
-    _FILESYSTEMS.pop((os.getpid(), token), None)
+    for key in list(_FILESYSTEMS):
+        if key[:2] == (os.getpid(), token):
+            del _FILESYSTEMS[key]
 
 
 def open_transport(protocol: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:

@@ -39,7 +39,7 @@ def test_every_choice_is_drawn_and_told(
         assert (out / f"{choice.name}.png").read_text() == choice.title
     told = json.loads((out / "charts.json").read_text())
     assert list(told["charts"]) == names and told["left_out"] == []
-    assert told["charts"]["codec"]["source"] == {"file": "codec.json", **SOURCE}
+    assert told["charts"]["codec"]["sources"] == [{"file": "codec.json", **SOURCE}]
     assert capsys.readouterr().err == f"wrote 7 charts into {out}\n"
 
 
@@ -65,6 +65,26 @@ def test_what_was_not_measured_is_left_out_by_name(
 def test_nothing_to_draw_is_status_2(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(Options(in_=results, out=tmp_path / "out")) == 2
     assert len(capsys.readouterr().err.splitlines()) == len(CHOICES) and not (tmp_path / "out").exists()
+
+
+def test_every_processor_has_its_panels(results: Path, tmp_path: Path) -> None:
+    others = {"2 cores of AMD EPYC (x86_64), 24 GiB": "amd-epyc-2-cores", "1 core of X (arm)": "x-1-core"}
+    for hardware, name in others.items():
+        (results / "processors" / name).mkdir(parents=True)
+        (results / "processors" / name / "codec.json").write_text(
+            json.dumps(figures_of("codec") | {"hardware": hardware})
+        )
+    assert run(Options(in_=results, out=tmp_path / "out")) == 0
+    told = json.loads((tmp_path / "out" / "charts.json").read_text())["charts"]["codec"]
+    assert [one["name"] for one in told["panels"]] == [
+        "AMD EPYC, 2 cores: 60 samples of bare and dressed bodies",
+        "X, 1 core: 60 samples of bare and dressed bodies",
+    ]
+    assert [(one["file"], one["hardware"]) for one in told["sources"]] == [
+        (f"processors/{name}/codec.json", hardware) for hardware, name in others.items()
+    ]
+    drawn = (tmp_path / "out" / "codec.svg").read_text()
+    assert all(f"·   {hardware}" in drawn for hardware in others)
 
 
 @pytest.mark.parametrize("field", ["hardware", "views", "codecs"])

@@ -79,7 +79,7 @@ def matplotlib() -> Any:
 
 
 def test_the_same_figures_give_the_same_bytes(matplotlib: Any) -> None:
-    one, other = (draw(BY_NAME["codec"], panels_of("codec"), SOURCE) for _ in range(2))
+    one, other = (draw(BY_NAME["codec"], panels_of("codec"), [SOURCE]) for _ in range(2))
     assert one == other and b"<dc:date>" not in one.svg and one.svg.startswith(b"<?xml")
     assert Image.open(io.BytesIO(one.png)).format == "PNG"
 
@@ -87,7 +87,7 @@ def test_the_same_figures_give_the_same_bytes(matplotlib: Any) -> None:
 @pytest.mark.parametrize("name", BY_NAME)
 def test_a_chart_says_all_and_covers_nothing(name: str, matplotlib: Any) -> None:
     choice, panels = BY_NAME[name], panels_of(name)
-    figure = chart(choice, panels, SOURCE)
+    figure = chart(choice, panels, [SOURCE])
     (small,) = [text for text in figure.texts if SOURCE["commit"] in text.get_text()]
     assert SOURCE["command"] in small.get_text() and SOURCE["hardware"] in small.get_text().replace("\n", " ")
     assert figure.texts[0].get_text() == choice.title

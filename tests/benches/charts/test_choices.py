@@ -153,9 +153,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest
 
 def test_a_description_holds_points_front_and_what_beats_the_default() -> None:
     choice = BY_NAME["mesh_resolution"]
-    told = json.loads(json.dumps(described(choice, panels_of("mesh_resolution"), SOURCE)))
+    told = json.loads(json.dumps(described(choice, panels_of("mesh_resolution"), [SOURCE])))
     whole, scan = told["panels"]
-    assert told["source"] == SOURCE and told["x"]["better"] == "less"
+    assert told["sources"] == [SOURCE] and told["x"]["better"] == "less"
     assert (whole["default"], whole["default_on_front"], whole["default_beaten_by"]) == ("whole mesh", True, [])
     assert (scan["default_on_front"], scan["front"]) == (False, ["25 % of the triangles", "whole mesh"])
     assert scan["default_beaten_by"] == [

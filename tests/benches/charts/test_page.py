@@ -90,6 +90,50 @@ def test_sources_are_listed_once() -> None:
     assert sources_of(template) == ["a.json", "b.json", "c.json"]
 
 
+def processor(folder: Path, name: str, hardware: str, **figures: object) -> None:
+    (folder / "processors" / name).mkdir(parents=True, exist_ok=True)
+    origin = {"command": "tools/bench it", "commit": "0123", "hardware": hardware}
+    (folder / "processors" / name / "it.json").write_text(json.dumps(origin | figures))
+
+
+def test_processors_stand_side_by_side(folder: Path) -> None:
+    processor(folder, "b-2-cores", "2 cores of B (x86_64), 4 GiB", over={"png": 4.43})
+    processor(folder, "a-1-core", "1 cores of A (x86_64), 4 GiB", over={"png": 2.36, "raw": 0.5})
+    (folder / "processors" / "a-1-core" / "other.json").write_text('{"hardware": "1 cores of A", "x": 1}')
+
+    def shown(place: str) -> str:
+        return render_page(f"{{{{ {place} }}}}", folder)
+
+    assert shown('processors | each("it", "over", "png") | span(1)') == "2.4 to 4.4"
+    assert shown('processors | each("it", "over", "png") | span') == "2 to 4"
+    assert shown('processors | each("other", "x") | span(1)') == "1.0"
+    assert shown("processors[0].name + processors[1].folder") == "A, 1 coreb-2-cores"
+    rows = render_page("{{ a.command }} {% for one in processors %}{{ one.name }} {% endfor %}", folder)
+    assert rows == "tools/bench network A, 1 core B, 2 cores "
+    assert sources_of("{{ a.x }} {{ processors }} {{ sources }}") == ["a.json"]
+    (folder / "processors" / "a-1-core" / "other.json").unlink()
+    table = render_page("{{ processors[0].name }}\n{{ sources }}", folder)
+    assert "| [processors/b-2-cores/it.json](processors/b-2-cores/it.json) | `tools/bench it` | 0123 | 2 cores" in table
+    for place, message in {
+        'processors | each("it", "over", "raw") | span': "'raw'",
+        'processors | each("none", "x") | span': "a span needs a number",
+        'processors | each("it", "command") | span': "tools/bench it is no number",
+    }.items():
+        with pytest.raises(BadConfig, match=f"line 1 of the template cannot be filled: {message}"):
+            shown(place)
+
+
+def test_a_result_in_the_folder_of_another_processor_is_refused(folder: Path) -> None:
+    processor(folder, "b-2-cores", "2 cores of A (x86_64), 4 GiB")
+    with pytest.raises(
+        BadConfig, match=r"it.json was measured on 2 cores of A .*: it belongs into processors/a-2-cores$"
+    ):
+        render_page("{{ processors[0].name }}", folder)
+    processor(folder, "b-2-cores", "a fast machine")
+    with pytest.raises(BadConfig, match=r"^hardware must read 'N cores of PROCESSOR .*', found 'a fast machine'$"):
+        render_page("{{ processors[0].name }}", folder)
+
+
 def test_tables_are_made_of_records(folder: Path) -> None:
     (folder / "t.json").write_text('{"rows": [{"what": "noise", "points": -1.5}, {"what": "all", "points": 0}]}')
     expected = "| what | points |\n| --- | --- |\n| noise | -1.5 |\n| all | 0 |"

@@ -7,8 +7,8 @@ import re
 
 import pytest
 from benches.charts.choices import CHOICES, Choice
-from benches.charts.fields import read_fields
 from benches.charts.page import render_page, sources_of
+from benches.charts.processors import by_processor, figures_of, panels_of
 from benches.charts.report import described
 from folders import ROOT
 
@@ -42,11 +42,12 @@ def test_every_figure_has_its_json(picture: str) -> None:
     if path.parent == CHARTS:
         told = json.loads((CHARTS / "charts.json").read_text())["charts"][path.stem]
         assert path.with_suffix(".png").is_file() and path.with_suffix(".svg").is_file()
-        source = RESULTS / told["source"]["file"]
+        sources = [RESULTS / one["file"] for one in told["sources"]]
     else:
-        source = next(file for file in RESULTS.glob("*.json") if path.stem.startswith(file.stem))
-    content = json.loads(source.read_text())
-    assert content["command"] and content["commit"] and content["hardware"]
+        sources = [next(file for file in path.parent.glob("*.json") if path.stem.startswith(file.stem))]
+    for source in sources:
+        content = json.loads(source.read_text())
+        assert content["command"] and content["commit"] and content["hardware"]
 
 
 def test_every_link_leads_somewhere() -> None:
@@ -56,16 +57,29 @@ def test_every_link_leads_somewhere() -> None:
 
 @pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
 def test_the_charts_are_of_the_figures_beside_them(choice: Choice) -> None:
-
-    fields = read_fields(RESULTS / f"{choice.bench}.json")
-    source = {name: fields[name].text() for name in ("command", "commit", "hardware")}
-    made = described(choice, choice.panels(fields), {"file": fields.file.name, **source})
+    figures = figures_of(RESULTS, choice.bench)
+    sources = [
+        {"file": str(one.file.relative_to(RESULTS))}
+        | {name: one[name].text() for name in ("command", "commit", "hardware")}
+        for one in figures
+    ]
+    made = described(choice, panels_of(choice, figures), sources)
     told = json.loads((CHARTS / "charts.json").read_text())
     assert told["charts"][choice.name] == json.loads(json.dumps(made))
     assert told["left_out"] == []
 
 
+@pytest.mark.parametrize("other", ["webdataset_png", "mds_raw", "memory"])
+def test_the_readme_states_the_range_over_processors(other: str) -> None:
+    by_hand = json.loads((RESULTS / "loader_by_hand.json").read_text())
+    measured = [record["loader"] for record in by_processor(RESULTS) if "loader" in record]
+    ratios = [figures["ours_all_over"][other]["2"] for figures in [by_hand, *measured]]
+    assert f" {min(ratios):.1f} to {max(ratios):.1f} times " in " ".join((ROOT / "README.md").read_text().split())
+
+
 def test_the_page_reads_every_kind_of_result() -> None:
     read = set(sources_of(TEMPLATE.read_text(encoding="utf-8")))
-    assert {f"{choice.bench}.json" for choice in CHOICES} <= read | {"reduction.json", "partition.json"}
+    by_now = {f"{bench}.json" for record in by_processor(RESULTS) for bench in record}
+    assert "loader.json" in by_now
+    assert {f"{choice.bench}.json" for choice in CHOICES} <= read | by_now | {"reduction.json", "partition.json"}
     assert {"stability.json", "ablation.json", "failures.json", "compact.json", "compact_hard.json"} <= read

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from benches.data.surface import clothes
 
+from bodyseg_data.bodies.sources.open_bodies import OpenBodies
+
 
 def image(noise_mm: float) -> np.ndarray:
     rows, columns = np.mgrid[0:90, 0:60] / 200
@@ -32,7 +34,10 @@ def test_windows_with_an_edge_or_a_hand_do_not_count() -> None:
 
 def test_the_bench_writes_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clothes, "AZIMUTHS", (0,))
-    monkeypatch.setattr(clothes, "_chosen", lambda listed: listed[:1])
+    monkeypatch.setattr(clothes, "FRAMES", 1)
+    listed = OpenBodies().bodies()
+    few = [next(body for body in listed if body.subset == subject) for subject in ("B", "C")]
+    monkeypatch.setattr(OpenBodies, "bodies", lambda self: few)
     figures = clothes.bench_clothes()
     assert set(figures) == {"bodies", "frames_per_motion", "azimuths", "distance_cm"}
     for rows in figures["bodies"].values():

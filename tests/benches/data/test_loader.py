@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ import torch
 from benches.data.loader import bench
 from benches.data.loader import limits as loader_limits
 from benches.data.loader import mds as loader_mds
-from benches.data.loader.baselines import Premade, folder_bytes
+from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
 from benches.data.loader.figure import draw_loader
 from benches.data.loader.limits import limits, ratio
 from benches.data.loader.passes import _check, checksum_of
+from benches.data.loader.pngs import DECODERS, by_pillow, png, time_decoders
+from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.loading.range_images import Batch, RangeImages
@@ -21,7 +24,8 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 # webdataset leaves the tars it has read to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
 
-NAMES = [f"ours_{variant}" for variant in ("none", "occ", "noise", "md", "all")] + list(bench.baselines())
+OURS = [f"ours_{name}" for name in ("none", "occ", "noise", "md", "all", "all_dataloader", "all_batch_sampler")]
+NAMES = OURS + list(bench.baselines())
 
 
 def absent(*_: Any) -> Any:
@@ -35,7 +39,9 @@ def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loader_mds, "streaming", absent)
         patch.setattr(bench, "LitData", loader_mds.Mds)
+        patch.setitem(sys.modules, "datasets", None)
         patch.setattr(loader_limits, "PNG_SAMPLES", 2)
+        patch.setattr(bench, "PNG_SAMPLES", 2)
         patch.setattr(bench, "PACKAGES", ("torch", "no-such-package"))
         found = bench.measure(
             figures_set,
@@ -50,7 +56,7 @@ def figures(figures_set: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
 
 
 def test_every_loader_is_measured_or_null(figures: dict[str, Any]) -> None:
-    assert figures["missing"] == ["mds_raw", "mds_zstd", "litdata"]
+    assert figures["missing"] == ["hf_webdataset", "hf_parquet", "mds_raw", "mds_zstd", "litdata"]
     for table in ("samples_per_second", "processor_ms_per_sample", "worker_mb", "spread", "rounds_of"):
         assert list(figures[table]) == NAMES
         for name, found in figures[table].items():
@@ -65,6 +71,7 @@ def test_every_loader_is_measured_or_null(figures: dict[str, Any]) -> None:
     assert figures["bytes_per_sample"]["mds_raw"] is None
     assert figures["versions"]["torch"] and figures["versions"]["no-such-package"] is None
     assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 2)
+    assert figures["png_decoders"]["ms_per_sample"][figures["png_decoders"]["used"]] > 0
 
 
 def test_bytes_are_those_on_disk(figures: dict[str, Any], figures_set: Path) -> None:
@@ -98,8 +105,45 @@ def test_baselines_deliver_what_was_stored(name: str, figures_set: Path, tmp_pat
         assert folder_bytes(tmp_path) > 24 * 640 * 329 * 3 > 5 * size, "it keeps both forms"
 
 
+def test_the_quickest_decoder_that_is_installed_is_used(figures_set: Path) -> None:
+    images = list(Premade(RangeImages(figures_set)))[:2]
+
+    def slow(data: bytes) -> NDArray[Any]:
+        return [by_pillow(data) for _ in range(4)][-1]
+
+    found = time_decoders(images, {"slow": slow, "absent": absent, "pillow": by_pillow})
+    assert found.used == "pillow" and found.to_json()["used"] == "pillow"
+    assert found.ms_per_sample["absent"] is None
+    assert 0 < (found.ms_per_sample["pillow"] or 0) < (found.ms_per_sample["slow"] or 0)
+
+
+@pytest.mark.parametrize("name", DECODERS)
+def test_decoders_are_exact(name: str) -> None:
+    """Ranges of all 65 536 values, and labels."""
+    values = np.arange(1 << 16, dtype=np.uint16).reshape(256, 256)
+    try:
+        found = [DECODERS[name](png(image)) for image in (values, values.astype(np.uint8))]
+    except ImportError as error:
+        pytest.skip(f"{name} is not installed: {error}")
+    np.testing.assert_array_equal(found[0], values, strict=True)
+    np.testing.assert_array_equal(found[1], values.astype(np.uint8), strict=True)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_a_decoder_that_changes_pixels_is_refused(kind: type[np.generic], figures_set: Path) -> None:
+    """One that leaves 8 of 16 bits, and one that changes labels alone."""
+    images = list(Premade(RangeImages(figures_set)))[:1]
+
+    def wrong(data: bytes) -> NDArray[Any]:
+        image = by_pillow(data)
+        return image if image.dtype != kind else (image >> 1).astype(kind)
+
+    with pytest.raises(BadSample, match=f"^wrong: {images[0].key} is decoded to .* not what was stored$"):
+        time_decoders(images, {"wrong": wrong})
+
+
 def batch_of(images: list[Any]) -> Batch:
-    ranges = [torch.from_numpy(image.range[None].astype(np.float32) * np.float32(1e-4)) for image in images]
+    ranges = [torch.from_numpy(image.range[None].astype(np.float32) * np.float32(STEP_M)) for image in images]
     labels = [torch.from_numpy(image.labels.copy()) for image in images]
     return {"range": torch.stack(ranges), "labels": torch.stack(labels), "key": [image.key for image in images]}
 
@@ -141,12 +185,13 @@ def test_ratios_are_medians_over_rounds() -> None:
 
 
 def test_limits_say_whether_they_hold() -> None:
-    rates = {"ours_all": 100.0, "ours_none": 136.0, "webdataset_png": 40.0, "mds_raw": 101.0, "memory": 133.0}
+    rates = {"ours_all": 100.0, "ours_none": 136.0, "webdataset_png": 40.0, "mds_raw": 101.0, "memory": 111.0}
     rounds = {name: {"0": [rate], "2": [rate]} for name, rate in rates.items()}
     found = {limit["what"]: limit for limit in limits(rounds, {"ours_all": 50_001}, 300_006)}
     assert {what: limit["holds"] for what, limit in found.items()} == {
         "all / webdataset_png, 0 workers": True,
-        "all / webdataset_png, 2 workers": True,
+        "all / mds_raw, 0 workers": True,
+        "all / webdataset_png, 2 workers": False,
         "all / mds_raw, 2 workers": False,
         "all / memory, 2 workers": True,
         "time of all / time of none, 0 workers": False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +10,29 @@ import numpy as np
 import pytest
 from benches.data.surface import reduction as benches
 from benches.data.surface.reduction_figure import draw_reduction
+from fakes import Figures, FiguresEntry
 from shapes import figure
 
-from bodyseg_data.bodies.source import Body
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.meshes.repair import load_pymeshlab
 
 BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
+
+
+class PosedFigures(Figures):
+    """The figure as two postures and another person, as the bench chooses them."""
+
+    def bodies(self) -> Sequence[BodyRef]:
+        return [
+            BodyRef("A", "A", "A-0", "arms_crossed", "train"),
+            BodyRef("A", "A", "A-1", "deep_squat", "train"),
+            BodyRef("people", "people", "people-0", "standing", "train"),
+        ]
+
+    def build(self, body: BodyRef) -> Body:
+        return BODY
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +43,7 @@ def figures() -> dict[str, Any]:
         pytest.skip(str(error))
     steps: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(benches, "_open_bodies", lambda: [BODY])
+        patch.setitem(SOURCES, "open", FiguresEntry(make=PosedFigures))
         patch.setattr(benches, "SHARES", (1.0, 0.5))
         patch.setattr(benches, "TOLERANCES_MM", (0.2,))
         patch.setattr(benches, "EDGE_MM", 40)

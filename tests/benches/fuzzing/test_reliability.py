@@ -23,8 +23,8 @@ def test_every_broken_promise_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         figures = {"inputs": len(numbers), "read": 1, "refused": 2, "longest_s": 0.1, "memory_of_allowed": 0.2}
         return {**figures, "outcome": kernels if target == "bsi" else "", "faults": ["crash"] * (target == "tar")}
 
-    monkeypatch.setattr(reliability, "_damage", damage)
-    monkeypatch.setattr(reliability, "_interruptions", interruptions)
+    monkeypatch.setattr(reliability, "measure_damage", damage)
+    monkeypatch.setattr(reliability, "measure_interruptions", interruptions)
     monkeypatch.setattr(reliability, "campaign", campaign)
     monkeypatch.setattr(reliability, "find_spec", lambda name: True)
     steps: list[tuple[int, int]] = []

@@ -12,10 +12,18 @@ import pytest
 from benches.model.ablation import bench as ablation
 from benches.model.ablation import costs as ablation_costs
 from benches.model.ablation.bench import bench_ablation
-from benches.model.ablation.conditions import CONDITIONS, clothes_conditions, coarse_conditions, hard_condition, stepped
+from benches.model.ablation.conditions import (
+    CONDITIONS,
+    clothes_conditions,
+    coarse_conditions,
+    hard_condition,
+    stepped,
+    steps_of,
+)
 from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
+from benches.model.ablation.sensor_artifacts import ADDED
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -93,6 +101,7 @@ def test_every_network_is_evaluated_under_every_condition(
     conditions = [condition["name"] for condition in measured["conditions"]]
     assert conditions == [
         *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30", "grazing_30"),
+        *(artifact.name for artifact in ADDED.values()),
         *("near_far", "other_side", "A", "hard"),  # there are no subjects B and C, and nobody is called P...
     ]
     assert set(rows["views_1"]["accuracy"]) == set(conditions)
@@ -223,13 +232,18 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
 
 def test_coarse_steps_round_to_the_nearest(figures_set: Path) -> None:
     image = np.array([[0, 1, 4, 5, 6, 14, 65535]], np.uint16)
-    assert stepped(image, 1).tolist() == [[0, 1, 1, 1, 1, 1, 6553]]
-    assert stepped(np.array([[0, 15, 25, 26]], np.uint16), 0.4).tolist() == [[0, 4, 6, 6]]
+    assert stepped(image, steps_of(1, 1e-4)).tolist() == [[0, 1, 1, 1, 1, 1, 6553]]
+    assert stepped(np.array([[0, 15, 25, 26]], np.uint16), steps_of(0.4, 1e-4)).tolist() == [[0, 4, 6, 6]]
+    assert [steps_of(2, step_m) for step_m in (1e-4, 5e-4, 2e-3, 1e-2)] == [20, 4, 1, 1], (
+        "never less than what is stored"
+    )
     (condition, _) = coarse_conditions(8)
     assert (condition.variant, condition.step_mm, condition.name) == ("all", 8, "all")
-    coarse, fine = condition.open(str(figures_set)).image(0).range, CONDITIONS[0].open(str(figures_set)).image(0).range
-    assert np.array_equal(coarse > 0, fine > 0) and set(np.unique(coarse % 80)) == {0}
-    assert np.abs(coarse.astype(int) - fine).max() == 40
+    images = condition.open(str(figures_set))
+    coarse, fine = images.image(0).range, CONDITIONS[0].open(str(figures_set)).image(0).range
+    eight = steps_of(8, images.step_m)
+    assert np.array_equal(coarse > 0, fine > 0) and set(np.unique(coarse % eight)) == {0}
+    assert np.abs(coarse.astype(int) - fine).max() == eight // 2
 
 
 def test_deviations_are_not_small_by_luck() -> None:

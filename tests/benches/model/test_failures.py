@@ -95,7 +95,7 @@ def test_distance_to_the_edges_that_a_body_touches() -> None:
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.3, 0.6, 0.6), (-0.6, 0.3, 0.5)])
 def test_viewing_angles_of_a_plane(normal: tuple[float, float, float]) -> None:
     rays = CAMERA.pixel_rays()
-    image = steps(2.5 * normal[2] / (rays @ np.array(normal)), "a plane")
+    image = steps(2.5 * normal[2] / (rays @ np.array(normal)), 1e-4, "a plane")
     exact = np.degrees(np.arccos(np.abs(rays @ normal) / np.linalg.norm(rays, axis=2) / np.linalg.norm(normal)))
     assert np.abs(viewing_angles(image, CAMERA) - exact).max() < 1  # ranges are rounded to 0.1 mm
 
@@ -180,7 +180,7 @@ def test_grazing() -> None:
     body = plain() != BACKGROUND
     for degrees, grazing in ((60, False), (80, True)):
         normal = np.array([0.0, np.sin(np.radians(degrees)), np.cos(np.radians(degrees))])
-        image = steps(np.where(body, 1.0 * normal[2] / np.maximum(rays @ normal, 0.05), 0), "a plane")
+        image = steps(np.where(body, 1.0 * normal[2] / np.maximum(rays @ normal, 0.05), 0), 1e-4, "a plane")
         assert rule("grazing", judged(plain(), plain(), image=image))[30, 24] == grazing
 
 

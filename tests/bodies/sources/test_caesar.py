@@ -54,7 +54,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
 
 def test_more_than_the_papers_people_are_refused(tmp_path: Path) -> None:
     complete(tmp_path, 584)
-    with pytest.raises(BadConfig, match="has the paper's 583 subjects, found 584 in .* --source folder"):
+    with pytest.raises(BadConfig, match="583 subjects, found 584 in .* --source folder"):
         CaesarBodies(tmp_path)
 
 
@@ -97,7 +97,7 @@ def test_doubled_files_are_refused(tmp_path: Path) -> None:
     write_subject(tmp_path)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "CSR0001A.obj").touch()
-    with pytest.raises(BadConfig, match="a subject needs one mesh, found csr0001a in .* and in .*other"):
+    with pytest.raises(BadConfig, match="one mesh, found csr0001a in .* and in .*other"):
         CaesarBodies(tmp_path)
 
 
@@ -105,7 +105,7 @@ def test_doubled_landmarks_are_refused_unless_one_is_beside_the_mesh(tmp_path: P
     write_mesh(tmp_path / "csr0001a.ply", PERSON.vertices @ TURN)
     for folder in ("x", "y"):
         write_lnd(tmp_path / folder / "csr0001a.lnd", POINTS)
-    with pytest.raises(BadConfig, match=r"one landmark file, found .*x/csr0001a\.lnd and .*y/csr0001a\.lnd for "):
+    with pytest.raises(BadConfig, match=r"found .*x/csr0001a\.lnd and .*y/csr0001a\.lnd for "):
         CaesarBodies(tmp_path)
     write_lnd(tmp_path / "csr0001a.lnd", POINTS)
     assert first(CaesarBodies(tmp_path)).landmarks.tolist() == list(VERTICES)
@@ -213,7 +213,7 @@ def test_exchanged_names_are_seen(tmp_path: Path, exchanged: list[tuple[str, str
     file = tmp_path / "csr0001a.lnd"
     names = dict(exchanged)
     file.write_text(re.sub("|".join(names), lambda match: names[match[0]], file.read_text()))
-    with pytest.raises(BadMesh, match=r"csr0001a\.ply: Sellion, .* found one \d+ cm behind: are right and left"):
+    with pytest.raises(BadMesh, match=r"csr0001a\.ply: Sellion, .* found one \d+ cm behind"):
         first(CaesarBodies(tmp_path))
 
 

@@ -156,7 +156,7 @@ def test_broken_files_are_refused_by_name(labelled: Path, fault: str) -> None:
 
 def test_bodies_of_no_human_size_or_inside_out_are_refused(labelled: Path) -> None:
     path = write(labelled, "I_squat", 3, PERSON.vertices @ FACING * 4)
-    with pytest.raises(BadMesh, match=r"mesh_0003\.obj: a body must be 0\.5 to 2\.5 m at its largest: found .* 6\.8 "):
+    with pytest.raises(BadMesh, match=r"mesh_0003\.obj: .* at its largest: found .* 6\.8 "):
         first(MitBodies(labelled))
     path.write_bytes(obj(PERSON.vertices @ FACING, PERSON.faces[:, ::-1]))
     with pytest.raises(BadMesh, match=r"inside out.*mesh_0003\.obj"):
@@ -178,7 +178,7 @@ def test_a_file_that_vanished_is_refused(labelled: Path) -> None:
 
 def test_another_mans_topology_is_refused(tmp_path: Path) -> None:
     write_mesh(frame(tmp_path, "I_squat", 3), ball().vertices, ball().faces)
-    with pytest.raises(BadLandmarks, match=r"landmarks mit_I are for meshes of 10002 vertices .*mesh_0003\.obj"):
+    with pytest.raises(BadLandmarks, match=r"landmarks mit_I .* 10002 vertices .*mesh_0003\.obj"):
         first(MitBodies(tmp_path))
 
 
@@ -188,9 +188,7 @@ def test_landmarks_of_subject_c_are_the_users(tmp_path: Path) -> None:
     write(root, "D_march", 0)
     source = MitBodies(root)
     for use in (source.build, lambda body: source.fingerprint(source.bodies())):
-        with pytest.raises(
-            BadLandmarks, match=r"found none for subject C \(D_bouncing, .*: put landmarks_C\.json into "
-        ):
+        with pytest.raises(BadLandmarks, match=r"none for subject C \(D_bouncing, .*: put landmarks_C\.json"):
             use(source.bodies()[0])
     given = write_by_vertex(tmp_path / "marks" / "landmarks_C.json")
     for landmarks in (given, given.parent):
@@ -203,9 +201,7 @@ def test_landmarks_of_subject_c_are_the_users(tmp_path: Path) -> None:
 def test_a_file_is_not_taken_for_subject_b(tmp_path: Path) -> None:
     write(tmp_path, "I_crane", 0)
     given = write_by_vertex(tmp_path / "mine.json")
-    with pytest.raises(
-        BadConfig, match=r"a landmark file is for subject C .*give a folder that holds landmarks_B\.json"
-    ):
+    with pytest.raises(BadConfig, match=r"file is for subject C .* holds landmarks_B\.json"):
         MitBodies(tmp_path, given)
 
 

@@ -128,12 +128,12 @@ def test_landmarks_may_lie_in_a_folder_like_the_papers(tmp_path: Path) -> None:
     assert source.build(source.bodies()[3]).landmarks.tolist() == list(VERTICES)
     with pytest.raises(BadConfig, match="landmarks of the source 'paper' are a folder like its own"):
         PaperBodies(root, root / "mit" / "landmarks_B.json")
-    with pytest.raises(BadConfig, match="--landmarks must hold one of the sub-folders scape, mit, caesar: found none"):
+    with pytest.raises(BadConfig, match="--landmarks must hold .* scape, mit, caesar: found none"):
         PaperBodies(root, marks / "SCAPE")
 
 
 def test_a_folder_that_holds_none_of_it_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match="'paper' needs the sub-folders scape, mit, caesar: found none in"):
+    with pytest.raises(BadConfig, match="'paper' needs .* scape, mit, caesar: found none in"):
         PaperBodies(tmp_path)
     (tmp_path / "scape").mkdir()
     with pytest.raises(BadConfig, match="'scape' needs mesh000"):

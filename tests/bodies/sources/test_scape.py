@@ -143,7 +143,7 @@ def test_the_fingerprint_follows_whatever_shapes_the_bodies(tmp_path: Path) -> N
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match=r"'scape' needs mesh000\.ply to mesh071\.ply in its folder: found none in"):
+    with pytest.raises(BadConfig, match=r"'scape' needs mesh000\.ply to mesh071\.ply .* found none in"):
         ScapeBodies(tmp_path)
     with pytest.raises(BadConfig, match="'scape' reads a folder, found none at"):
         open_source("scape", tmp_path / "absent")
@@ -164,7 +164,7 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
 def test_another_topology_is_refused_by_name(tmp_path: Path) -> None:
     write_mesh(tmp_path / "mesh000.ply", PERSON.vertices, PERSON.faces[:-1])
     write_by_vertex(tmp_path / "landmarks.json")
-    with pytest.raises(BadLandmarks, match=r"for meshes of 642 vertices and 1280 faces .*found 642 and 1279 in .*000"):
+    with pytest.raises(BadLandmarks, match=r"642 vertices and 1280 faces .*found 642 and 1279 in .*000"):
         first(ScapeBodies(tmp_path))
 
 

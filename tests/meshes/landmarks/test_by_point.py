@@ -74,7 +74,7 @@ def test_a_landmark_off_the_surface_is_named_with_its_distance() -> None:
     points = on_ball()
     points[9] += (0.0, 0.0, 0.2)
     off = snap(BALL, points)[1][9]
-    message = rf"here on mesh ball: .* within 3 cm of the surface, found 'Cervicale' {100 * off:.1f} cm off it at \["
+    message = rf"here on mesh ball: .* within 3 cm .*, found 'Cervicale' {100 * off:.1f} cm off it at \["
     with pytest.raises(BadLandmarks, match=message) as caught:
         PointLandmarks("here", points).for_mesh(BALL)
     assert "\n" not in str(caught.value)
@@ -95,7 +95,7 @@ def test_the_limit_is_what_it_says() -> None:
 def test_two_landmarks_on_one_vertex_are_named() -> None:
     points = on_ball()
     points[20] = points[3] + 0.001
-    with pytest.raises(BadLandmarks, match=f"found 'Suprasternale' and {LANDMARKS[20]!r} at {SPREAD[3]}"):
+    with pytest.raises(BadLandmarks, match=f"'Suprasternale' and {LANDMARKS[20]!r} at {SPREAD[3]}"):
         PointLandmarks("here", points).for_mesh(BALL)
 
 
@@ -103,7 +103,7 @@ def test_a_landmark_on_another_piece_is_named() -> None:
     mesh = with_small_ball()
     points = on_ball()
     points[17] = mesh.vertices[len(BALL.vertices) + 5]
-    with pytest.raises(BadLandmarks, match="'Rt. Olecranon' at vertex 647 of another piece .* holds 32 of them"):
+    with pytest.raises(BadLandmarks, match=r"'Rt\. Olecranon' at vertex 647 of another piece .* 32 of"):
         PointLandmarks("here", points).for_mesh(mesh)
 
 

@@ -111,16 +111,14 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["opn", "", "../open", "open/"])
 def test_an_unknown_name_lists_the_sets_there_are(name: str) -> None:
-    with pytest.raises(
-        BadLandmarks, match=r"no landmark set is called .*: give mit_I, open or the path of a .json file"
-    ):
+    with pytest.raises(BadLandmarks, match=f"called {name!r}: give mit_I, open or "):
         load_landmarks(name)
 
 
 @pytest.mark.parametrize("change", [{"vertex_count": 643}, {"face_count": 1279}])
 def test_a_mesh_of_another_topology_is_refused(change: dict[str, int]) -> None:
     landmarks = parse_landmarks(json.dumps(tree(**change)), "here")
-    with pytest.raises(BadLandmarks, match=r"landmarks here are for meshes .*\(a ball\), found 642 and 1280 in mesh b"):
+    with pytest.raises(BadLandmarks, match=r"landmarks here .*\(a ball\), found 642 and 1280 in mesh b"):
         landmarks.for_mesh(ball(subdivisions=3, name="b"))
 
 
@@ -128,7 +126,7 @@ def test_a_landmark_beside_the_surface_is_refused() -> None:
     whole = ball(subdivisions=3)
     mesh = Mesh("b", np.concatenate([whole.vertices, [[0.0, 0.0, 0.0]]]), whole.faces)
     landmarks = LandmarkSet("here", "a ball", 643, 1280, (642, *range(32)))
-    with pytest.raises(BadLandmarks, match="'Sellion' must lie on the surface, found vertex 642, which no face of"):
+    with pytest.raises(BadLandmarks, match="'Sellion' must lie on the surface, found vertex 642"):
         landmarks.for_mesh(mesh)
 
 

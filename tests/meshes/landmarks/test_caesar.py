@@ -188,7 +188,7 @@ def test_a_landmark_given_twice_must_be_in_one_place(tmp_path: Path) -> None:
     placeholder = "1 -3 0 1 -999 -999 -999 Nuchale"
     np.testing.assert_allclose(read_lnd(write(tmp_path, text([*rows(), again, placeholder]))).points, expected())
     elsewhere = "1 -3 0 1 5 5 5 Nuchal"
-    with pytest.raises(BadLandmarks, match=r"line 77: 'Nuchale' is given twice, found \[.*\] and \[5.0, 5.0, 5.0\]"):
+    with pytest.raises(BadLandmarks, match=r"line 77: 'Nuchale' is given twice, .* and \[5.0, 5.0, 5.0\]"):
         read_lnd(write(tmp_path, text([*rows(), elsewhere])))
 
 
@@ -200,7 +200,7 @@ def test_other_landmarks_may_be_missing_or_doubled(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("gone", "lacking"), [("AUX =", "AUX ="), ("END =", "END ="), ("\r\n", "AUX =")])
 def test_a_file_without_its_frame_is_refused(tmp_path: Path, gone: str, lacking: str) -> None:
     path = write(tmp_path, text(rows()).replace(gone, " "))
-    with pytest.raises(BadLandmarks, match=f"rows must stand between 'AUX =' and 'END =', found no '{lacking}'"):
+    with pytest.raises(BadLandmarks, match=f"'AUX =' and 'END =', found no '{lacking}'"):
         read_lnd(path)
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 from benches.data.surface import borders as benches
+from fakes import Figures, FiguresEntry
 from numpy.typing import NDArray
+from people_on_disk import PERSON, VERTICES
 from pygeodesic.geodesic import PyGeodesicAlgorithmExact
 from shapes import ball, box_mesh, evenly_drawn, figure
 
+from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
@@ -93,9 +98,19 @@ def test_a_body_of_one_part_has_no_borders() -> None:
     assert borders.distance.shape == (0, 3, 3)
 
 
+class Eggs(Figures):
+    """A body of few triangles: exact distances from 33 landmarks of the open body take most of ten seconds."""
+
+    def bodies(self) -> Sequence[BodyRef]:
+        return [BodyRef("A", "A", "A-0", "a_pose", "train")]
+
+    def build(self, body: BodyRef) -> Body:
+        return Body(PERSON, np.array(VERTICES))
+
+
 def test_the_bench_writes_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("anny")
     monkeypatch.setattr(benches, "POSES", ("a_pose",))
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Eggs))
     steps: list[tuple[int, int]] = []
     figures = benches.bench_borders(1, lambda done, total: steps.append((done, total)))
     assert steps == [(1, 1)]
@@ -103,4 +118,4 @@ def test_the_bench_writes_what_it_promises(monkeypatch: pytest.MonkeyPatch) -> N
     assert set(methods) == set(benches.METHODS)
     assert all(set(row) == {"ms", "wrong_surface", "wrong_pixels"} for row in methods.values())
     for measure in ("wrong_surface", "wrong_pixels"):
-        assert methods["inside the triangle"][measure] < 0.003 < 0.03 < methods["nearest corner"][measure]
+        assert methods["inside the triangle"][measure] < 0.02 < 0.1 < methods["nearest corner"][measure]

@@ -66,7 +66,10 @@ _FAMILIES: Final = {
 
 _LOADERS: Final = {
     "ours_all": "bodyseg, all\nmade on the fly",
+    "ours_all_batch_sampler": "bodyseg, all\nin PyTorch's DataLoader",
     "webdataset_png": "WebDataset, PNG",
+    "hf_webdataset": "Hugging Face datasets,\ntars of PNG",
+    "hf_parquet": "Hugging Face datasets,\nParquet, raw",
     "mds_raw": "MosaicML Streaming, raw",
     "mds_zstd": "MosaicML Streaming, zstd\n(keeps both forms)",
     "litdata": "LitData, raw",

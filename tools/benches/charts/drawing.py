@@ -35,7 +35,7 @@ _LIMIT_NAME_HEIGHTS: Final = (0.95, 0.85, 0.7, 0.55, 0.4, 0.25)  # where beside 
 _INSET: Final = 4.0  # pixels between names and the edge
 
 Source = dict[str, str]
-"""Command, commit and hardware of the measurement."""
+"""Command, commit and hardware of a measurement."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Picture:
     png: bytes
 
 
-def draw(choice: Choice, panels: Sequence[Panel], source: Source) -> Picture:
-    """Draw a choice. The same panels and source give the same bytes. Raises MissingLibrary without matplotlib."""
-    figure = chart(choice, panels, source)
+def draw(choice: Choice, panels: Sequence[Panel], sources: Sequence[Source]) -> Picture:
+    """Draw a choice. The same panels and sources give the same bytes. Raises MissingLibrary without matplotlib."""
+    figure = chart(choice, panels, sources)
     return Picture(chart_bytes(figure, "svg", DPI), chart_bytes(figure, "png", DPI))
 
 
-def chart(choice: Choice, panels: Sequence[Panel], source: Source) -> Any:
+def chart(choice: Choice, panels: Sequence[Panel], sources: Sequence[Source]) -> Any:
     """The figure of matplotlib that `draw` writes, with one axes a panel."""
     rows = -(-len(panels) // 2)
     columns = -(-len(panels) // rows)
@@ -66,7 +66,7 @@ def chart(choice: Choice, panels: Sequence[Panel], source: Source) -> Any:
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for axis in axes[len(panels) :]:
             axis.set_axis_off()
-        _dress(figure, choice, source, markers, any(panel.limits for panel in panels))
+        _dress(figure, choice, sources, markers, any(panel.limits for panel in panels))
         for number, (axis, panel) in enumerate(zip(axes, panels, strict=False)):
             _divide(axis, choice, panel, panels)
             _panel(axis, choice, panel, markers)
@@ -93,12 +93,12 @@ def _divide(axis: Any, choice: Choice, panel: Panel, panels: Sequence[Panel]) ->
     scale_of(heights, choice.y).apply(axis, "y")
 
 
-def _dress(figure: Any, choice: Choice, source: Source, markers: dict[str, str], limits: bool) -> None:
+def _dress(figure: Any, choice: Choice, sources: Sequence[Source], markers: dict[str, str], limits: bool) -> None:
     """Title, note, legend and small print, around the room that is left to the panels."""
     width, height = figure.get_size_inches()
     letters = int(width * _LETTERS_AN_INCH)
-    words = f"{source['command']}   ·   commit {source['commit']}   ·   {source['hardware']}"
-    small = textwrap.fill(words, letters, break_long_words=False, break_on_hyphens=False)
+    words = (f"{one['command']}   ·   commit {one['commit']}   ·   {one['hardware']}" for one in sources)
+    small = "\n".join(textwrap.fill(line, letters, break_long_words=False, break_on_hyphens=False) for line in words)
     handles, columns = _legend(markers, limits), 3 if width < 10 else 5
     print_in = _PRINT_LINE_IN * (small.count("\n") + 1) + 0.08
     below_in = print_in + _LEGEND_LINE_IN * -(-len(handles) // columns) + 0.05

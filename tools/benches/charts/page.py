@@ -8,7 +8,11 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ (network.times | find(task="scores", threads=2)).ms | number }}      the first record that has these values
     {{ stability.tables.images | table }}                       records as a table, with their names for a head
     {{ charts.left_out[0] }}                                    what `bodyseg chart` writes into charts.json
+    {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
+
+`processors` has a record of each folder of `processors/`: its `name`, and its files' contents by their names without
+`.json`. `each` takes the value at a path of names from all records that have the path's first name.
 
 All else is Jinja2's own: `a / b`, `| length`, `{% for %}`. A number without a format is refused.
 """
@@ -23,10 +27,12 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
+from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
+_SPECIAL: Final = {_SOURCES, FOLDER}  # variables that are no file
 _TEMPLATE: Final = "<template>"  # the name that Jinja2 gives to one from a string
 _ORIGIN: Final = ("command", "commit", "hardware")
 
@@ -39,8 +45,16 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
     """
     given = dict(values or {})
     names = _variables(template)
-    files = {name: read_fields(folder / f"{name}.json").value for name in sorted(names - {_SOURCES, *given})}
-    sources = {_SOURCES: _origins(files)} if _SOURCES in names else {}
+    files = {name: read_fields(folder / f"{name}.json").value for name in sorted(names - _SPECIAL - {*given})}
+    processors = by_processor(folder) if FOLDER in names else []
+    given[FOLDER] = processors
+    read = files | {
+        f"{FOLDER}/{one['folder']}/{name}": content
+        for one in processors
+        for name, content in one.items()
+        if name not in HEAD
+    }
+    sources = {_SOURCES: _origins(read)} if _SOURCES in names else {}
     try:
         return _environment().from_string(template).render(files | given | sources)
     except (TemplateError, AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
@@ -49,7 +63,7 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
 
 def sources_of(template: str) -> list[str]:
     """The JSON files that a template reads, each once, in alphabetical order. Raises BadConfig if it is no template."""
-    return [f"{name}.json" for name in sorted(_variables(template) - {_SOURCES})]
+    return [f"{name}.json" for name in sorted(_variables(template) - _SPECIAL)]
 
 
 def _variables(template: str) -> set[str]:
@@ -65,6 +79,7 @@ def _environment() -> Environment:
     )
     environment.globals.clear()  # a file may be called as one of them
     environment.filters |= {"number": _number, "percent": _percent, "find": _find, "table": _table}
+    environment.filters |= {"each": _each, "span": _span}
     return environment
 
 
@@ -94,6 +109,23 @@ def _find(records: Iterable[Mapping[str, Any]], **values: Any) -> Mapping[str, A
         if all(record.get(name) == value for name, value in values.items()):
             return record
     raise LookupError(f"no entry has {', '.join(f'{name} = {value}' for name, value in values.items())}")
+
+
+def _each(records: Iterable[Mapping[str, Any]], first: str, *keys: str) -> list[Any]:
+    found = []
+    for record in records:
+        if (value := record.get(first)) is not None:
+            for key in keys:
+                value = value[key]
+            found.append(value)
+    return found
+
+
+def _span(values: Iterable[Any], decimals: int = 0) -> str:
+    shown = [_number(value, decimals) for value in sorted(map(_checked, values))]
+    if not shown:
+        raise LookupError("a span needs a number")
+    return shown[0] if shown[0] == shown[-1] else f"{shown[0]} to {shown[-1]}"
 
 
 def _table(records: Iterable[Mapping[str, Any]]) -> str:

@@ -9,14 +9,17 @@ from benches.charts.choices import Choice, Panel
 from benches.charts.fronts import Axis, Point, front, shortfalls
 
 
-def described(choice: Choice, panels: Sequence[Panel], source: dict[str, str]) -> dict[str, Any]:
-    """A chart's axes, panels and source. Values are in the units of the bench's figures; `factor` makes the chart's."""
+def described(choice: Choice, panels: Sequence[Panel], sources: Sequence[dict[str, str]]) -> dict[str, Any]:
+    """A chart's axes, panels and sources.
+
+    Values are in the units of the bench's figures; `factor` makes the chart's.
+    """
     return {
         "title": choice.title,
         "x": _axis(choice.x),
         "y": _axis(choice.y),
         "panels": [_panel(choice, panel) for panel in panels],
-        "source": source,
+        "sources": [*sources],
     }
 
 

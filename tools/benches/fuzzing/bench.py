@@ -58,13 +58,13 @@ def bench_reliability(views: int = 100_000, progress: Progress = silent) -> dict
         progress(done, total)
 
     with tempfile.TemporaryDirectory() as folder:
-        damage = _damage(Path(folder), step)
+        damage = measure_damage(Path(folder), step)
     fuzzing: dict[str, Any] = {}
     for target, numbers in pieces:
         _add(fuzzing.setdefault(target, {}), by_all_loops(target, numbers))
         step()
     with tempfile.TemporaryDirectory() as folder:
-        interruptions = _interruptions(Path(folder), step)
+        interruptions = measure_interruptions(Path(folder), step)
     parts = [*damage.values(), *fuzzing.values(), *interruptions.values()]
     return {
         "faults": sum(len(part["faults"]) for part in parts),
@@ -76,7 +76,8 @@ def bench_reliability(views: int = 100_000, progress: Progress = silent) -> dict
     }
 
 
-def _damage(folder: Path, step: Callable[[], None]) -> dict[str, dict[str, Any]]:
+def measure_damage(folder: Path, step: Callable[[], None]) -> dict[str, dict[str, Any]]:
+    """Damage every file of a small set in all ways and count by kind; step: called after each kind."""
     with ThreadPoolExecutor(1) as executor:
         pack(_DAMAGED, folder / "whole", executor, 1)
     damaged = Damaged(folder / "whole", folder / "damaged")
@@ -134,7 +135,8 @@ def _add(total: dict[str, Any], part: dict[str, Any]) -> None:
             total[name] = total[name] + value if name in total else value
 
 
-def _interruptions(folder: Path, step: Callable[[], None]) -> dict[str, dict[str, Any]]:
+def measure_interruptions(folder: Path, step: Callable[[], None]) -> dict[str, dict[str, Any]]:
+    """Interrupt packings in all ways and count by kind; step: called after each kind, and after each kill."""
     interrupted = Interrupted(_INTERRUPTED, folder)
     figures: dict[str, dict[str, Any]] = {}
     for trouble in TROUBLES:

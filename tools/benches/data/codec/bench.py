@@ -114,7 +114,9 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
                     shadow_test(rig),
                     sample.range,
                     sample.faces_projector,
-                    lambda texels, at=projector, seen=renderer: steps(seen.ranges(at, texels), "bench"),  # type: ignore[misc]
+                    lambda texels, at=projector, seen=renderer: steps(  # type: ignore[misc]
+                        seen.ranges(at, texels), rig.range_step_m, "bench"
+                    ),
                 )
                 yield sample, exact
 
@@ -202,7 +204,7 @@ class _Rounding:
         self._seconds: list[float] = []
 
     def add(self, sample: Sample, image: NDArray[np.uint16], *points: Any) -> None:
-        seconds, coarse = least_time(lambda: coarsened(image, *points), _ROUNDS)
+        seconds, coarse = least_time(lambda: coarsened(self._test, image, *points), _ROUNDS)
         self._seconds.append(seconds)
         self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
         self._coarse += len(encode_sample(sample)["bsi"])

@@ -6,20 +6,27 @@ shuffled as for training. Metres are made where their documentation puts a trans
 
 from __future__ import annotations
 
-import io
+import warnings
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch.utils.data import DataLoader, Dataset, default_collate
 
+from benches.data.loader.pngs import Decode, by_pillow, png
 from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.sample import RANGE_STEP_M
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.loading.range_images import Batch, RangeImages
+
+STEP_M: Final = load_rig().range_step_m
+"""One step of the images that are measured, metres: all are of the default rig."""
+
+SHARDS: Final = 16
+"""Files of baselines that store few large ones, so that up to sixteen workers have equal work."""
 
 
 class Premade(Sequence[RangeImage]):
@@ -54,13 +61,18 @@ def example(key: str, steps: NDArray[np.uint16], labels: NDArray[np.uint8]) -> d
     """One sample as a data set gives it to the collation: float32 [1, H, W] metres with the bits that this project's
     loader gives, uint8 [H, W] labels, key.
     """
-    metres = np.multiply(steps, np.float32(RANGE_STEP_M), dtype=np.float32)
+    metres = np.multiply(steps, np.float32(STEP_M), dtype=np.float32)
     return {"range": torch.from_numpy(metres[None]), "labels": torch.from_numpy(labels), "key": key}
 
 
 def torch_loader(dataset: Dataset[Any], batch: int, workers: int, shuffle: bool) -> DataLoader[Any]:
     """PyTorch's own loader with its defaults. shuffle: False for data sets that shuffle themselves."""
     return DataLoader(dataset, batch, shuffle=shuffle, num_workers=workers, persistent_workers=workers > 0)
+
+
+def allow_read_only() -> None:
+    """Silence PyTorch's warning about arrays that are views of the bytes read: nobody writes to them here."""
+    warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
 
 
 def folder_bytes(folder: Path) -> int:
@@ -94,50 +106,51 @@ class Memory(Dataset[dict[str, Any]]):
 
 
 class PngFiles:
-    """Two PNG files a sample, read by a plain data set with Pillow."""
+    """Two PNG files a sample, read by a plain data set."""
+
+    def __init__(self, decode: Decode = by_pillow) -> None:
+        self._decode = decode
 
     def write(self, images: Premade, folder: Path) -> int:
         """KEY.range.png of 16 bits and KEY.labels.png of 8."""
         for image in images:
-            Image.fromarray(image.range).save(folder / f"{image.key}.range.png")
-            Image.fromarray(image.labels).save(folder / f"{image.key}.labels.png")
+            (folder / f"{image.key}.range.png").write_bytes(png(image.range))
+            (folder / f"{image.key}.labels.png").write_bytes(png(image.labels))
         return folder_bytes(folder)
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
         """A plain DataLoader."""
-        return torch_loader(_PngFolder(folder), batch, workers, shuffle=True)
+        return torch_loader(_PngFolder(folder, self._decode), batch, workers, shuffle=True)
 
     def close(self) -> None:
         """Nothing is held."""
 
 
 class _PngFolder(Dataset[dict[str, Any]]):
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, decode: Decode) -> None:
         self._paths = [str(path).removesuffix(".range.png") for path in sorted(folder.glob("*.range.png"))]
+        self._decode = decode
 
     def __len__(self) -> int:
         return len(self._paths)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         path = self._paths[index]
-        return example(Path(path).name, _pixels(f"{path}.range.png"), _pixels(f"{path}.labels.png"))
-
-
-def _pixels(file: Any) -> NDArray[Any]:
-    with Image.open(file) as image:
-        return np.array(image)
+        image, labels = (self._decode(Path(f"{path}.{name}.png").read_bytes()) for name in ("range", "labels"))
+        return example(Path(path).name, image, labels)
 
 
 class Webdataset:
-    """Tars of PNG files, decoded by Pillow in a map: webdataset's own decoders cut 16 bits down to 8."""
+    """Tars of PNG files, decoded in a map: webdataset's own decoders cut 16 bits down to 8."""
 
-    SHARDS: Final = 16
+    def __init__(self, decode: Decode = by_pillow) -> None:
+        self._decode = decode
 
     def write(self, images: Premade, folder: Path) -> int:
-        """Sixteen shards of nearly equal length, so that up to sixteen workers have equal work."""
+        """Sixteen shards of nearly equal length."""
         import webdataset
 
-        for shard, chunk in enumerate(np.array_split(np.arange(len(images)), min(self.SHARDS, len(images)))):
+        for shard, chunk in enumerate(np.array_split(np.arange(len(images)), min(SHARDS, len(images)))):
             with webdataset.TarWriter(str(folder / f"all-{shard:03d}.tar")) as tar:
                 for index in chunk.tolist():
                     image = images[index]
@@ -150,7 +163,8 @@ class Webdataset:
         import webdataset
 
         shards = [str(path) for path in sorted(folder.glob("*.tar"))]
-        images = webdataset.WebDataset(shards, shardshuffle=len(shards)).shuffle(100).map(_decoded)
+        decoded = partial(_decoded, self._decode)
+        images = webdataset.WebDataset(shards, shardshuffle=len(shards)).shuffle(100).map(decoded)
         batches = images.batched(batch, collation_fn=default_collate)
         loader: Iterable[Batch] = webdataset.WebLoader(
             batches, batch_size=None, num_workers=workers, persistent_workers=workers > 0
@@ -161,12 +175,5 @@ class Webdataset:
         """Nothing is held."""
 
 
-def _decoded(raw: dict[str, Any]) -> dict[str, Any]:
-    return example(raw["__key__"], _pixels(io.BytesIO(raw["range.png"])), _pixels(io.BytesIO(raw["labels.png"])))
-
-
-def png(array: NDArray[Any]) -> bytes:
-    """An image as Pillow writes it by default."""
-    file = io.BytesIO()
-    Image.fromarray(array).save(file, "PNG")
-    return file.getvalue()
+def _decoded(decode: Decode, raw: dict[str, Any]) -> dict[str, Any]:
+    return example(raw["__key__"], decode(raw["range.png"]), decode(raw["labels.png"]))

@@ -21,13 +21,24 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import torch
+from torch.utils.data import DataLoader
 
-from benches.data.loader.baselines import Baseline, Memory, PngFiles, Premade, Webdataset, folder_bytes
-from benches.data.loader.limits import five_png_bytes, limits, ratio
+from benches.data.loader.baselines import (
+    Baseline,
+    Memory,
+    PngFiles,
+    Premade,
+    Webdataset,
+    folder_bytes,
+    torch_loader,
+)
+from benches.data.loader.hugging_face import HfParquet, HfWebdataset
+from benches.data.loader.limits import PNG_SAMPLES, five_png_bytes, limits, ratio
 from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
-from benches.measuring import Progress, silent
+from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
+from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.machine import processors
@@ -40,17 +51,29 @@ from bodyseg_data.packing.pack import Packing, pack
 _BATCH: Final = 20
 _ROUNDS: Final = 7
 _VIEWS_A_BODY: Final = 18
-PACKAGES: Final = ("torch", "numpy", "numba", "pillow", "webdataset", "mosaicml-streaming", "litdata")
+PACKAGES: Final = (
+    "torch", "numpy", "numba", "pillow", "opencv-python-headless", "imagecodecs",
+    "webdataset", "mosaicml-streaming", "litdata", "datasets", "pyarrow",
+)  # fmt: skip
+
+OURS: Final[Mapping[str, VariantName]] = {
+    **{f"ours_{variant}": variant for variant in VARIANTS},
+    "ours_all_dataloader": "all",
+    "ours_all_batch_sampler": "all",
+}
+"""Row -> variant: by `loader`, and `all` also by PyTorch's own DataLoader, with plain indices and with our order."""
 
 
-def baselines() -> dict[str, Baseline]:
-    """The baselines by name."""
+def baselines(decode: Decode = by_pillow) -> dict[str, Baseline]:
+    """The baselines by name. decode: for those that store PNG images."""
     return {
-        "webdataset_png": Webdataset(),
+        "webdataset_png": Webdataset(decode),
+        "hf_webdataset": HfWebdataset(decode),
+        "hf_parquet": HfParquet(),
         "mds_raw": Mds(),
         "mds_zstd": Mds("zstd"),
         "litdata": LitData(),
-        "png_files": PngFiles(),
+        "png_files": PngFiles(decode),
         "memory": Memory(),
     }
 
@@ -93,17 +116,19 @@ def measure(
     """`bench_loader` on the set in `packed`; the baselines' sets go to new folders in `scratch`."""
     images = {variant: RangeImages(packed, variant) for variant in VARIANTS}
     check_counts(len(images["all"]), batch, workers)
-    known = baselines()
-    done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(VARIANTS)) * (rounds + 1)
+    decoders = time_decoders(evenly_spaced(Premade(images["all"]), PNG_SAMPLES))
+    known = baselines(DECODERS[decoders.used])
+    done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(OURS)) * (rounds + 1)
 
     def tick() -> None:
         nonlocal done
         progress(done := done + 1, total)
 
     five_pngs = five_png_bytes(images)
-    expected = {f"ours_{v}": {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
+    by_variant = {v: {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
+    expected = {name: by_variant[variant] for name, variant in OURS.items()}
     tick()
-    stored: dict[str, int | None] = {f"ours_{variant}": folder_bytes(packed) for variant in VARIANTS}
+    stored: dict[str, int | None] = dict.fromkeys(OURS, folder_bytes(packed))
     for name, baseline in known.items():
         stored[name] = _written(name, baseline, Premade(images["all"]), scratch / name)
         tick()
@@ -121,7 +146,7 @@ def measure(
     progress(total, total)
     kept = stored | {name: folder_bytes(scratch / name) for name in there if name != "memory"}
     counts = {"samples": len(images["all"]), "batch": batch, "rounds": rounds, "threads": threads}
-    return _results(found, stored, kept, five_pngs, counts)
+    return _results(found, stored, kept, five_pngs, counts) | {"png_decoders": decoders.to_json()}
 
 
 @contextmanager
@@ -154,7 +179,17 @@ def _openings(
     def ours(variant: VariantName) -> Iterable[Batch]:
         return loader(RangeImages(packed, variant), batch, workers, shuffle=True)
 
+    def sampled() -> Iterable[Batch]:
+        images = RangeImages(packed, "all")
+        order = images.batches(batch, shuffle=True)
+        batches: Iterable[Batch] = DataLoader(
+            images, batch_sampler=order, num_workers=workers, persistent_workers=workers > 0
+        )
+        return batches
+
     opens: dict[str, Callable[[], Iterable[Batch]]] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
+    opens["ours_all_dataloader"] = lambda: torch_loader(RangeImages(packed, "all"), batch, workers, shuffle=True)
+    opens["ours_all_batch_sampler"] = sampled
     return opens | {name: partial(baseline.open, scratch / name, batch, workers) for name, baseline in there.items()}
 
 

@@ -15,11 +15,15 @@ _TITLES: Final = {
     "ours_noise": "bodyseg, noise",
     "ours_md": "bodyseg, md",
     "ours_all": "bodyseg, all: made on the fly",
+    "ours_all_batch_sampler": "the same, DataLoader, batch_sampler",
+    "ours_all_dataloader": "the same, DataLoader, plain indices",
     "memory": "float32 tensors in memory",
     "mds_raw": "MosaicML Streaming, raw",
     "mds_zstd": "MosaicML Streaming, zstd",
     "litdata": "LitData, raw",
+    "hf_parquet": "Hugging Face datasets, Parquet, raw",
     "webdataset_png": "WebDataset, PNG",
+    "hf_webdataset": "Hugging Face datasets, tars, PNG",
     "png_files": "loose PNG files",
 }
 """In the order of the rows, from the top."""
@@ -30,7 +34,7 @@ def draw_loader(figures: dict[str, Any], path: Path) -> None:
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
-    figure = new_chart(12, 6.2)
+    figure = new_chart(12.5, 7.6)
     speed, size = figure.subplots(1, 2, width_ratios=(3, 1.35), sharey=True)
     _speeds(speed, figures)
     _sizes(size, figures)

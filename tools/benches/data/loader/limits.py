@@ -6,12 +6,18 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benches.data.loader.baselines import png
+from benches.data.loader.pngs import png
 from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.loading.range_images import RangeImages
 
 PNG_SAMPLES: Final = 60
+
+_SPEEDS: Final[Mapping[str, Mapping[str, float]]] = {
+    "0": {"webdataset_png": 2.5, "mds_raw": 0.8},
+    "2": {"webdataset_png": 3.5, "mds_raw": 1.0, "memory": 0.9},
+}
+"""Number of workers -> loader -> least speed of `all`, made on the fly, relative to it."""
 
 Rounds = Mapping[str, Mapping[str, Sequence[float]]]
 """Name -> number of workers -> samples a second, round by round."""
@@ -29,12 +35,10 @@ def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pn
     """Every limit with what was measured; holds is None where a loader is missing."""
     counts = sorted({count for by_workers in rounds.values() for count in by_workers}, key=int)
     found = [
-        _limit(f"all / webdataset_png, {n} workers", ratio(rounds, n, "ours_all", "webdataset_png"), 2.5)
+        _limit(f"all / {other}, {n} workers", ratio(rounds, n, "ours_all", other), target)
         for n in counts
+        for other, target in _SPEEDS.get(n, {}).items()
     ]
-    if "2" in counts:
-        found.append(_limit("all / mds_raw, 2 workers", ratio(rounds, "2", "ours_all", "mds_raw"), 1.0))
-        found.append(_limit("all / memory, 2 workers", ratio(rounds, "2", "ours_all", "memory"), 0.75))
     for n in counts:
         cost = ratio(rounds, n, "ours_none", "ours_all")
         found.append(_limit(f"time of all / time of none, {n} workers", cost, 1.35, most=True))

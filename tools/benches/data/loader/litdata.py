@@ -12,8 +12,7 @@ from typing import Any
 
 import torch
 
-from benches.data.loader.baselines import Premade, folder_bytes
-from bodyseg_data.core.sample import RANGE_STEP_M
+from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
 from bodyseg_data.loading.range_images import Batch
 
 
@@ -68,7 +67,7 @@ class _Tensors:
 
 
 def _metres(sample: dict[str, Any]) -> dict[str, Any]:
-    return {**sample, "range": sample["range"].to(torch.float32).mul_(RANGE_STEP_M)}
+    return {**sample, "range": sample["range"].to(torch.float32).mul_(STEP_M)}
 
 
 @contextmanager

@@ -5,12 +5,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benches.data.loader.baselines import Premade, example, folder_bytes, torch_loader
+from benches.data.loader.baselines import Premade, allow_read_only, example, folder_bytes, torch_loader
 from bodyseg_data.loading.range_images import Batch
 
 
@@ -37,8 +36,7 @@ class Mds:
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
         """Its StreamingDataset, given the batch size, under PyTorch's DataLoader."""
-        # Its arrays are views of the bytes read; PyTorch warns that they cannot be written to, which nobody does.
-        warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
+        allow_read_only()
 
         class Images(streaming("dataset").StreamingDataset):  # type: ignore[misc]  # known at run time only
             def __getitem__(self, at: Any) -> Any:

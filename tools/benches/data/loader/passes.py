@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from benches.data.loader.baselines import STEP_M
 from benches.data.loader.processes import private_mb, processor_seconds
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import Batch
 
 _SEED: Final = 0
@@ -46,7 +46,7 @@ def checksum(range_m: Any, labels: Any) -> int:
 
 def checksum_of(image: RangeImage) -> int:
     """CRC-32 of the arrays that a loader must deliver for `image`."""
-    return checksum(image.range.astype(np.float32) * np.float32(RANGE_STEP_M), image.labels)
+    return checksum(image.range.astype(np.float32) * np.float32(STEP_M), image.labels)
 
 
 def run_rounds(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -16,7 +17,8 @@ from bodyseg_data.artifacts.occlusion import (
     framed,
     reached,
 )
-from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M, SHADOW_THRESHOLDS
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 """Camera range, projector range, facing bit, as `ShadowTest.lit` takes them."""
@@ -27,7 +29,11 @@ Rule = Callable[[NDArray[np.uint16], Floats, Floats, Floats], NDArray[np.bool_]]
 Stored = Literal["whole", "occluder", "coarse"]
 """All texels; those that can shade a pixel; those, rounded as far as no pixel's result changes."""
 
-_TORN: Final = np.int32(SHADOW_THRESHOLDS.edge_steps)  # a larger difference between neighbours is no slope
+STEP_M: Final = load_rig().range_step_m
+"""One step of the images that are measured, metres: all are of the default rig, or of that with another baseline."""
+
+_GAP_STEPS, _EDGE_STEPS = SHADOW_THRESHOLDS.gap_steps(STEP_M), SHADOW_THRESHOLDS.edge_steps(STEP_M)
+_TORN: Final = np.int32(_EDGE_STEPS)  # a larger difference between neighbours is no slope
 
 
 @dataclass(frozen=True)
@@ -124,9 +130,7 @@ def interpolated(projector_range: NDArray[np.uint16], x: Floats, y: Floats, away
     texels, along, below = four_texels(projector_range, x, y)
     a, b, c, d = (texel.astype(np.float32) for texel in texels)
     upper, lower = a + along * (b - a), c + along * (d - c)
-    lit: NDArray[np.bool_] = (
-        np.minimum(away - 1, FARTHEST_STEPS) - (upper + below * (lower - upper)) <= SHADOW_THRESHOLDS.gap_steps
-    )
+    lit: NDArray[np.bool_] = np.minimum(away - 1, FARTHEST_STEPS) - (upper + below * (lower - upper)) <= _GAP_STEPS
     return lit
 
 
@@ -157,7 +161,7 @@ def slopes(image: NDArray[np.uint16], start: NDArray[np.intp]) -> tuple[Floats, 
 
 
 def _steps(length_mm: float) -> np.float32:
-    return np.float32(round(length_mm / 1000 / RANGE_STEP_M))
+    return np.float32(round(length_mm / 1000 / STEP_M))
 
 
 def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Method:
@@ -165,7 +169,11 @@ def _compare(family: str, bias_mm: float, rule: Callable[[float], Rule]) -> Meth
     return Method(family, bias_mm, rule(bias_mm), 1 if rule is nearest else 4, compares=True)
 
 
-DEFAULT: Final = Method("interpolated, votes at edges", SHADOW_THRESHOLDS.surface_gap_m * 1000, reached)
+DEFAULT: Final = Method(
+    "interpolated, votes at edges",
+    SHADOW_THRESHOLDS.surface_gap_m * 1000,
+    partial(reached, gap_steps=_GAP_STEPS, edge_steps=_EDGE_STEPS),
+)
 NEAREST: Final = _compare("nearest texel", 20.0, nearest)
 """The default's closest baseline."""
 

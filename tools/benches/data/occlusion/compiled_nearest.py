@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import Images
+from bodyseg_data.artifacts.loops.occlusion import find_runs, shadow_of
+from bodyseg_data.artifacts.loops.scratch import scratch_for
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.occlusion_compiled import find_runs, shadow_of
-from bodyseg_data.artifacts.scratch import scratch_for
 from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
@@ -22,26 +22,24 @@ _kernel = partial(compiled, feature="bench occlusion")
 
 
 @_kernel
-def nearest_image(shadow: Any, bias: Any, scratch: Any, lit_mask: Any) -> None:
-    """Write into `lit_mask`, flat, whether each pixel is lit; bias: float32, in steps."""
+def nearest_image(shadow: Any, slopes: Any, bias: Any, scratch: Any, points: Any, lit_mask: Any) -> None:
+    """Write into `lit_mask`, flat, whether each pixel is lit; bias: float32, in steps; points: as `_points` gives."""
     camera_range, projector_range = shadow.camera_range, shadow.projector_range
-    edges, marks, start = scratch.edges, scratch.marks, scratch.start
-    x, y, away = scratch.floats[0], scratch.floats[1], scratch.floats[2]
+    edges = scratch.edges
+    offset_x, offset_y, offset_z = shadow.projection[0, 0], shadow.projection[1, 0], shadow.projection[2, 0]
+    across, down, forward = slopes[0], slopes[1], slopes[2]
+    x, y, away, start, marks = points
     runs = find_runs(camera_range, scratch.changes, edges)
     count: Any = np.uint64(0)
     for run in range(np.uint64(runs)):
         first = np.uint64(edges[np.uint64(2) * run])
         length = np.uint64(edges[np.uint64(2) * run + np.uint64(1)]) - first
         for i in range(length):
-            away[count + i] = np.float32(camera_range[first + i]) * shadow.forward[first + i] + shadow.offset_z
+            away[count + i] = np.float32(camera_range[first + i]) * forward[first + i] + offset_z
         for i in range(length):
-            x[count + i] = (np.float32(camera_range[first + i]) * shadow.across[first + i] + shadow.offset_x) / away[
-                count + i
-            ]
+            x[count + i] = (np.float32(camera_range[first + i]) * across[first + i] + offset_x) / away[count + i]
         for i in range(length):
-            y[count + i] = (np.float32(camera_range[first + i]) * shadow.down[first + i] + shadow.offset_y) / away[
-                count + i
-            ]
+            y[count + i] = (np.float32(camera_range[first + i]) * down[first + i] + offset_y) / away[count + i]
         for i in range(length):
             marks[count + i] = shadow.facing[first + i]
         count += length
@@ -65,10 +63,17 @@ def nearest_image(shadow: Any, bias: Any, scratch: Any, lit_mask: Any) -> None:
             index += np.uint64(1)
 
 
+@lru_cache(maxsize=2)
+def _points(pixels: int) -> tuple[NDArray[Any], ...]:
+    """Memory for x, y, range, texel and mark of as many points, kept from view to view, as the loader keeps its own."""
+    return tuple(np.empty(pixels, kind) for kind in (np.float32, np.float32, np.float32, np.int32, np.uint8))
+
+
 def lit(test: ShadowTest, images: Images, bias_mm: float) -> NDArray[np.bool_]:
     """The mask, bool [H, W], as the NumPy form of the rule with the facing bit gives it."""
     shadow = shadow_of(test, *images)
     lit_mask = np.empty(images[0].shape, np.bool_)
-    scratch = scratch_for(images[0].size, images[1].size)
-    nearest_image(shadow, np.float32(round(bias_mm / 1000 / RANGE_STEP_M)), scratch, lit_mask.ravel())
+    scratch, points = scratch_for(images[0].size, *images[1].shape), _points(images[0].size)
+    bias = np.float32(round(bias_mm / 1000 / test.rig.range_step_m))
+    nearest_image(shadow, test.slopes, bias, scratch, points, lit_mask.ravel())
     return lit_mask

@@ -10,12 +10,12 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from benches.data.occlusion.baselines import DEFAULT, Method, nearest_texel
+from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import least_time
 from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import FARTHEST_STEPS, RANGE_STEP_M
+from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels, split_labels
@@ -78,11 +78,13 @@ class Storage:
         if method == DEFAULT:
             return self.view.sample.occluder_range()
         image, points = self.view.projector_range[method.projector_scale], self._tested_points(method)
-        gap = np.float32(method.bias_mm / 1000 / RANGE_STEP_M)
+        gap = np.float32(method.bias_mm / 1000 / STEP_M)
         if method.compares:
             return coarse_comparisons(image, *points, gap, method.texels)
         occluder = image * shading_texels(image, *points, gap, method.texels)
-        return coarsened(occluder, *points) if method.stored == "coarse" else occluder
+        return (
+            coarsened(self.tests[method.projector_scale], occluder, *points) if method.stored == "coarse" else occluder
+        )
 
     def _tested_points(self, method: Method) -> tuple[Floats, Floats, Floats]:
         key = method.projector_scale, method.facing_bit

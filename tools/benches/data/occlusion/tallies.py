@@ -134,7 +134,7 @@ class Compiled:
         self._forms: dict[Method, Mask] = {}
         if find_spec("numba") is not None:
             from benches.data.occlusion import compiled_nearest as occlusion_compiled_nearest
-            from bodyseg_data.artifacts import occlusion_compiled
+            from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
 
             forms: dict[tuple[str, float], Mask] = {
                 (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion_compiled.lit(test, *images),

@@ -169,7 +169,7 @@ def exact_view(
     for scale in scales:
         finer = replace(projector, camera=rig.with_projector_scale(scale).projector)
         surface = renderer.render(finer)
-        images[scale] = steps(surface.range, sample.key)
+        images[scale] = steps(surface.range, rig.range_step_m, sample.key)
         if scale == max(scales):
             thin_faces: Mask = np.isin(parts.labels, _THIN)[mesh.faces[:, 0]]
             by_thin = facing & inside & ~lit & _blocked_by(thin_faces, surface.face, finer, points)

@@ -24,7 +24,6 @@ from benches.data.render.steps import measure_stages, measure_steps
 from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
@@ -173,7 +172,7 @@ def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) 
             sample, drawn = sampler.take(view), plain.take(view)
             for name, image in (("ours", sample.range), ("plain", drawn["range"])):
                 both = (true_m > 0) & (image > 0)
-                apart[name].append(np.abs(image[both] * RANGE_STEP_M - true_m[both]) * 1e3)
+                apart[name].append(np.abs(image[both] * packing.rig.range_step_m - true_m[both]) * 1e3)
                 outline[name] += int(((true_m > 0) != (image > 0)).sum())
             labels += int(((sample.labels != drawn["labels"]) & (sample.range > 0) & (drawn["range"] > 0)).sum())
             seen += int((true_m > 0).sum())

@@ -1,7 +1,7 @@
 """The baseline that makes a labelled set: plain pyrender, three full frames a view, a PNG file an image.
 
 The bodies, views and parts are those of a packing. Camera range and projector range are depth passes; the labels are a
-pass of flat colours, one a triangle. Files are 16-bit PNGs of 0.1 mm steps and 8-bit PNGs of labels.
+pass of flat colours, one a triangle. Files are 16-bit PNGs in the rig's steps and 8-bit PNGs of labels.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ class PlainScenes:
         flags = pyrender.RenderFlags
         colour, _ = self._draw(self._rig.placed(self._mesh.centre, view)[0], flags.FLAT | flags.SKIP_CULL_FACES)
         labels = np.where(seen > 0, colour[..., 0], BACKGROUND).astype(np.uint8)
-        return {"range": steps(seen, "camera"), "projector": steps(lit, "projector"), "labels": labels}
+        step_m = self._rig.range_step_m
+        ranges = {name: steps(seen_m, step_m, name) for name, seen_m in (("range", seen), ("projector", lit))}
+        return {**ranges, "labels": labels}
 
     def ranges(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Camera range and projector range, float32 [H, W], metres, 0 where there is no body."""

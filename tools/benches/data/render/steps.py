@@ -85,6 +85,7 @@ class _Scene:
 
     def by_pixel(self, view: View, renderer: EmbreeRenderer, whole_projector: bool = True) -> Images:
         """Each pixel's part and facing from its own point."""
+        step_m = self.rig.range_step_m
         camera, projector = self.rig.placed(self.mesh.centre, view)
         seen = renderer.render(camera)
         rows, columns = np.nonzero(seen.face >= 0)
@@ -93,13 +94,13 @@ class _Scene:
         labels[rows, columns] = self.parts.labels_at(self.mesh, faces, points)
         facing = np.zeros(seen.face.shape, np.bool_)
         facing[rows, columns] = faces_towards(self.mesh, faces, points, projector.position)
-        camera_range = steps(seen.range, view.name)
+        camera_range = steps(seen.range, step_m, view.name)
         if whole_projector:
-            projector_range = steps(renderer.render(projector).range, view.name)
+            projector_range = steps(renderer.render(projector).range, step_m, view.name)
         else:
             test = shadow_test(self.rig)
             projector_range = occluder_range(
-                test, camera_range, facing, lambda texels: steps(renderer.ranges(projector, texels), view.name)
+                test, camera_range, facing, lambda texels: steps(renderer.ranges(projector, texels), step_m, view.name)
             )
         return _images(camera_range, projector_range, labels, facing)
 

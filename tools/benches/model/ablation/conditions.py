@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.ablation.sensor_artifacts import ADDED
 from benches.model.variants.scores import Condition
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import SHAPES, lost
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.sample import RANGE_STEP_M
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import fixed_artifacts
 
 STEPS_MM: Final = (1, 2, 4, 8)
-"""Steps of range, coarser than the stored 0.1 mm."""
+"""Steps of range, coarser than the stored ones."""
 
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
 
@@ -29,7 +29,7 @@ class AblationCondition(Condition):
     """Test images of one kind. label: its name in the results; title: in words.
 
     only: patterns of the samples' keys. lost: the kind of loss that takes `share` of every image's foreground as well.
-    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench.
+    step_mm: what ranges are rounded to, last of all. data: another set than that of the bench. sensor: its artifacts.
     """
 
     label: str = ""
@@ -39,6 +39,7 @@ class AblationCondition(Condition):
     share: float = 0.0
     step_mm: float | None = None
     data: str | None = None
+    sensor: SensorModel = field(default_factory=load_sensor_model)
 
     @property
     def name(self) -> str:
@@ -58,6 +59,10 @@ CONDITIONS: Final = (
     *(
         AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
         for kind in SHAPES
+    ),
+    *(
+        AblationCondition("all", label=each.name, title=what, sensor=load_sensor_model().with_artifacts(each))
+        for what, each in ADDED.items()
     ),
     AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
     AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
@@ -91,7 +96,7 @@ class ConditionImages(RangeImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: AblationCondition) -> None:
-        fixed = load_sensor_model().with_artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
+        fixed = condition.sensor.with_artifacts(*fixed_artifacts(condition.noise_mm, condition.missing))
         super().__init__(path, condition.variant, "test", _SEED, sensor=fixed, only=condition.only)
         self._condition = condition
 
@@ -118,7 +123,8 @@ class ConditionImages(RangeImages):
             image[gone] = 0
             labels[gone] = BACKGROUND
         if self._condition.step_mm is not None:
-            image[...] = stepped(image, self._condition.step_mm) * steps_of(self._condition.step_mm)
+            steps = steps_of(self._condition.step_mm, self.step_m)
+            image[...] = stepped(image, steps) * steps
 
     def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
@@ -126,13 +132,12 @@ class ConditionImages(RangeImages):
         return lost(shape, clean.range, self._condition.share, self.manifest.rig.camera, draws)
 
 
-def steps_of(step_mm: float) -> int:
-    """Number of stored steps in one of `step_mm`."""
-    return round(step_mm / 1e3 / RANGE_STEP_M)
+def steps_of(step_mm: float, step_m: float) -> int:
+    """Number of stored steps, of `step_m` metres each, in one of `step_mm`; at least 1."""
+    return max(1, round(step_mm / 1e3 / step_m))
 
 
-def stepped(image: NDArray[np.uint16], step_mm: float) -> NDArray[np.uint16]:
-    """A stored range image in coarser steps, uint16 [H, W], to the nearest of them; a body stays in front."""
-    steps = steps_of(step_mm)
+def stepped(image: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
+    """A stored range image in steps that are `steps` times as long, uint16 [H, W]; a body stays in front."""
     rounded = np.maximum(np.rint(image / np.float32(steps)), 1)
     return np.where(image == 0, 0, np.minimum(rounded, 65535 // steps)).astype(np.uint16)

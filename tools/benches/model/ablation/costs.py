@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from benches.measuring import evenly_spaced
-from benches.model.ablation.conditions import stepped
+from benches.model.ablation.conditions import stepped, steps_of
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
 from bodyseg_data.bodies.source import BodyRef
@@ -86,7 +86,9 @@ def byte_costs(data: str) -> Tree:
         made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(occluder))
         for row in ROWS:
             if row.step_mm is not None:
-                made[row.name] = encode_images(stepped(sample.range, row.step_mm), labels, occluder)
+                made[row.name] = encode_images(
+                    stepped(sample.range, steps_of(row.step_mm, images.step_m)), labels, occluder
+                )
         for name, encoded in made.items():
             sizes.setdefault(name, []).append(len(encoded))
     return {name: round(float(np.mean(values))) for name, values in sizes.items()}
@@ -99,7 +101,7 @@ def network_costs(data: str, settings: Mapping[str, Any]) -> Tree:
         if row.settings:
             networks[row.name] = build("compact", {**settings, **row.settings}, seed=0).eval()
     images = RangeImages(data, BASE, "test")
-    frames = [metres(images.image(index).range) for index in evenly_spaced(range(len(images)), FRAMES)]
+    frames = [metres(images.image(index).range, images.step_m) for index in evenly_spaced(range(len(images)), FRAMES)]
     cell = Cell("typical", "labels", "cpu", torch.get_num_threads(), "float32")
     batches = [torch.from_numpy(frame)[None, None] for frame in frames]
     return summary(time_cell(cell, networks, batches, 2 * FRAMES, _NETWORK_S), BASE)

@@ -11,6 +11,7 @@ from typing import Any, Final
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
 from bodyseg_data.commands.options import last_name
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build
@@ -106,14 +107,14 @@ def identities(sets: Mapping[Source, str], rows: Sequence[AblationRow]) -> dict[
     for row in {row.name: row for row in rows}.values():
         path = sets[row.source]
         images = RangeImages(path, row.variant, "train", sensor=row.sensor, only=row.only)
-        words = [key.rsplit("-", 2) for key in images.keys]
+        pairs = [split_key(key) for key in images.keys]
         found[row.name] = {
             # The set's digest identifies its samples, whatever patterns chose them.
             "data": {name: value for name, value in images.identity().items() if name != "only"},
             "amount": {
                 "samples": len(images),
-                "bodies": len({body for body, *_ in words}),
-                "views": len({tuple(view) for _, *view in words}),
+                "bodies": len({body for body, _ in pairs}),
+                "views": len({view for _, view in pairs}),
             },
         }
     return found

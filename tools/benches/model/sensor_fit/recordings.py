@@ -13,7 +13,7 @@ from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import RANGE_STEP_M, Sample, SampleInfo, steps
+from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.packing.sampler import faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
@@ -63,13 +63,13 @@ class Scenes:
             azimuth = TURN_DEG * number if scene.moving else 0
             sample = self._sample(azimuth) if rig is self._rig else self._rendered(azimuth, rig)
             if scene.wall:
-                sample = _before_wall(sample, wall_m)
+                sample = _before_wall(sample, wall_m, rig.range_step_m)
             stored = augmentation(sample, number).range
-            range_m = stored.astype(np.float32) * np.float32(RANGE_STEP_M)
+            range_m = stored.astype(np.float32) * np.float32(rig.range_step_m)
             body = (range_m > 0) & (range_m < wall_m - _BETWEEN_M)
             frames.append(Frame(str(number), stored, range_m, body))
         pairs = tuple((index, index + 1) for index in range(scene.frames - 1))
-        return Recording(tuple(frames), rig.camera, RANGE_STEP_M, pairs)
+        return Recording(tuple(frames), rig.camera, rig.range_step_m, pairs)
 
     def _sample(self, azimuth: int) -> Sample:
         if azimuth not in self._samples:
@@ -87,19 +87,19 @@ class Scenes:
         labels = np.where(seen.face >= 0, 0, BACKGROUND).astype(np.uint8)
         key = f"{self._mesh.name}-a{azimuth:03d}"
         info = SampleInfo("open", "", "", "", "", DISTANCE_CM, azimuth, "test")
-        return Sample(key, _steps(seen.range, key), _steps(lit.range, key), labels, facing, info)
+        return Sample(key, _steps(seen.range, rig, key), _steps(lit.range, rig, key), labels, facing, info)
 
 
-def _steps(range_m: NDArray[np.floating], key: str) -> NDArray[np.uint16]:
+def _steps(range_m: NDArray[np.floating], rig: Rig, key: str) -> NDArray[np.uint16]:
     stored = np.zeros(range_m.shape, np.uint16)
     known = range_m > 0
-    stored[known] = steps(range_m[known], key)
+    stored[known] = steps(range_m[known], rig.range_step_m, key)
     return stored
 
 
-def _before_wall(sample: Sample, wall_m: float) -> Sample:
+def _before_wall(sample: Sample, wall_m: float, step_m: float) -> Sample:
     """The sample with a wall that faces the camera wherever there is no body."""
     empty = sample.range == 0
-    ranges = np.where(empty, np.uint16(round(wall_m / RANGE_STEP_M)), sample.range)
+    ranges = np.where(empty, np.uint16(round(wall_m / step_m)), sample.range)
     labels = np.where(empty, np.uint8(0), sample.labels)
     return replace(sample, range=ranges, labels=labels, faces_projector=sample.faces_projector | empty)

@@ -38,11 +38,12 @@ def _multiply(typing: Any, a: Any, b: Any) -> Any:
 _product: Any = intrinsic(_multiply)
 
 
-def _raw_words(key_0: Any, key_1: Any, count: Any, words: Any) -> None:
-    """Write at least `count` words; words: uint64, room for the next multiple of four."""
+def _raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> None:
+    """Write at least `count` words from number `first` on, a multiple of four; words: uint64, room for the next one."""
+    before = np.uint64(first // 4)
     for block in range(np.uint64((count + 3) // 4)):
         # NumPy counts before it draws, so its first block is number 1.
-        a, b, c, d = block + _ONE, _NONE, _NONE, _NONE
+        a, b, c, d = before + block + _ONE, _NONE, _NONE, _NONE
         round_0, round_1 = key_0, key_1
         for _ in range(10):
             upper_0, lower_0 = _product(_MULTIPLIER_0, a)

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benches.data.workers import bench
+from benches.data.workers.figure import draw_workers
+from benches.data.workers.memory import process_tree, tree_mb
+from benches.data.workers.subject import Setup
+from PIL import Image
+
+from bodyseg_data.core.errors import BadSample
+
+
+@pytest.fixture(scope="module")
+def figures(figures_set: Path) -> dict[str, Any]:
+    """A whole measurement, without trainings, of loaders of batches of 3."""
+    ticks: list[tuple[int, int]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "VARIANTS", ("all",))
+        found = bench.measure(
+            figures_set,
+            (0, 1),
+            batch=3,
+            rounds=2,
+            trainings=0,
+            progress=lambda done, total: ticks.append((done, total)),
+        )
+    assert ticks == [(done, len(ticks)) for done in range(1, len(ticks) + 1)]
+    return found
+
+
+def test_every_kind_of_workers_is_measured(figures: dict[str, Any]) -> None:
+    rows = figures["rows"]
+    assert [(row["method"], row["workers"]) for row in rows] == [
+        ("none", 0),
+        ("thread", 1),
+        ("fork", 1),
+        ("forkserver", 1),
+    ]
+    for row in rows:
+        assert len(row["rounds_of"]) == 2 and min(row["rounds_of"]) > 0
+        assert row["processor_ms_per_sample"] > 0 and row["peak_mb"] > 50
+        assert row["opening_ms"] > 0 and row["first_batch_ms"] > 0
+    peak = {row["method"]: row["peak_mb"] for row in rows}
+    assert peak["forkserver"] > peak["thread"] + 50, "its worker imports all that there is"
+    assert figures["thread_over_process"]["all"]["1"] > 0
+    assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 2)
+
+
+def test_the_figure_shows_it(figures: dict[str, Any], tmp_path: Path) -> None:
+    draw_workers(figures, tmp_path / "workers.png")
+    with Image.open(tmp_path / "workers.png") as image:
+        assert image.width > 1000
+
+
+def test_other_images_are_seen(figures_set: Path) -> None:
+    with pytest.raises(BadSample, match=r"^0 workers \(thread\) deliver other images than were stored$"):
+        bench._rounds(figures_set, [Setup("all", "thread", 0)], 5, 1, {"other": 1}, lambda: None)
+
+
+def test_a_training_is_measured_with_each_kind(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "TRAINING_STEPS", 3)
+    monkeypatch.setattr(bench, "TRAINING_BATCH", 1)
+    found = bench._trainings(figures_set, 1, 1, lambda: None)
+    assert [(one["method"], one["workers"]) for one in found] == [("thread", 0), ("thread", 1), ("process", 1)]
+    for one in found:
+        assert one["images_per_second"][0] > 0 and 0 <= one["data_wait"][0] < 1
+
+
+def test_memory_is_that_of_the_whole_tree() -> None:
+    program = "import sys; held = bytearray(b'x' * (30 << 20)); print(flush=True); sys.stdin.read()"
+    before = tree_mb(os.getpid())
+    if before is None:
+        pytest.skip("no /proc/*/smaps_rollup")
+    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        assert child.pid in process_tree(os.getpid())
+        assert (tree_mb(os.getpid()) or 0) > before + 25
+    assert tree_mb(child.pid) is None

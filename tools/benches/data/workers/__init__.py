@@ -1,0 +1,1 @@
+"""Worker threads beside worker processes."""
