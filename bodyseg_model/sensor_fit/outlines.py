@@ -26,7 +26,8 @@ _BAND: Final = 0.02  # of the pixels in a typical row, at most, in a row that is
 _JUMP_M: Final = 0.03
 _FINE_M: Final = 1e-4  # steps in which surfaces are handed to the functions of artifacts
 _WIDER: Final = 1.3
-_FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb
+_FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb, as may several of different widths
+_ALIKE: Final = 1.5
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
 _TURNED_DEG: Final = 50.0
 _RIM_PX: Final = 4
@@ -188,7 +189,9 @@ def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     bands = [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
     bands = [(start, end) for start, end in bands if start > 0 and end < len(counts)]
-    return bands if len(bands) >= _FEWEST_BANDS else []
+    widths = [end - start for start, end in bands]
+    alike = len(bands) >= _FEWEST_BANDS and max(widths) <= _ALIKE * min(widths) + _CLOSED_PX
+    return bands if alike else []
 
 
 def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]:

@@ -29,14 +29,15 @@ NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
 _INCIDENCES_DEG: Final = (0, 15, 25, 35, 45, 52, 58, 64, 69, 74, 78, 82)
 _RANGES: Final = 6
 _FEWEST_IN_BIN: Final = 200
-_RELIEF: Final = 0.06  # pixels: what a surface of some slope adds to third differences, as if pixels had moved
-_MATTERS: Final = 0.2  # of the noise facing the camera: less growth may be the shape of limbs
+_RELIEF: Final = 0.1  # pixels: what a surface of some slope adds to third differences, as if pixels had moved
+_MATTERS: Final = 0.25  # of the noise facing the camera: less growth may be the shape of limbs
 _MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
 _ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
-_WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
+_WORTH: Final = 6.0  # of chi squared, that one more parameter must explain
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _ANY_BASELINE_M: Final = 0.1
 _SHARED: Final = 1.5  # of the deviation between neighbours: more around a surface is not of single pixels
+_PART: Final = 0.2  # of all noise: less beside jitter may be the rounding of jitter to whole pixels
 _TOLD: Final = 0.5  # largest relative error of a strength that is written
 
 Floats = NDArray[np.float64]
@@ -167,7 +168,7 @@ def _none_seen(typical: float, step: float, bins: NoiseBins) -> list[Finding]:
     nearest, farthest = bins.range_m.min(), bins.range_m.max()
     most = max(float(np.sqrt(np.median(bins.error_mm2)) * 2), LEAST_MM)
     coarse = step / np.sqrt(12) > LEAST_MM
-    if coarse and typical > LEAST_MM:
+    if coarse:
         verdict, reason = UNKNOWN, f"noise of at most {max(most, typical):.2g} mm is hidden by steps of {step:.2g} mm"
     else:
         verdict = NOT_SEEN
@@ -301,7 +302,7 @@ def _findings(
         narrow = "ranges differ too little to show how noise grows with range"
         findings |= {name: Finding(name, UNKNOWN, narrow) for name in ("axial_noise", "stereo_noise")}
     largest = float(np.sqrt(np.median(_model(base, bins)({name: value.value for name, value in axial.items()}))))
-    if largest >= LEAST_MM:
+    if largest >= max(LEAST_MM, _PART * float(np.sqrt(np.median(bins.variance_mm2)))):
         name, strengths = _strengths(base, axial, focal_px, baseline_m)
         findings[name] = Finding(name, NEEDED, f"{seen} ({where})", axial, strengths)
     if lateral and lateral["constant_px"].value + 2 * lateral.get("grazing_px", Estimate(0.0)).value >= LEAST_PX:

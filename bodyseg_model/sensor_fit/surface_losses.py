@@ -18,10 +18,10 @@ _FIRST_DEG, _LAST_DEG = 50, 83
 _MOST_WIDTH: Final = 5
 _LEAST_STEEP: Final = 300
 _PRICE: Final = 10.0  # of log likelihood, that an artifact must be worth
-_BARE: Final = 0.03  # of the pixels from 60 to 70 degrees: so few from 80 degrees on are none; a ball has 0.23
-_BARE_PIXELS: Final = 2000
-_SURE_SHARE: Final = 0.3  # lost pixels whose slope is guessed from their neighbours
-_QUANTILE: Final = 0.995
+_BARE: Final = 0.05  # of the pixels just below an angle: so few above it are none
+_GRADUAL: Final = 0.5
+_NEAR_DEG: Final = 4
+_LAST_BARE_DEG: Final = 80  # slopes of range images end at 85
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -123,11 +123,17 @@ def _grazing(cut: int, share: float, steep: int, count: int, exact: bool) -> Fin
 
 
 def _bare(total: Floats) -> Finding | None:
-    """The finding where next to no pixel is measured at the steepest angles, which every body has; else None."""
+    """The finding where pixels end abruptly at an angle, though bodies turn away gradually; else None.
+
+    Nothing is left above the angle, while just below there are hardly fewer pixels than further down.
+    """
     counts = total.sum(0)
-    medium, steepest = counts[60:70].sum(), counts[80:].sum()
-    if medium < _BARE_PIXELS or steepest >= _BARE * medium:
-        return None
-    cut = float(np.searchsorted(np.cumsum(counts) / counts.sum(), _QUANTILE))
-    reason = f"hardly a pixel is ever measured above {cut:.0f} degrees, though every body has some"
-    return Finding("grazing_loss", NEEDED, reason, {"from_deg": Estimate(cut, 1.0)}, {"from_deg": cut, "share": 1.0})
+    for cut in range(_FIRST_DEG, _LAST_BARE_DEG + 1):
+        above, below = counts[cut : cut + _NEAR_DEG].sum(), counts[cut - _NEAR_DEG : cut].sum()
+        before = counts[cut - 2 * _NEAR_DEG : cut - _NEAR_DEG].sum()
+        abrupt = above < _BARE * below and below > _GRADUAL * before and counts[cut:].sum() < 2 * _BARE * below
+        if abrupt and below >= _LEAST_STEEP:
+            reason = f"pixels are measured up to {cut} degrees and hardly one beyond, though bodies turn away gradually"
+            estimates = {"from_deg": Estimate(float(cut), 1.0), "share": Estimate(1.0)}
+            return Finding("grazing_loss", NEEDED, reason, estimates, {"from_deg": float(cut), "share": 1.0})
+    return None
