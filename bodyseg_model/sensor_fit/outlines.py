@@ -27,7 +27,7 @@ _JUMP_M: Final = 0.03
 _FINE_M: Final = 1e-4  # steps in which surfaces are handed to the functions of artifacts
 _WIDER: Final = 1.3
 _FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb, as may several of different widths
-_ALIKE: Final = 1.5
+_ALIKE: Final = 0.6
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
 _TURNED_DEG: Final = 50.0
 _RIM_PX: Final = 4
@@ -189,9 +189,9 @@ def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     bands = [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
     bands = [(start, end) for start, end in bands if start > 0 and end < len(counts)]
-    widths = [end - start for start, end in bands]
-    alike = len(bands) >= _FEWEST_BANDS and max(widths) <= _ALIKE * min(widths) + _CLOSED_PX
-    return bands if alike else []
+    widths = np.array([end - start for start, end in bands])
+    alike = np.abs(widths - np.median(widths)) <= _CLOSED_PX if bands else widths > 0
+    return bands if np.count_nonzero(alike) >= max(_FEWEST_BANDS, _ALIKE * len(bands)) else []
 
 
 def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]:

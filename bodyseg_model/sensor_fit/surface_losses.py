@@ -18,6 +18,7 @@ _FIRST_DEG, _LAST_DEG = 50, 83
 _MOST_WIDTH: Final = 5
 _LEAST_STEEP: Final = 300
 _PRICE: Final = 10.0  # of log likelihood, that an artifact must be worth
+_SURE_SHARE: Final = 0.3  # lost pixels whose slope is guessed from their neighbours
 _BARE: Final = 0.05  # of the pixels just below an angle: so few above it are none
 _GRADUAL: Final = 0.5
 _NEAR_DEG: Final = 4
