@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bodyseg_data.artifacts.sensor_model import load_sensor_model, sensor_model_names
 
-EXAMPLE = "bodyseg sensor list "
+EXAMPLE = "bodyseg sensor list"
 
 
 @dataclass(frozen=True)
