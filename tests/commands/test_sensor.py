@@ -74,7 +74,6 @@ def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pyte
         f"[projector]\n{camera}position_m = [0.05, 0.0, 0.0]\naims_at_m = [0.05, 0.0, 1.0]\n"
     )
     assert run("fit", frames, "--rig", rig, "--nearer-than", "1.5", "--json") == 0
-    # A ball has fewer rows than are needed; twice as many frames have enough.
     assert json.loads(capsys.readouterr().out)["mirrored"] is True
 
 
