@@ -10,10 +10,10 @@ from typing import Any, Final
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_model.segmentation.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, Finding
-from bodyseg_model.sensor_fit.noise_samples import residuals_of
-from bodyseg_model.sensor_fit.outlines import outlines_of
-from bodyseg_model.sensor_fit.pixel_losses import measure_losses
-from bodyseg_model.sensor_fit.range_noise import measure_noise
+from bodyseg_model.sensor_fit.losses.outlines import outlines_of
+from bodyseg_model.sensor_fit.losses.pixel_losses import measure_losses
+from bodyseg_model.sensor_fit.noise.formulas import measure_noise
+from bodyseg_model.sensor_fit.noise.residuals import residuals_of
 from bodyseg_model.sensor_fit.recording import Recording
 from bodyseg_model.sensor_fit.rounding import measure_steps
 from bodyseg_model.sensor_fit.shadows import Shadow, measure_shadow, probably_mirrored, shadow_finding

@@ -14,8 +14,8 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.drawing.style import INK, PAPER, font
-from bodyseg_model.sensor_fit.noise_samples import body_surface
-from bodyseg_model.sensor_fit.outlines import outlines_of
+from bodyseg_model.sensor_fit.losses.outlines import outlines_of
+from bodyseg_model.sensor_fit.noise.residuals import body_surface
 from bodyseg_model.sensor_fit.recording import Recording
 from bodyseg_model.sensor_fit.surfaces import third_differences
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import load_sensor_model, sensor_model_names
 from bodyseg_model.commands.cli import main
 
@@ -52,7 +53,8 @@ def test_frames_become_a_sensor_file_and_a_picture(
     assert len(verdicts) == 13 and f"wrote {out}" in said.err and f"wrote {picture}" in said.err
     model = load_sensor_model(out)
     assert model.name == "mine" and {"noise", "range_rounding"} <= {artifact.name for artifact in model}
-    assert [artifact for artifact in model if artifact.name == "noise"][0].low_mm == pytest.approx(4, rel=0.1)  # type: ignore[attr-defined]
+    (noise,) = (artifact for artifact in model if isinstance(artifact, Noise))
+    assert noise.low_mm == noise.high_mm == pytest.approx(4, rel=0.1)
     with Image.open(picture) as drawn:
         assert drawn.width > 800
 

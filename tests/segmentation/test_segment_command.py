@@ -316,8 +316,8 @@ def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[
         pytest.skip(f"real frames are absent: no kinect_v1 in {REAL} (set BODYSEG_REAL to the folder that has it)")
     file = REAL / "kinect_v1" / "0000000000_depth.png"
     assert run(file, "--out", tmp_path / "out") == 0
-    warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored: give --mirrored"
-    assert warning in capsys.readouterr().err.splitlines()
+    warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored"
+    assert f"{warning}: give --mirrored" in capsys.readouterr().err.splitlines()
     assert run(file, "--mirrored", "--out", tmp_path / "out") == 0
     assert "probably" not in capsys.readouterr().err
     with Image.open(file) as picture:

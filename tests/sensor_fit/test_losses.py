@@ -10,8 +10,8 @@ from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.outlines import outlines_of
-from bodyseg_model.sensor_fit.pixel_losses import measure_losses
+from bodyseg_model.sensor_fit.losses.outlines import outlines_of
+from bodyseg_model.sensor_fit.losses.pixel_losses import measure_losses
 from bodyseg_model.sensor_fit.recording import Recording
 
 

@@ -11,9 +11,10 @@ from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
 from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
 from bodyseg_data.artifacts.range_errors.stereo import StereoNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.least_squares import fit_positive
-from bodyseg_model.sensor_fit.noise_samples import residuals_of
-from bodyseg_model.sensor_fit.range_noise import measure_noise, unrounded
+from bodyseg_model.sensor_fit.noise.bins import unrounded
+from bodyseg_model.sensor_fit.noise.formulas import measure_noise
+from bodyseg_model.sensor_fit.noise.least_squares import fit_positive
+from bodyseg_model.sensor_fit.noise.residuals import residuals_of
 from bodyseg_model.sensor_fit.recording import Recording
 from bodyseg_model.sensor_fit.rounding import measure_steps
 

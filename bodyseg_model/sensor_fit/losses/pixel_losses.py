@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
+from bodyseg_model.sensor_fit.losses.outlines import Outline
+from bodyseg_model.sensor_fit.losses.surface_losses import measure_surface_losses
 from bodyseg_model.sensor_fit.masks import dilated, opening
-from bodyseg_model.sensor_fit.outlines import Outline
-from bodyseg_model.sensor_fit.surface_losses import measure_surface_losses
 
 LEAST_PIXELS: Final = 2000
 LEAST_SHARE: Final = 0.002

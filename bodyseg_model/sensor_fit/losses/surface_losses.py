@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
-from bodyseg_model.sensor_fit.outlines import RINGS, Outline
+from bodyseg_model.sensor_fit.losses.outlines import RINGS, Outline
 
 LEAST_SHARE: Final = 0.05
 """Least share of pixels lost, beyond those everywhere: outlines are known to half a pixel."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.sensor_fit.masks import closing, connected, dilated, holes, opening
-from bodyseg_model.sensor_fit.noise_samples import body_surface, mean_frame
+from bodyseg_model.sensor_fit.noise.residuals import body_surface, mean_frame
 from bodyseg_model.sensor_fit.recording import Frame, Recording
 from bodyseg_model.sensor_fit.surfaces import Surface, third_differences
 
