@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import angles, box_of, slants
+from bodyseg_data.artifacts.surface import incidence
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample, shape_of
@@ -73,12 +73,8 @@ class Scene:
 
     @cached_property
     def incidence(self) -> NDArray[np.float32]:
-        """The angle of incidence at each of `pixels`, radians, 0 facing the camera, float32 [N]; see `angles`."""
-        ranges = self.sample.range
-        box = box_of(ranges)
-        if box is None:
-            return np.zeros(0, np.float32)
-        return angles(slants(ranges, self.rig.camera, box)[ranges[box] != 0])
+        """The angle of incidence at each of `pixels`, radians, 0 facing the camera, float32 [N]; see `incidence`."""
+        return incidence(self.sample.range, self.rig.camera, self.pixels)
 
 
 class Artifact(Protocol):

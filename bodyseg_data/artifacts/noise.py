@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from statistics import NormalDist
 from typing import ClassVar, Final
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 
@@ -98,6 +100,15 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     size = constant + offset * (linear + offset * bend)
     signed: NDArray[np.float32] = np.where(draws >> np.uint32(31), size, -size)
     return signed
+
+
+def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:
+    """One standard normal for each 32 random bits of a purpose, float32 [N]; see `normals`."""
+    if use_compiled():
+        loops = import_module("bodyseg_data.artifacts.loops.normals")
+        found: NDArray[np.float32] = loops.normals_of(draws.stream(purpose), count)
+        return found
+    return normals(draws.pixels(purpose, count, np.uint32))
 
 
 def steps_of(sigma_mm: float, step_m: float) -> np.float32:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 
-_FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
+FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
 
 Box = tuple[slice, slice]
 
-_ARCCOS: Final = tuple(map(np.float32, (1.5707288, -0.2121144, 0.0742610, -0.0187293)))
+ARCCOS: Final = tuple(map(np.float32, (1.5707288, -0.2121144, 0.0742610, -0.0187293)))
 _RIGHT_ANGLE: Final = np.float32(np.pi / 2)
-_STEEPEST: Final = np.float32(0.0871557)
+STEEPEST: Final = np.float32(0.0871557)
 """Cosine of 85 degrees, beyond which angles are taken to be 85: the slopes of a range image end there."""
 
 
@@ -42,7 +44,7 @@ def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray
     x = ((np.arange(camera.columns, dtype=np.float32)[columns] + 0.5) - np.float32(camera.centre_px[0])) / focal
     y = (((np.arange(camera.rows, dtype=np.float32)[rows] + 0.5) - np.float32(camera.centre_px[1])) / focal)[:, None]
     z = range_image[box].astype(np.float32)
-    z[z == 0] = _FAR
+    z[z == 0] = FAR
     across, down = _slope(z, 1), _slope(z, 0)
     across *= focal
     down *= focal
@@ -56,7 +58,7 @@ def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray
 
 def _slope(z: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """The smaller one of the differences to a pixel's two neighbours along an axis."""
-    step = np.diff(z, axis=axis, prepend=_FAR, append=_FAR)
+    step = np.diff(z, axis=axis, prepend=FAR, append=FAR)
     backward, forward = (step[:-1], step[1:]) if axis == 0 else (step[:, :-1], step[:, 1:])
     smaller: NDArray[np.float32] = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
     return smaller
@@ -69,11 +71,27 @@ def angles(slant: NDArray[np.float32]) -> NDArray[np.float32]:
     1964, 4.4.45): sums, products and roots alone, so every machine gives the same bits.
     """
     one = np.float32(1)
-    cosine = np.maximum(one / np.sqrt(np.maximum(slant, one)), _STEEPEST)
-    constant, linear, square, cube = _ARCCOS
+    cosine = np.maximum(one / np.sqrt(np.maximum(slant, one)), STEEPEST)
+    constant, linear, square, cube = ARCCOS
     cubic = constant + cosine * (linear + cosine * (square + cosine * cube))
     found: NDArray[np.float32] = np.sqrt(one - cosine) * cubic
     return found
+
+
+def incidence(range_image: NDArray[np.uint16], camera: Camera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+    """The angle of incidence at each pixel of the foreground, radians, float32 [N]; see `angles`.
+
+    range_image: clean, uint16 [H, W], 0 is background. pixels: flat indices of the foreground in reading order, [N].
+    """
+    if use_compiled():
+        found: NDArray[np.float32] = import_module("bodyseg_data.artifacts.loops.surface").incidence(
+            range_image, camera, pixels
+        )
+        return found
+    box = box_of(range_image)
+    if box is None:
+        return np.zeros(0, np.float32)
+    return angles(slants(range_image, camera, box)[range_image[box] != 0])
 
 
 def grazing(angle: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -155,7 +155,7 @@ class Augmentation:
 
     def prepare(self) -> None:
         """Compile or load the loops that will be needed, so that workers forked from this process have them too."""
-        if use_compiled() and self._covered:
+        if use_compiled() and self.applied:
             _loops().compile_all()
 
     @cached_property
@@ -209,4 +209,4 @@ def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.gen
 @lru_cache(maxsize=1)
 def _loops() -> Any:
     """The compiled loops; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.compiled")
+    return import_module("bodyseg_data.artifacts.loops.fused")

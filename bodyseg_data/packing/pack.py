@@ -52,9 +52,8 @@ class Packing:
     """The options of a packing. All of them shape the bytes; the number of workers does not.
 
     source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
-    from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
-    shard. geodesics: how distances along the surface are measured (`geodesics.nearest_sources`). tolerance_mm:
-    how coarse meshes may be (`reduced_body`).
+    from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a shard.
+    geodesics: how distances along the surface are measured. tolerance_mm: how coarse meshes may be (`reduced_body`).
     """
 
     source: str
@@ -287,9 +286,8 @@ def pack(
                 write_manifest(manifest, out)
             shutil.rmtree(state)
     except BrokenExecutor as error:
-        raise BadConfig(
-            f"a worker process was killed (out of memory?) while packing {out}: the same command carries on"
-        ) from error
+        killed = f"a worker process was killed (out of memory?) while packing {out}"
+        raise BadConfig(f"{killed}: the same command carries on") from error
     except OSError as error:
         raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
     return manifest

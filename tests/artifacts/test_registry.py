@@ -20,6 +20,7 @@ from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.artifacts.sensor_model import sensor_model_names
 from bodyseg_data.commands.inspect import summarise
 from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig
@@ -146,8 +147,30 @@ def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
         np.testing.assert_array_equal(ours.labels, theirs.labels)
 
 
+@pytest.mark.parametrize("name", [*ARTIFACTS, *sensor_model_names()])
+def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
+    name: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name in ARTIFACTS:
+        strengths = {"losses": {"most": 0.5}, "mixed_pixels": {"share": 0.7, "background_m": 4.0}}.get(name, {})
+        sensor = SensorModel("one", (ARTIFACTS[name](**strengths),))
+    else:
+        sensor = load_sensor_model(name)
+    images = RangeImages(figures_set, "all", sensor=sensor, seed=3)
+    compiled = [images.image(index) for index in range(8)]
+    monkeypatch.setenv(kernels.VARIABLE, "numpy")
+    kernels.use_compiled.cache_clear()
+    try:
+        plain = [images.image(index) for index in range(8)]
+    finally:
+        kernels.use_compiled.cache_clear()
+    for ours, theirs in zip(compiled, plain, strict=True):
+        np.testing.assert_array_equal(ours.range, theirs.range)
+        np.testing.assert_array_equal(ours.labels, theirs.labels)
+
+
 def test_the_compiled_call_takes_what_it_covers_from_the_first_artifact_on() -> None:
-    from bodyseg_data.artifacts.compiled import covered
+    from bodyseg_data.artifacts.loops.fused import covered
 
     class OtherNoise(Noise):
         pass

@@ -1,1 +1,1 @@
-"""Compiled loops of the artifacts, and their memory; `artifacts/compiled.py` applies them to a sample."""
+"""Compiled loops of the artifacts, and their memory; `fused.py` applies those of Table 1 to a sample in one call."""

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres
+from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
 from bodyseg_data.artifacts.surface import grazing
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 POWERS: Final = (-0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -50,6 +51,11 @@ class AxialNoise(Artifact):
 
     def sigma_m(self, range_m: NDArray[np.float32], angle: NDArray[np.float32]) -> NDArray[np.float32]:
         """The standard deviation, metres, [N]; range_m: metres, [N]; angle: of incidence, radians, [N]."""
+        if use_compiled():
+            terms = tuple(map(np.float32, (self.constant_mm, self.quadratic_mm, self.from_m, self.grazing_mm)))
+            compiled = np.empty_like(range_m)
+            loops().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
+            return compiled
         away = range_m - np.float32(self.from_m)
         root = np.sqrt(range_m)
         power = np.float32(1) / root if self.grazing_power < 0 else np.ones_like(root)

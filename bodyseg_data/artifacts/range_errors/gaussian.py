@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage, Scene
-from bodyseg_data.artifacts.noise import normals
+from bodyseg_data.artifacts.noise import drawn_normals
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 
@@ -23,9 +27,18 @@ def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, si
     `noise.add_noise`.
     """
     ranges, pixels = image.range.reshape(-1), scene.pixels
+    normals = drawn_normals(draws, purpose, len(pixels))
+    if use_compiled():
+        loops().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
+        return
     before = ranges[pixels]
-    steps = normals(draws.pixels(purpose, len(pixels), np.uint32)) * (sigma_m / np.float32(scene.step_m))
+    steps = normals * (sigma_m / np.float32(scene.step_m))
     ranges[pixels] = np.where(before > 0, as_range(before.astype(np.float32) + steps), 0)
+
+
+def loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.loops.range_errors")
 
 
 def as_range(steps: NDArray[np.floating]) -> NDArray[np.uint16]:

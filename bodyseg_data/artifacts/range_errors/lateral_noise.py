@@ -8,9 +8,11 @@ from typing import Final
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.noise import normals
+from bodyseg_data.artifacts.noise import drawn_normals
+from bodyseg_data.artifacts.range_errors.gaussian import loops
 from bodyseg_data.artifacts.surface import box_of, grazing, widened
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 REACH: Final = 3
@@ -45,11 +47,23 @@ class LateralNoise(Artifact):
         clean = scene.sample.range
         if box_of(clean) is None:
             return
+        near = widened(clean > 0, REACH)
+        pixels = np.flatnonzero(near)
+        normals = drawn_normals(draws, "lateral noise", 2 * len(pixels))
+        if use_compiled():
+            flat, terms = (
+                np.ascontiguousarray(clean).reshape(-1),
+                (np.float32(self.constant_px), np.float32(self.grazing_px)),
+            )
+            given = flat, clean.shape[1], pixels, scene.incidence, terms, normals
+            loops().beside(
+                image.range.reshape(-1), image.labels.reshape(-1), *given, np.empty((2, len(pixels)), np.uint16)
+            )
+            return
+        rows, columns = np.divmod(pixels, clean.shape[1])
         sigma = np.full(clean.shape, self.constant_px, np.float32)
         sigma.reshape(-1)[scene.pixels] += np.float32(self.grazing_px) * grazing(scene.incidence)
-        near = widened(clean > 0, REACH)
-        rows, columns = np.nonzero(near)
-        offsets = normals(draws.pixels("lateral noise", 2 * len(rows), np.uint32)).reshape(2, -1) * sigma[near]
+        offsets = normals.reshape(2, -1) * sigma[near]
         down, along = np.rint(offsets).astype(np.int64)
         source = (
             np.clip(rows + down, 0, clean.shape[0] - 1),

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import as_range
+from bodyseg_data.artifacts.range_errors.gaussian import as_range, loops
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 
@@ -40,14 +41,19 @@ class MixedPixels(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
-        clean = scene.sample.range.astype(np.int64)
         behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
+        # The higher half of a draw chooses, the lower one is the position in the gap.
+        bits = draws.pixels("mixed pixels", len(scene.pixels), np.uint32)
+        if use_compiled():
+            flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
+            limits = self.share * 65536, behind, self.jump_mm, scene.step_m
+            loops().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
+            return
+        clean = scene.sample.range.astype(np.int64)
         seen = np.pad(np.where(clean > 0, clean, behind), 1)
         neighbours = seen[:-2, 1:-1], seen[2:, 1:-1], seen[1:-1, :-2], seen[1:-1, 2:]
         farthest = np.maximum.reduce(neighbours).reshape(-1)[scene.pixels]
         gap = farthest - clean.reshape(-1)[scene.pixels]
-        # The higher half of a draw chooses, the lower one is the position in the gap.
-        bits = draws.pixels("mixed pixels", len(gap), np.uint32)
         chosen = (bits >> np.uint32(16)) < self.share * 65536
         mixed = np.flatnonzero(chosen & (gap * scene.step_m * 1000 >= self.jump_mm))
         ranges, pixels = image.range.reshape(-1), scene.pixels[mixed]

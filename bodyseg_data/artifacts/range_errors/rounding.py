@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import as_range
+from bodyseg_data.artifacts.range_errors.gaussian import as_range, loops
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 
@@ -30,5 +31,8 @@ class RangeRounding(Artifact):
         """As `Artifact.apply`."""
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
+        if use_compiled():
+            loops().round_ranges(ranges, steps)
+            return
         pixels = np.flatnonzero(ranges)
         ranges[pixels] = as_range(np.maximum(np.rint(ranges[pixels] / steps), 1) * steps)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, as_range, clean_metres
+from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, as_range, clean_metres, loops
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
 
@@ -73,6 +74,9 @@ class DisparityRounding(Artifact):
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
         scale = focal_baseline(scene.rig, self.focal_px, self.baseline_m) / self.step_px / scene.step_m
         ranges = image.range.reshape(-1)
+        if use_compiled():
+            loops().round_disparities(ranges, scale)
+            return
         pixels = np.flatnonzero(ranges)
         disparity: NDArray[np.float64] = np.rint(scale / ranges[pixels])
         ranges[pixels] = np.where(disparity > 0, as_range(scale / np.maximum(disparity, 1)), 0)

@@ -98,19 +98,16 @@ class _Filesystem:
         try:
             filesystem = import_module("fsspec").filesystem(self._protocol, skip_instance_cache=True, **self._options)
         except ImportError as error:
-            raise MissingLibrary(
-                f"{self._protocol}:// addresses need packages: pip install 'bodyseg[remote]' has those of http and s3 "
-                f"({error})"
-            ) from None
+            packages = "pip install 'bodyseg[remote]' has those of http and s3"
+            raise MissingLibrary(f"{self._protocol}:// addresses need packages: {packages} ({error})") from None
         if hasattr(filesystem, "retries"):
             filesystem.retries = 1  # s3fs: attempts are counted by the caller
         return filesystem
 
 
 def _forget(token: str) -> None:
-    for key in list(_FILESYSTEMS):
-        if key[:2] == (os.getpid(), token):
-            del _FILESYSTEMS[key]
+    for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
+        del _FILESYSTEMS[key]
 
 
 def open_transport(protocol: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:

@@ -10,20 +10,22 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.loops.bounds import forget_occupied, mark_occupied, take_pieces
+from bodyseg_data.artifacts.loops.normals import draw_normals, normals_of
 from bodyseg_data.artifacts.loops.occlusion import Shadow, find_runs, mark_lit, shadow_of
 from bodyseg_data.artifacts.loops.philox import raw_words
 from bodyseg_data.artifacts.loops.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for
+from bodyseg_data.artifacts.loops.surface import incidence
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
-from bodyseg_data.artifacts.noise import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS, Noise, steps_of
+from bodyseg_data.artifacts.noise import SEGMENTS, Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, shadow_test
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import FARTHEST_STEPS
 
 COVERED: Final[tuple[type[Artifact], ...]] = (Occlusion, Noise, MissingData)
 """The classes of artifacts that the compiled call applies, in its order."""
 
-_HALF: Final = np.float32(0.5)
 _NEAREST: Final = np.float32(1)
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
@@ -37,21 +39,6 @@ class Strengths(NamedTuple):
     missing_0: np.uint64
     missing_1: np.uint64
     threshold: np.uint32
-
-
-@_kernel
-def draw_normals(halves: Any, count: Any, segments: Any, segment_of: Any, normals: Any) -> None:
-    """As `noise.normals`; segment_of: int32, room for as many."""
-    for point in range(np.uint64(count)):
-        quantile = np.float32(np.int32(halves[point] & np.uint32(0x7FFFFFFF))) + _HALF
-        bits = np.float32(quantile).view(np.int32)
-        segment_of[point] = np.int32(bits >> SEGMENT_SHIFT) - np.int32(FIRST_SEGMENT)
-        normals[point] = np.float32(bits & np.int32(OFFSET_MASK))
-    constant, linear, bend = segments[0], segments[1], segments[2]
-    for point in range(np.uint64(count)):
-        segment, along = np.uint64(segment_of[point]), normals[point]
-        size = constant[segment] + along * (linear[segment] + along * bend[segment])
-        normals[point] = size if halves[point] >> np.uint32(31) else -size
 
 
 @_kernel
@@ -206,3 +193,7 @@ def compile_all() -> None:
     strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
     apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch_for(1, 1, 1), image, labels)
+    normals_of(_NO_STREAM, 1)
+    incidence(
+        image.reshape(1, 1), Camera(1, 1, 1.0, (0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.zeros(1, np.intp)
+    )
