@@ -49,7 +49,7 @@ def test_too_little_data_tells_nothing() -> None:
 
 
 def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
-    known = (Occlusion(), Noise(4.0, 4.0), DisparityRounding(0.05), EdgeLoss(1, 0.4), MissingData((0.05,)))
+    known = (Occlusion(), Noise(4.0, 4.0), DisparityRounding(0.02), EdgeLoss(1, 0.4), MissingData((0.05,)))
     seen: list[tuple[int, int]] = []
     fit = fit_sensor(recorded(*known, frames=8, wall=True), CAMERA, lambda *numbers: seen.append(numbers))
     assert seen[0] == (0, 5) and seen[-1] == (5, 5)
@@ -58,7 +58,7 @@ def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
     assert needed == ["occlusion", "noise", "disparity_rounding", "edge_loss", "missing_data"]
     assert found["occlusion"].estimates["baseline_right_m"].value < 0.01
     assert found["occlusion"].estimates["baseline_left_m"].value == pytest.approx(0.075, rel=0.15)
-    assert found["disparity_rounding"].strengths["step_px"] == pytest.approx(0.05, rel=0.01)
+    assert found["disparity_rounding"].strengths["step_px"] == pytest.approx(0.02, rel=0.01)
     assert found["missing_data"].strengths["rates"][0] == pytest.approx(0.05, rel=0.1)
     assert found["noise"].strengths["low_mm"] == pytest.approx(4.0, rel=0.1)
     assert fit.mirrored is False
