@@ -14,6 +14,7 @@ import pytest
 from benches.__main__ import main as tools_main
 from benches.bench import BENCHES
 
+from bodyseg_model.commands.cli import COMMANDS
 from bodyseg_model.commands.cli import main as bodyseg_main
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +30,7 @@ FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/
 PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")
 DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+(?!/)")
 MEMBER = re.compile(r"`([A-Z]\w+)\.([a-z]\w*)")
-BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z]+)")
+BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z_]+)")
 COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
 """A command's name, which is no folder, file or format ("bodyseg shards 4"), and the rest of its line."""
 
@@ -181,10 +182,12 @@ def options_on_command_lines() -> dict[str, set[str]]:
 
 
 def options_of(name: str) -> set[str]:
-    """The options that a command's help lists."""
+    """The options that a command's help lists, or those of a group's commands."""
     out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
-        (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([name, "--help"])
+    group = [each.split() for each in COMMANDS if each.startswith(f"{name} ")]
+    for words in group or [[name]]:
+        with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+            (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([*words, "--help"])
     return set(re.findall(r"--[a-z][a-z-]*", out.getvalue()))
 
 

@@ -28,7 +28,10 @@ COMMANDS: Final[Commands] = {
     "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
-"""Name -> (module, summary). A module is imported when its command runs, so that no command loads another's imports."""
+"""Name -> (module, summary). A module is imported when its command runs, so that no command loads another's imports.
+
+Commands of a group have a name of two words, group and command, as "sensor fit".
+"""
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 SHELLS: Final[tuple[Shell, ...]] = get_args(Shell)
@@ -59,13 +62,13 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     terminated, 70 a bug in this program.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name = words[0] if words else ""
+    name, words = _command_name(commands, words)
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
     before = _handle_signals()
     try:
-        status = _run(program, commands, name, words[1:])
+        status = _run(program, commands, name, words)
         sys.stdout.flush()
         return status
     except BodysegError as error:
@@ -114,7 +117,19 @@ def _stop(number: int, frame: Any) -> None:
     raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
 
+def _command_name(commands: Commands, words: list[str]) -> tuple[str, list[str]]:
+    """The command that a line begins with, of one word or two, and the words after it."""
+    name = " ".join(words[:2])
+    return (name, words[2:]) if name in commands else (words[0] if words else "", words[1:])
+
+
 def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
+    group = {each: entry for each, entry in commands.items() if each.startswith(f"{name} ")}
+    if group and words[:1] in ([], ["-h"], ["--help"]):
+        sys.stdout.write(_overview(program, group, name))
+        return 0
+    if group:
+        raise BadConfig(f"no such command; there are {', '.join(group)}")
     if name in ("", "-h", "--help"):
         sys.stdout.write(_overview(program, commands))
         return 0
@@ -144,9 +159,15 @@ def _completion(program: str, commands: Commands, words: list[str]) -> str:
     from cyclopts import App
 
     everything = App(program.strip(), version=version_line)
+    groups: dict[str, App] = {}
     for name in commands:
         command, summary = _load(commands, name)
-        everything.command(command_parser(command.Options, name, summary, command.EXAMPLE))
+        group, _, inner = name.rpartition(" ")
+        if group and group not in groups:
+            groups[group] = App(group)
+            everything.command(groups[group])
+        home = groups[group] if group else everything
+        home.command(command_parser(command.Options, inner, summary, command.EXAMPLE))
     return everything.generate_completion(shell=shell)
 
 
@@ -156,9 +177,11 @@ def _say(command: str, message: str, status: int) -> int:
     return status
 
 
-def _overview(program: str, commands: Commands) -> str:
+def _overview(program: str, commands: Commands, group: str = "") -> str:
     width = max(map(len, commands))
     lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items()]
+    if group:
+        return "\n".join([f"Usage: {program}{group} COMMAND [--help] ...", "", *lines, ""])
     usage = [f"{program}COMMAND [--help] ...", f"{program}--version", f"{program}--completion {'|'.join(SHELLS)}"]
     indent = "\n" + " " * len("Usage: ")
     return "\n".join([f"Usage: {indent.join(usage[: 3 if program.endswith(' ') else 1])}", "", *lines, ""])

@@ -13,6 +13,9 @@ COMMANDS: Final[cli.Commands] = {
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
+    "sensor fit": ("bodyseg_model.commands.sensor_fit", "measure which artifacts a sensor has from its own frames"),
+    "sensor list": ("bodyseg_model.commands.sensor_list", "list the sensor models that ship with the package"),
+    "sensor show": ("bodyseg_model.commands.sensor_show", "print a sensor model as TOML"),
     "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts, motion, arithmetic"),
 }
 

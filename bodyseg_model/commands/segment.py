@@ -29,6 +29,7 @@ from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
 from bodyseg_model.segmentation.undistortion import Undistortion
+from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
@@ -38,6 +39,7 @@ _SUMMARY: Final = "summary.json"
 _PREVIEW: Final = "preview.gif"
 _RESULTS: Final = ("labels", "overlay")
 _UNDISTORTED: Final = "undistorted"
+_SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,11 @@ def run(options: Options) -> int:
     folders = _RESULTS if lens is None else (*_RESULTS, _UNDISTORTED)
     _make_folders(options.out, folders)
 
-    summary = SequenceSummary()
+    summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            _segment(frame, lens, step_m, segmenter, options.out, summary, preview)
+            range_m, bodies = _segment(frame, lens, step_m, segmenter, options.out, summary, preview)
+            shadows.add(number, frame.name, range_m, bodies)
             progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(), options.out / "legend.png")
     write_result(options.out / _PREVIEW, preview.to_gif())
@@ -102,7 +105,7 @@ def run(options: Options) -> int:
         "device": str(segmenter.device),
     }
     write_json(options.out / _SUMMARY, {**facts, **summary.to_json()})
-    sys.stderr.write("".join(f"{line}\n" for line in _remarks(camera, summary, len(frames), options.out)))
+    sys.stderr.write("".join(f"{line}\n" for line in _remarks(options, camera, summary, shadows)))
     return 0
 
 
@@ -122,8 +125,11 @@ def _segment(
     out: Path,
     summary: SequenceSummary,
     preview: Preview,
-) -> None:
-    """Read, label, write and count one frame. Raises BadConfig, naming it, before anything of it is written."""
+) -> tuple[NDArray[np.float32], list[NDArray[np.intp]]]:
+    """Read, label, write and count one frame; returns its ranges and the pixels of its bodies.
+
+    Raises BadConfig, naming it, before anything of it is written.
+    """
     watch = Stopwatch(STAGES)
     with watch("read"):
         pixels = _read(frame, lens)
@@ -143,6 +149,7 @@ def _segment(
             write_result(out / folder / f"{frame.name}.png", buffer.getvalue())
     preview.add(overlay)
     summary.add(frame.name, frame.where, range_m, result, {**watch.milliseconds, **result.milliseconds})
+    return range_m, [body.pixels for body in result.bodies]
 
 
 def _background(options: Options) -> Background:
@@ -170,13 +177,21 @@ def _facts(trained: Trained) -> dict[str, Any]:
     }
 
 
-def _remarks(camera: FrameCamera, summary: SequenceSummary, frames: int, out: Path) -> list[str]:
+def _remarks(options: Options, camera: FrameCamera, summary: SequenceSummary, shadows: ShadowFrames) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
-    lines = [f"wrote {frames} frames to {out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
+    frames = shadows.frames
+    lines = [f"wrote {frames} frames to {options.out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
+    mirrored = shadows.mirrored(camera)
+    if mirrored is not None and mirrored != options.mirrored:
+        shown = "mirrored: give" if mirrored else "not mirrored: leave out"
+        lines.append(
+            f"the projector's shadows lie on the {camera.projector_side if mirrored else 'other'} side of bodies, so "
+            f"frames are probably {shown} --mirrored"
+        )
     return lines

@@ -243,8 +243,13 @@ class _CleanSamples:
         return self._subsets[body]
 
     def labels(self, key: str, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The clean label image of a sample, uint8 [H, W]. shown: its labels in the variant."""
-        return shown if self._same else self._read(key).labels
+        """The clean label image of a sample, uint8 [H, W]. shown: its labels in the variant, which stand where the clean
+        image has background: lateral noise moves silhouettes.
+        """
+        if self._same:
+            return shown
+        clean = self._read(key).labels
+        return np.where(clean == BACKGROUND, shown, clean)
 
     def _read(self, key: str) -> Sample:
         if self._last is None or self._last.key != key:

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import PAPER, Camera, Sensor, load_sensor, rig_names
+from bodyseg_data.core.rig import PAPER, Camera, Rig, Sensor, load_sensor, rig_names
 
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A camera and the origin of its numbers. assumed: whether they follow from the frames' size alone."""
+    """A camera and the origin of its numbers. assumed: whether they follow from the frames' size alone. rig: the camera
+    with its projector, where the sensor is known and has one.
+    """
 
     camera: Camera
     origin: str
     assumed: bool = False
+    rig: Rig | None = None
+
+    @property
+    def projector_side(self) -> Literal["left", "right"] | None:
+        """The projector's side of the camera, as the camera looks; None if it is not known, or above or below."""
+        if self.rig is None:
+            return None
+        x, y, _ = self.camera.axes @ np.subtract(self.rig.projector.position_m, self.rig.camera.position_m)
+        return None if abs(x) <= abs(y) else "right" if x > 0 else "left"
 
     def to_json(self) -> dict[str, Any]:
         """Intrinsics, any distortion and their origin as plain JSON; the pose does not matter to a frame."""
@@ -58,13 +71,14 @@ def frame_camera(
     if rig is not None:
         if focal_px is not None or centre_px:
             raise BadConfig("give either --rig or --focal and --centre")
-        camera = load_sensor(rig).camera
+        sensor = load_sensor(rig)
+        camera = sensor.camera
         if (camera.rows, camera.columns) != shape:
             raise BadConfig(
                 f"frames must have the size of the rig's camera, {camera.rows} x {camera.columns}, "
                 f"found {rows} x {columns}: {where}"
             )
-        return FrameCamera(camera, f"rig {rig}")
+        return FrameCamera(camera, f"rig {rig}", rig=sensor.rig)
     if len(centre_px) not in (0, 2):
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")
     if focal_px is not None:
@@ -73,7 +87,7 @@ def frame_camera(
         raise BadConfig("--centre needs --focal")
     for sensor in assumed_sensors():
         if (sensor.camera.rows, sensor.camera.columns) == shape:
-            return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True)
+            return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True, sensor.rig)
     raise BadConfig(f"no sensor is assumed for frames of {rows} x {columns} pixels: give --focal or --rig ({where})")
 
 

@@ -128,8 +128,8 @@ def test_help_shows_defaults_choices_and_an_example(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([name, "--help"]) == 0
-    assert f"example:\n  bodyseg {name} " in capsys.readouterr().out
+    assert main([*name.split(), "--help"]) == 0
+    assert f"example:\n  bodyseg {name}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", tools.COMMANDS)
@@ -140,7 +140,7 @@ def test_every_tool_of_a_checkout_has_help_with_an_example(name: str, capsys: py
 
 @pytest.mark.parametrize("name", [*COMMANDS, *tools.COMMANDS])
 def test_every_command_is_a_tool_in_a_checkout(name: str) -> None:
-    tool = ROOT / "tools" / name
+    tool = ROOT / "tools" / name.split()[0]
     assert tool.is_file()
     assert os.access(tool, os.X_OK)
     assert tool.resolve().name == "bodyseg_command"
@@ -186,13 +186,14 @@ def test_bash_completes_commands_options_choices_and_files(tmp_path: Path, capsy
     script = tmp_path / "script.bash"
     script.write_text(capsys.readouterr().out)
     (tmp_path / "shards").mkdir()
-    assert completed(script, "") == list(COMMANDS)
+    assert completed(script, "") == list(dict.fromkeys(name.split()[0] for name in COMMANDS))
+    assert completed(script, "sensor", "") == ["fit", "list", "show"]
     assert completed(script, "verify", "sh") == completed(script, "train", "--data", "s")[1:] == ["shards"]
     assert completed(script, "train", "--network", "") == ["fcn_alexnet", "compact", "segformer", "deeplab"]
     for name, (module, _) in COMMANDS.items():
         fields = dataclasses.fields(importlib.import_module(module).Options)
         options = {flag_of(field) for field in fields if not field.metadata["positional"]}
-        assert set(completed(script, name, "--")) == options | {"--help", "--version"}
+        assert set(completed(script, *name.split(), "--")) == options | {"--help", "--version"}
 
 
 @pytest.mark.parametrize("shell", cli.SHELLS[1:])

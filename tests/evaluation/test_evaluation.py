@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.sensor_model import sensor_model_names
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
@@ -192,6 +193,16 @@ def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
         open_images(str(figures_set), missing=1.5)
     with pytest.raises(BadConfig, match="noise must satisfy"):
         open_images(str(figures_set), noise_mm=float("nan"))
+
+
+@pytest.mark.parametrize("sensor", sensor_model_names())
+def test_images_of_every_sensor_are_evaluated_whole(figures_set: Path, network: ByRange, sensor: str) -> None:
+    images = open_images(str(figures_set), "all", "test", sensor=sensor)
+    found = evaluate(network, images, 6)
+    pixels = sum(np.count_nonzero(images.image(index).range) for index in images.order(0)[:6].tolist())
+    total = found.total()
+    assert total.borders is not None
+    assert total.confusion.counts.sum() == total.borders.counts.sum() == pixels
 
 
 def test_answers_that_are_none_are_refused(figures_set: Path) -> None:

@@ -309,3 +309,18 @@ def test_real_frames_have_one_person_each(sequence: str, names: list[str], least
     for frame in report(tmp_path / "out")["each"]:
         assert frame["people"] == 1 and frame["pixels"] > least_pixels
         assert frame["bodies"][0]["range_m"] < 2, "not the wall"
+
+
+def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if not (REAL / "kinect_v1").is_dir():
+        pytest.skip(f"real frames are absent: no kinect_v1 in {REAL} (set BODYSEG_REAL to the folder that has it)")
+    file = REAL / "kinect_v1" / "0000000000_depth.png"
+    assert run(file, "--out", tmp_path / "out") == 0
+    warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored"
+    assert f"{warning}: give --mirrored" in capsys.readouterr().err.splitlines()
+    assert run(file, "--mirrored", "--out", tmp_path / "out") == 0
+    assert "probably" not in capsys.readouterr().err
+    with Image.open(file) as picture:
+        save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
+    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "out") == 0
+    assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err

@@ -1,0 +1,105 @@
+"""`bodyseg sensor fit`: measure which artifacts a sensor has, and how strong, from its own frames of people."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_data.commands.options import option
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import check_target
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_result
+from bodyseg_data.core.rig import rig_names
+from bodyseg_data.drawing.style import check_picture, save_picture
+from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
+from bodyseg_model.segmentation.foreground import Background, BackgroundMode
+from bodyseg_model.segmentation.frames import find_frames, metres_a_step
+from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
+from bodyseg_model.sensor_fit.picture import draw_comparison
+from bodyseg_model.sensor_fit.recording import read_recording
+
+EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command."""
+
+    frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
+    out: Path | None = option("write the sensor model to this TOML file", None)
+    picture: Path | None = option("draw a frame beside its simulation in this PNG file", None)
+    json: bool = option("print all figures as JSON instead of the table", False)
+    name: str = option("name of the sensor model, one word", "measured")
+    units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
+    rig: str | None = option(f"frames are from this sensor: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
+    centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    background: BackgroundMode = option(
+        "people: find bodies as segment does; limits: all within the limits is a body; keep: all that was measured is",
+        "people",
+    )
+    near: float | None = option("the near limit of people and limits, metres (default: 0.5)", None)
+    far: float | None = option("their far limit, metres (default: 5)", None)
+    nearer_than: float | None = option("all that is nearer than this, metres, is a body, whatever its size", None)
+
+
+def run(options: Options) -> int:
+    """Measure, print the verdicts, and write what was asked for."""
+    for path, flag in ((options.out, "--out"), (options.picture, "--picture")):
+        if path is not None:
+            check_target(path, flag)
+    if options.picture is not None:
+        check_picture(options.picture, "--picture")
+    SensorModel(options.name)  # a bad name is told before the measurement
+    step_m, background = metres_a_step(options.units), _background(options)
+    files = find_frames(options.frames)
+    first = files[0].read()
+    camera = frame_camera((first.shape[0], first.shape[1]), files[0].where, options.rig, options.focal, options.centre)
+    recording = read_recording(files, camera.camera, step_m, background, options.nearer_than)
+    with Progress("measuring", "steps") as progress:
+        fit = fit_sensor(recording, camera, progress.update)
+    model = fit.model(options.name)
+    if options.json:
+        sys.stdout.write(json.dumps({**fit.to_json(), "sensor": model.to_json()}, indent=1) + "\n")
+    else:
+        sys.stdout.write(_table(fit))
+    if options.out is not None:
+        write_result(options.out, model.to_toml(fit.comments()).encode())
+        sys.stderr.write(f"wrote {options.out}\n")
+    if options.picture is not None:
+        save_picture(draw_comparison(recording, model), options.picture)
+        sys.stderr.write(f"wrote {options.picture}\n")
+    sys.stderr.write("".join(f"{line}\n" for line in _remarks(fit, camera)))
+    return 0
+
+
+def _background(options: Options) -> Background:
+    limits = {"near_m": options.near, "far_m": options.far}
+    given = {name: limit for name, limit in limits.items() if limit is not None}
+    if options.nearer_than is not None and (given or options.background != "people"):
+        raise BadConfig("--nearer-than finds bodies alone: leave out --background, --near and --far")
+    if options.nearer_than is not None and not options.nearer_than > 0:
+        raise BadConfig(f"--nearer-than must be above 0 m, found {options.nearer_than:g}")
+    if given and options.background == "keep":
+        raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
+    return Background(options.background, **given)
+
+
+def _table(fit: SensorFit) -> str:
+    artifact = max(len(finding.artifact) for finding in fit.findings)
+    verdict = max(len(finding.verdict) for finding in fit.findings)
+    lines = [f"{each.artifact:{artifact}}  {each.verdict:{verdict}}  {each.reason}" for each in fit.findings]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _remarks(fit: SensorFit, camera: FrameCamera) -> list[str]:
+    lines = []
+    if fit.mirrored:
+        lines.append("frames are probably mirrored: give --mirrored to bodyseg segment")
+    if camera.assumed:
+        lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
+    return lines

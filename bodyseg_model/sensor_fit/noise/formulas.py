@@ -1,0 +1,249 @@
+"""Noise of range against range and incidence: variances in bins, and the simplest formula that explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
+from bodyseg_model.sensor_fit.noise.bins import NoiseBins, bin_noise, clipped_variance, unrounded
+from bodyseg_model.sensor_fit.noise.least_squares import Fit, fit_positive
+from bodyseg_model.sensor_fit.noise.residuals import Residuals
+from bodyseg_model.sensor_fit.rounding import Steps
+
+FROM_M: Final = 0.4
+"""Range at which the quadratic term begins (Nguyen, Izadi and Lovell, 2012)."""
+
+LEAST_RESIDUALS: Final = 2000
+LEAST_MM: Final = 0.3
+"""Least noise that is told from the relief of a surface, millimetres."""
+
+LEAST_PX: Final = 0.3
+"""Least jitter, pixels: offsets are of whole pixels, and hardly any is of less."""
+
+NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
+
+_MATTERS: Final = 0.25  # of the noise facing the camera: less growth may be the shape of limbs
+_WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
+_VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
+_ANY_BASELINE_M: Final = 0.1
+_SHARED: Final = 1.5  # of the deviation between neighbours: more around a surface is not of single pixels
+_PART: Final = 0.2  # of all noise: less beside jitter may be the rounding of jitter to whole pixels
+_TOLD: Final = 0.5  # largest relative error of a strength that is written
+
+Floats = NDArray[np.float64]
+
+
+def measure_noise(
+    residuals: Sequence[Residuals], steps: Steps, focal_px: float, baseline_m: float | None, ragged: bool
+) -> list[Finding]:
+    """Findings of "noise", "axial_noise", "stereo_noise" and "lateral_noise".
+
+    focal_px, baseline_m: of the sensor, for the subpixel of stereo noise; None where no baseline is known. ragged:
+    whether outlines lose pixels, as they must where pixels jitter; otherwise noise on slopes is laid to incidence.
+    """
+    count = sum(len(each.residual_m) for each in residuals)
+    if count < LEAST_RESIDUALS:
+        reason = f"{count} residuals are too few, {LEAST_RESIDUALS} are needed"
+        return [Finding(name, UNKNOWN, reason) for name in NAMES]
+    bins = bin_noise(residuals, steps)
+    if not len(bins.count):
+        return [Finding(name, UNKNOWN, "no range has enough pixels of one incidence") for name in NAMES]
+    weight = bins.count / bins.count.sum()
+    typical = float(np.sqrt(max((weight * bins.variance_mm2).sum(), 0.0)))
+    step = float((weight * steps.at(bins.range_m)).sum()) * 1000
+    seen = (bins.variance_mm2 > 3 * bins.error_mm2) & (bins.variance_mm2 > LEAST_MM**2)
+    if (bins.count * seen).sum() < LEAST_RESIDUALS // 2:
+        return _none_seen(typical, step, bins)
+    varying = _varying(residuals, steps)
+    if varying is not None:
+        return varying
+    return _chosen(bins, residuals, focal_px, baseline_m, ragged)
+
+
+def _none_seen(typical: float, step: float, bins: NoiseBins) -> list[Finding]:
+    nearest, farthest = bins.range_m.min(), bins.range_m.max()
+    most = max(float(np.sqrt(np.median(bins.error_mm2)) * 2), LEAST_MM)
+    coarse = step / np.sqrt(12) > LEAST_MM
+    if coarse:
+        verdict, reason = UNKNOWN, f"noise of at most {max(most, typical):.2g} mm is hidden by steps of {step:.2g} mm"
+    else:
+        verdict = NOT_SEEN
+        reason = f"less than {most:.2g} mm from {nearest:.2f} to {farthest:.2f} m"
+    return [Finding(name, verdict, reason, {"sigma_mm": Estimate(typical)}) for name in NAMES]
+
+
+def _varying(residuals: Sequence[Residuals], steps: Steps) -> list[Finding] | None:
+    """Findings where each frame has a noise of its own, or None."""
+    chosen = [each for each in residuals if each.body]
+    if len(chosen) < 4:
+        return None
+    sigmas = []
+    for each in chosen:
+        step = float(np.mean(steps.at(each.range_m)))
+        variance = clipped_variance(each.residual_m, step)
+        sigmas.append(1000 * np.sqrt(unrounded(variance, step, each.kind == "temporal")))
+    spread, mean = float(np.std(sigmas, ddof=1)), float(np.mean(sigmas))
+    if mean < LEAST_MM or mean < 500 * max(float(np.max(steps.at(each.range_m))) for each in chosen):
+        return None  # what the step leaves of so little noise differs with the surface
+    # Ranges differ between the frames of a moving body, and noise with them.
+    ranges = np.array([np.median(each.range_m) for each in chosen])
+    if spread < _VARYING * mean + 2 * mean * float(np.ptp(ranges) / ranges.mean()):
+        return None
+    if chosen[0].kind == "temporal":  # each difference mixes the variances of two frames
+        spread *= np.sqrt(2)
+    low, high = max(mean - np.sqrt(3) * spread, 0.0), mean + np.sqrt(3) * spread
+    error = spread / np.sqrt(len(sigmas))
+    estimates = {"low_mm": Estimate(low, 2 * error), "high_mm": Estimate(high, 2 * error)}
+    reason = f"each frame has its own deviation, {mean:.3g} mm in the mean and {spread:.2g} mm apart"
+    strengths = {"low_mm": rounded(low), "high_mm": rounded(high)}
+    rest = [Finding(name, UNKNOWN, "the frames' deviations differ by themselves") for name in NAMES[1:]]
+    return [Finding("noise", NEEDED, reason, estimates, strengths), *rest]
+
+
+_LATERAL: Final[tuple[tuple[str, ...], ...]] = ((), ("constant_px",), ("constant_px", "grazing_px"))
+_BASES: Final[dict[str, tuple[str, ...]]] = {
+    "noise": ("sigma_mm",),
+    "stereo_noise": ("per_m2_mm",),
+    "axial_noise": ("constant_mm", "quadratic_mm"),
+}
+
+
+def _chosen(
+    bins: NoiseBins, residuals: Sequence[Residuals], focal_px: float, baseline_m: float | None, ragged: bool
+) -> list[Finding]:
+    """The formula with the least chi squared plus a price for each parameter."""
+    fits: list[tuple[float, str, Fit]] = []
+    for base, names in _BASES.items():
+        for grazing in ((), ("grazing_mm",)):
+            for lateral in _LATERAL if ragged else _LATERAL[:1]:
+                if base == "stereo_noise" and grazing:
+                    continue  # that formula has no such term
+                parameters = (*names, *grazing, *lateral)
+                fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
+                fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
+    _, base, fit = min(fits, key=lambda each: each[0])
+    if _at_grazing(base, fit, float(np.median(bins.range_m))) < _MATTERS:
+        _, base, fit = min((each for each in fits if "grazing_mm" not in each[2].parameters), key=lambda each: each[0])
+    return _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
+
+
+def _at_grazing(base: str, fit: Fit, range_m: float) -> float:
+    """The share that noise grows by from facing the camera to 75 degrees, infinite for a formula without growth."""
+    if "grazing_mm" not in fit.parameters:
+        return float("inf")
+    values = {name: value for name, (value, _) in fit.parameters.items()}
+    grazing = values["grazing_mm"] * 25.0 / np.sqrt(range_m)  # (75 / 15) squared
+    quadratic = values.get("constant_mm", 0.0) + values.get("quadratic_mm", 0.0) * (range_m - FROM_M) ** 2
+    return float(grazing / max(values.get("sigma_mm", quadratic), 1e-9))
+
+
+def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
+    z = bins.range_m
+
+    def variance(strengths: dict[str, float]) -> Floats:
+        if base == "noise":
+            axial = np.full(z.shape, strengths["sigma_mm"])
+        elif base == "stereo_noise":
+            axial = strengths["per_m2_mm"] * z**2
+        else:
+            axial = strengths["constant_mm"] + strengths["quadratic_mm"] * (z - FROM_M) ** 2
+        axial = axial + strengths.get("grazing_mm", 0.0) * bins.ratio2 / np.sqrt(z)
+        lateral = strengths.get("constant_px", 0.0) + strengths.get("grazing_px", 0.0) * bins.ratio
+        total: Floats = axial**2 + bins.slope2_mm2 * _whole_pixels(lateral)
+        return total
+
+    return variance
+
+
+def _whole_pixels(sigma_px: Floats | float) -> Floats:
+    """Variance of Gaussian offsets rounded to whole pixels, as `lateral_noise` has them, pixels squared."""
+    sigma = np.maximum(np.asarray(sigma_px, np.float64), 1e-6)
+    # For small deviations hardly any offset reaches the next pixel; from 0.5 on, rounding adds a twelfth.
+    tails = [(2 * k - 1) * _beyond((k - 0.5) / sigma) for k in range(1, 12)]
+    return np.asarray(sum(tails))
+
+
+def _beyond(size: Floats) -> Floats:
+    """Probability of a standard normal beyond +-size (Abramowitz and Stegun, 1964, 26.2.17, within 1e-7)."""
+    t = 1 / (1 + 0.2316419 * size)
+    series = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
+    found: Floats = 2 * series * np.exp(-(np.minimum(size, 38.0) ** 2) / 2) / np.sqrt(2 * np.pi)
+    return found
+
+
+def _findings(
+    base: str,
+    fit: Fit,
+    bins: NoiseBins,
+    residuals: Sequence[Residuals],
+    focal_px: float,
+    baseline_m: float | None,
+    ragged: bool,
+) -> list[Finding]:
+    found = {name: Estimate(value, error) for name, (value, error) in fit.parameters.items()}
+    kinds = " and ".join(sorted({each.kind for each in residuals}))
+    nearest, farthest = bins.range_m.min(), bins.range_m.max()
+    where = f"{kinds} residuals from {nearest:.2f} to {farthest:.2f} m"
+    spatial = [each for each in residuals if each.kind == "spatial"]
+    if spatial:
+        around = float(np.median([each.misfit_m for each in spatial]))
+        single = float(np.median([each.deviation_m() for each in spatial]))
+        if around > _SHARED * single:
+            where += f"; smooth surfaces fit to {1000 * around:.2g} mm only: neighbours share noise, or cloth has folds"
+    axial = {name: value for name, value in found.items() if not name.endswith("_px")}
+    lateral = {name: value for name, value in found.items() if name.endswith("_px")}
+    seen = "; ".join(f"{name} {value}" for name, value in axial.items())
+    findings = {name: Finding(name, NOT_SEEN, f"{base} explains the {where}") for name in NAMES}
+    if farthest < 1.15 * nearest and base != "axial_noise":
+        narrow = "ranges differ too little to show how noise grows with range"
+        findings |= {name: Finding(name, UNKNOWN, narrow) for name in ("axial_noise", "stereo_noise")}
+    largest = float(np.sqrt(np.median(_model(base, bins)({name: value.value for name, value in axial.items()}))))
+    if largest >= max(LEAST_MM, _PART * float(np.sqrt(np.median(bins.variance_mm2)))):
+        name, strengths = _strengths(base, axial, focal_px, baseline_m)
+        findings[name] = Finding(name, NEEDED, f"{seen} ({where})", axial, strengths)
+    if lateral and lateral["constant_px"].value + 2 * lateral.get("grazing_px", Estimate(0.0)).value >= LEAST_PX:
+        strengths = {name: rounded(value.value) for name, value in lateral.items()}
+        reason = "; ".join(f"{name} {value}" for name, value in lateral.items())
+        relative = lateral["constant_px"].error / max(lateral["constant_px"].value, 1e-9)
+        told = relative < _TOLD or "grazing_px" in lateral
+        strengths = {"constant_px": 0.0, "grazing_px": 0.0} | strengths
+        reason += " of jitter: noise grows with the slope of the surface"
+        findings["lateral_noise"] = Finding(
+            "lateral_noise", NEEDED if told else UNKNOWN, reason, lateral, strengths if told else {}
+        )
+    else:
+        reason = "noise does not grow with slope" if ragged else "outlines lose no pixels, as jitter would"
+        findings["lateral_noise"] = Finding("lateral_noise", NOT_SEEN, reason)
+    return list(findings.values())
+
+
+def _strengths(
+    base: str, axial: dict[str, Estimate], focal_px: float, baseline_m: float | None
+) -> tuple[str, dict[str, float]]:
+    """The artifact that a formula is written as, and its strengths.
+
+    Noise of one deviation that also grows with incidence is axial noise without growth. Stereo noise without a known
+    baseline is written for one of 10 cm, as only subpixel over focal length and baseline shows.
+    """
+    values = {name: rounded(estimate.value, 4) for name, estimate in axial.items()}
+    if base == "noise" and "grazing_mm" not in axial:
+        return "noise", {"low_mm": values["sigma_mm"], "high_mm": values["sigma_mm"]}
+    if base == "stereo_noise":
+        baseline = baseline_m or _ANY_BASELINE_M
+        subpixel = axial["per_m2_mm"].value / 1000 * focal_px * baseline
+        return "stereo_noise", {
+            "subpixel_px": rounded(subpixel, 4),
+            "focal_px": focal_px,
+            "baseline_m": rounded(baseline, 4),
+        }
+    constant = values.get("constant_mm", values.get("sigma_mm", 0.0))
+    return "axial_noise", {
+        "constant_mm": constant,
+        "quadratic_mm": values.get("quadratic_mm", 0.0),
+        "from_m": FROM_M,
+        "grazing_mm": values.get("grazing_mm", 0.0),
+    }

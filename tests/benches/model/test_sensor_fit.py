@@ -1,0 +1,55 @@
+"""`bench sensor_fit` on a plain figure and a few cases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benches.model.sensor_fit import bench
+from benches.model.sensor_fit.bench import all_cases, bench_sensor_fit, summarise
+from benches.model.sensor_fit.figure import draw_sensor_fit
+from benches.model.sensor_fit.recordings import Scene
+from fakes import Figures
+
+from bodyseg_data.core.errors import BadConfig
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Results for one figure, four cases and two scenes."""
+    names = ("nothing", "noise 3 mm", "edges 1 px 50%", "shadow 0.2 m")
+    chosen = [case for case in all_cases(525.0) if case.name in names]
+    monkeypatch.setattr(bench, "all_cases", lambda focal_px: chosen)
+    monkeypatch.setattr(bench, "SCENES", (Scene(1), Scene(4)))
+    monkeypatch.setattr(bench, "open_source", lambda name: Figures())
+    done: list[tuple[int, int]] = []
+    answer = bench_sensor_fit(1, lambda *numbers: done.append(numbers))
+    assert done == [(number, 8) for number in range(1, 9)]
+    return answer
+
+
+def test_known_strengths_are_compared_with_those_found(figures: dict[str, Any], tmp_path: Path) -> None:
+    rows = {(row["case"], row["scene"]): row for row in figures["rows"]}
+    assert set(figures["summary"]) == {"1 still", "4 still"} and len(rows) == 8
+    assert rows["nothing", "4 still"]["figures"] == [] == rows["nothing", "4 still"]["others_needed"]
+    (noise,) = rows["noise 3 mm", "4 still"]["figures"]
+    assert noise["true"] == 3.0 and abs(noise["error"]) < 0.1
+    (shadow,) = rows["shadow 0.2 m", "4 still"]["figures"]
+    assert shadow["figure"] == "baseline_m" and abs(shadow["error"]) < 0.1
+    assert rows["edges 1 px 50%", "4 still"]["verdicts"] == {"edge_loss": "needed"}
+    assert figures["summary"]["4 still"]["within"] == figures["summary"]["4 still"]["figures"] == 4
+    draw_sensor_fit(figures, tmp_path / "sensor_fit.png")
+    assert (tmp_path / "sensor_fit.png").stat().st_size > 10_000
+
+
+def test_figures_that_are_not_found_are_counted() -> None:
+    errors = [{"error": None}, {"error": -0.3}, {"error": 0.05}]
+    summary = summarise([{"scene": "1 still", "figures": errors, "others_needed": ["noise"]}])
+    wanted = {"figures": 3, "within": 1, "beyond": 1, "not_found": 1, "median_error": 0.175, "others_needed": 1}
+    assert summary == {"1 still": wanted}
+
+
+def test_there_must_be_a_body() -> None:
+    with pytest.raises(BadConfig, match="the number of bodies must be a whole number of at least 1"):
+        bench_sensor_fit(0)

@@ -1,0 +1,57 @@
+"""Recordings of the plain figure by sensors with known artifacts, on the rig of a Kinect v1 with steps of 0.1 mm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Final
+
+import numpy as np
+from benches.model.sensor_fit.recordings import Scene, Scenes
+from fakes import Figures
+
+from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_data.core.rig import load_rig
+from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.sensor_fit.finding import Finding
+from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
+from bodyseg_model.sensor_fit.recording import Recording
+
+RIG: Final = replace(load_rig("kinect_v1"), range_step_mm=0.1)
+CAMERA: Final = FrameCamera(RIG.camera, "known", rig=RIG)
+
+
+@cache
+def _scenes() -> Scenes:
+    source = Figures()
+    return Scenes(source.build(next(iter(source.bodies()))), RIG)
+
+
+def recorded(*artifacts: Artifact, frames: int = 4, moving: bool = False, wall: bool = False) -> Recording:
+    """A recording of the figure with these artifacts."""
+    return _scenes().record(Scene(frames, moving, wall), SensorModel("known", artifacts))
+
+
+def fitted(recording: Recording, camera: FrameCamera = CAMERA) -> dict[str, Finding]:
+    """All findings by artifact."""
+    return by_artifact(fit_sensor(recording, camera))
+
+
+def by_artifact(fit: SensorFit) -> dict[str, Finding]:
+    """The findings of a fit by artifact."""
+    return {finding.artifact: finding for finding in fit.findings}
+
+
+def flipped(recording: Recording) -> Recording:
+    """The recording with left and right exchanged."""
+    frames = tuple(
+        replace(
+            frame,
+            stored=np.ascontiguousarray(frame.stored[:, ::-1]),
+            range_m=np.ascontiguousarray(frame.range_m[:, ::-1]),
+            body=np.ascontiguousarray(frame.body[:, ::-1]),
+        )
+        for frame in recording.frames
+    )
+    return replace(recording, frames=frames)

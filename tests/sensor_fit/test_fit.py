@@ -1,0 +1,94 @@
+"""The whole measurement: verdicts on clean frames, on too few, on a known sensor and on real frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from folders import SHARED_DATA
+from known_sensors import CAMERA, by_artifact, fitted, recorded
+
+from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
+from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding
+from bodyseg_data.artifacts.sensor_model import parse_sensor_model
+from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.frames import find_frames
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
+from bodyseg_model.sensor_fit.fit import ORDER, fit_sensor
+from bodyseg_model.sensor_fit.recording import read_recording
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_clean_frames_need_no_artifact(moving: bool) -> None:
+    fit = fit_sensor(recorded(moving=moving, wall=True), CAMERA)
+    assert tuple(finding.artifact for finding in fit.findings) == ORDER
+    assert [finding.artifact for finding in fit.findings if finding.verdict == NEEDED] == []
+    verdicts = {finding.artifact: finding.verdict for finding in fit.findings}
+    assert verdicts.pop("grazing_loss") == (UNKNOWN if moving else NOT_SEEN)
+    assert set(verdicts.values()) == {NOT_SEEN}
+    assert fit.still is not moving and fit.mirrored is None and len(fit.model("clean")) == 0
+
+
+def test_too_little_data_tells_nothing() -> None:
+    recording = recorded(frames=1)
+    (frame,) = recording.frames
+    small = np.zeros(frame.body.shape, np.bool_)
+    rows, columns = np.nonzero(frame.body)
+    small[rows[300] : rows[300] + 20, columns[300] : columns[300] + 20] = True
+    small &= frame.body
+    few = replace(frame, stored=frame.stored * small, range_m=frame.range_m * small, body=small)
+    found = fitted(replace(recording, frames=(few,)))
+    assert {finding.verdict for finding in found.values()} == {UNKNOWN}
+    assert all(finding.reason and not finding.strengths for finding in found.values())
+
+
+def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
+    known = (Occlusion(), Noise(4.0, 4.0), DisparityRounding(0.02), EdgeLoss(1, 0.4), MissingData((0.05,)))
+    seen: list[tuple[int, int]] = []
+    fit = fit_sensor(recorded(*known, frames=8, wall=True), CAMERA, lambda *numbers: seen.append(numbers))
+    assert seen[0] == (0, 5) and seen[-1] == (5, 5)
+    found = by_artifact(fit)
+    needed = [finding.artifact for finding in fit.findings if finding.verdict == NEEDED]
+    assert needed == ["occlusion", "noise", "disparity_rounding", "edge_loss", "missing_data"]
+    assert found["occlusion"].estimates["baseline_right_m"].value < 0.01
+    assert found["occlusion"].estimates["baseline_left_m"].value == pytest.approx(0.075, rel=0.15)
+    assert found["disparity_rounding"].strengths["step_px"] == pytest.approx(0.02, rel=0.01)
+    assert found["missing_data"].strengths["rates"][0] == pytest.approx(0.05, rel=0.1)
+    assert found["noise"].strengths["low_mm"] == pytest.approx(4.0, rel=0.1)
+    assert fit.mirrored is False
+    model = fit.model("mine", "My sensor")
+    text = model.to_toml(fit.comments())
+    assert parse_sensor_model(text, "text") == model and "# needed: " in text and "# mixed_pixels: " in text
+    assert max(map(len, text.splitlines())) <= 112
+    tree = fit.to_json()
+    assert tree["frames"] == 8 and tree["still"] and tree["mirrored"] is False
+    assert tree["findings"][0]["artifact"] == "occlusion" and tree["findings"][0]["verdict"] == NEEDED
+
+
+def test_jitter_explains_ragged_outlines() -> None:
+    found = fitted(recorded(LateralNoise(0.8, 0.0), frames=6))
+    assert found["lateral_noise"].verdict == NEEDED and found["edge_loss"].verdict == NOT_SEEN
+    assert found["lateral_noise"].strengths["constant_px"] == pytest.approx(0.8, rel=0.15)
+    assert "jitter" in found["edge_loss"].reason
+
+
+def test_real_frames_of_a_kinect_are_mirrored() -> None:
+    folder = SHARED_DATA / "real" / "kinect_v1"
+    if not folder.is_dir():
+        pytest.skip(f"no frames in {folder}")
+    files = find_frames([folder])[:6]
+    camera = frame_camera((480, 640), "a frame")
+    fit = fit_sensor(read_recording(files, camera.camera, 0.001, Background(), 1.2), camera)
+    found = by_artifact(fit)
+    assert fit.mirrored and "probably mirrored" in found["occlusion"].reason
+    assert found["occlusion"].estimates["baseline_right_m"].value == pytest.approx(0.057, rel=0.1)
+    assert found["occlusion"].estimates["baseline_left_m"].value == pytest.approx(0.021, rel=0.1)
+    assert found["disparity_rounding"].estimates["step_per_m"].value == pytest.approx(0.0029, rel=0.01)
+    assert found["range_rounding"].strengths == {"step_mm": 1.0} and found["mixed_pixels"].verdict != NEEDED
+    assert "probably mirrored" in fit.comments()[""]

@@ -1,0 +1,28 @@
+"""The picture of a frame beside its simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from known_sensors import recorded
+
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_model.sensor_fit.picture import HEIGHT, draw_comparison, simulate
+
+
+def test_a_simulation_has_the_sensors_artifacts_but_no_shadow() -> None:
+    recording = recorded(frames=1)
+    clean = recording.frames[0].range_m.astype(np.float64)
+    sensor = SensorModel("mine", (Occlusion(), Noise(5.0, 5.0), MissingData((0.2,))))
+    shown = simulate(clean, recording, sensor)
+    both = (shown > 0) & (clean > 0)
+    assert abs(np.std((shown - clean)[both]) - 0.005) < 0.0002
+    assert abs(1 - both.sum() / (clean > 0).sum() - 0.2) < 0.01 and not shown[clean == 0].any()
+
+
+def test_the_picture_has_four_panels() -> None:
+    picture = draw_comparison(recorded(Noise(5.0, 5.0), frames=1), SensorModel("mine", (Noise(5.0, 5.0),)))
+    assert picture.height > HEIGHT and picture.width > 4 * 240
+    assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 50

@@ -1,0 +1,63 @@
+"""Frames chosen and read, and bodies that stand still."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_sensors import recorded
+from PIL import Image
+
+from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.frames import find_frames
+from bodyseg_model.sensor_fit.recording import chosen_frames, read_recording
+
+CAMERA = frame_camera((60, 80), "a frame", focal_px=100.0).camera
+
+
+def save(folder: Path, name: str, frame: np.ndarray) -> None:  # type: ignore[type-arg]
+    Image.fromarray(frame.astype(np.uint16)).save(folder / f"{name}.png")
+
+
+def test_long_recordings_are_thinned_to_pairs() -> None:
+    assert chosen_frames(3) == ([0, 1, 2], ((0, 1), (1, 2)))
+    chosen, pairs = chosen_frames(1000, 10)
+    assert len(chosen) == 10 and len(pairs) == 5 and chosen[0] == 0 and chosen[-1] == 999
+    assert all(chosen[b] == chosen[a] + 1 for a, b in pairs)
+
+
+def test_bodies_are_found_by_a_limit_or_as_people(tmp_path: Path) -> None:
+    frame = np.full((60, 80), 3000)
+    frame[10:50, 30:42] = 1500
+    save(tmp_path, "1", frame)
+    files = find_frames([tmp_path])
+    recording = read_recording(files, CAMERA, 0.001, Background(), 2.0)
+    (found,) = recording.frames
+    np.testing.assert_array_equal(found.body, frame == 1500)
+    np.testing.assert_array_equal(found.room, frame == 3000)
+    (people,) = read_recording(files, CAMERA, 0.001, Background(), None).frames
+    np.testing.assert_array_equal(people.body, found.body)
+    assert not recording.still and not recording.still_room
+
+
+def test_frames_must_fit_and_show_a_body(tmp_path: Path) -> None:
+    save(tmp_path, "1", np.full((60, 80), 3000))
+    with pytest.raises(BadConfig, match="no frame shows a body: are --units, --near, --far or --nearer-than right"):
+        read_recording(find_frames([tmp_path]), CAMERA, 0.001, Background(), 2.0)
+    save(tmp_path, "2", np.full((60, 81), 1000))
+    with pytest.raises(BadConfig, match="the size of the first, 60 x 80, found 60 x 81: .*2.png"):
+        read_recording(find_frames([tmp_path]), CAMERA, 0.001, Background(), 2.0)
+
+
+def test_a_body_is_still_whatever_is_lost_of_it() -> None:
+    assert recorded(Noise(8.0, 8.0), PatchLoss(0.2, 0.2)).still
+    still = recorded(Noise(8.0, 8.0), wall=True)
+    assert still.still and still.still_room
+    moving = recorded(Noise(8.0, 8.0), moving=True, wall=True)
+    assert not moving.still and moving.still_room
+    assert not recorded(frames=1).still

@@ -1,0 +1,56 @@
+"""Shadows beside bodies: side, width, baseline, and frames that show left for right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from known_sensors import CAMERA, RIG, flipped, recorded
+
+from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
+from bodyseg_model.sensor_fit.shadows import ShadowFrames, measure_shadow, probably_mirrored, shadow_finding
+
+
+def test_the_baseline_follows_from_the_width() -> None:
+    shadow = measure_shadow(recorded(Occlusion(), wall=True))
+    assert shadow is not None and shadow.side == "left", "a projector on the right leaves the left dark"
+    assert shadow.baseline_m["left"].value == pytest.approx(RIG.baseline_m, rel=0.1)
+    assert shadow.width_px["right"] == 0
+    finding = shadow_finding(shadow, "right")
+    assert finding.verdict == NEEDED and finding.reason.endswith("frames are not mirrored")
+    assert finding.estimates["baseline_m"].value == pytest.approx(0.075, rel=0.1)
+
+
+def test_mirrored_frames_have_their_shadow_on_the_projectors_side() -> None:
+    shadow = measure_shadow(flipped(recorded(Occlusion(), wall=True)))
+    assert shadow is not None and shadow.side == "right"
+    assert probably_mirrored(shadow, "right") is True and probably_mirrored(shadow, "left") is False
+    assert probably_mirrored(shadow, None) is None
+    assert shadow_finding(shadow, "right").reason.endswith("frames are probably mirrored")
+
+
+def test_no_shadow_and_no_room() -> None:
+    shadow = measure_shadow(recorded(wall=True))
+    assert shadow is not None and shadow.side is None
+    assert shadow_finding(shadow, "right").verdict == NOT_SEEN
+    assert measure_shadow(recorded()) is None
+    assert shadow_finding(None, "right").verdict == UNKNOWN and probably_mirrored(None, "right") is None
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_few_frames_of_a_recording_tell(mirrored: bool) -> None:
+    recording = recorded(Occlusion(), wall=True)
+    recording = flipped(recording) if mirrored else recording
+    frames = ShadowFrames(len(recording.frames), 2)
+    for number, frame in enumerate(recording.frames):
+        frames.add(number, frame.name, frame.range_m, [np.flatnonzero(frame.body)])
+    assert frames.mirrored(CAMERA) is mirrored
+    assert frames.mirrored(FrameCamera(RIG.camera, "given")) is None
+    assert ShadowFrames(3, 2).mirrored(CAMERA) is None
+
+
+def test_the_projectors_side_is_the_rigs() -> None:
+    assert frame_camera((480, 640), "a frame").projector_side == "right"
+    assert frame_camera((640, 329), "a frame", rig="paper").projector_side == "left"
+    assert frame_camera((480, 640), "a frame", focal_px=500.0).projector_side is None

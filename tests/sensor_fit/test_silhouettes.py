@@ -1,0 +1,24 @@
+"""Mixed pixels between a body and what is behind it."""
+
+from __future__ import annotations
+
+import pytest
+from known_sensors import recorded
+
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
+from bodyseg_model.sensor_fit.silhouettes import measure_mixed_pixels
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("share", [0.2, 0.7])
+def test_the_share_of_mixed_pixels(share: float, moving: bool) -> None:
+    found = measure_mixed_pixels(recorded(Noise(1.0, 1.0), MixedPixels(share), frames=6, moving=moving, wall=True))
+    assert found.verdict == NEEDED and found.strengths["share"] == pytest.approx(share, rel=0.1)
+    assert found.strengths["background_m"] == pytest.approx(3.0, rel=0.02)
+
+
+def test_edges_without_mixed_pixels_and_no_edges() -> None:
+    assert measure_mixed_pixels(recorded(wall=True)).verdict == NOT_SEEN
+    assert measure_mixed_pixels(recorded(frames=1)).verdict == UNKNOWN

@@ -1,0 +1,175 @@
+"""`bench sensor_fit`: how near `bodyseg sensor fit` comes to the known artifacts of simulated recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from benches.measuring import Progress, evenly_spaced, silent
+from benches.model.sensor_fit.recordings import Scene, Scenes
+from bodyseg_data.artifacts import artifact_class
+from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.sensor_fit.finding import NEEDED, Finding
+from bodyseg_model.sensor_fit.fit import fit_sensor
+
+RIG: Final = "kinect_v1"
+STEP_MM: Final = 0.1
+"""Step of the recordings' ranges: finer than the rig's own, so that steps are the artifacts' alone."""
+
+WITHIN: Final = 0.1
+"""Greatest relative error of a strength that counts as found."""
+
+_NOISE: Final = {"noise": {"low_mm": 2.0, "high_mm": 2.0}}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sensor with known strengths. given: artifact -> its strengths. wanted: (artifact, figure) -> true value, of a
+    finding's estimates. baseline_m: of the rig; None for the rig's own. wall: whether a wall stands behind the body.
+    """
+
+    name: str
+    given: Mapping[str, Mapping[str, Any]]
+    wanted: Mapping[tuple[str, str], float]
+    wall: bool = False
+    baseline_m: float | None = None
+
+    def sensor(self) -> SensorModel:
+        """The sensor model that makes the recording."""
+        return SensorModel("known", tuple(artifact_class(name)(**values) for name, values in self.given.items()))
+
+
+def all_cases(focal_px: float) -> list[Case]:
+    """Every artifact at two strengths, and all that a Kinect v1 has together; focal_px: of the rig's camera."""
+    given: dict[str, dict[str, Any]]
+    cases = [
+        Case(f"noise {s:g} mm", {"noise": {"low_mm": s, "high_mm": s}}, {("noise", "sigma_mm"): s}) for s in (3.0, 15.0)
+    ]
+    for constant, quadratic, grazing in ((1.2, 1.9, 0.1), (3.0, 1.0, 0.3)):
+        strengths = {"constant_mm": constant, "quadratic_mm": quadratic, "grazing_mm": grazing}
+        wanted = {("axial_noise", name): value for name, value in strengths.items()}
+        cases.append(Case(f"axial {constant:g} + {quadratic:g} z²", {"axial_noise": strengths}, wanted, wall=True))
+    for subpixel in (0.05, 0.2):
+        per_m2 = 1000 * subpixel / focal_px / 0.075
+        given = {"stereo_noise": {"subpixel_px": subpixel}}
+        cases.append(Case(f"stereo {subpixel:g} px", given, {("stereo_noise", "per_m2_mm"): per_m2}, wall=True))
+    for jitter in (0.6, 1.2):
+        given = {"lateral_noise": {"constant_px": jitter, "grazing_px": 0.0}}
+        cases.append(Case(f"jitter {jitter:g} px", given, {("lateral_noise", "constant_px"): jitter}))
+    for step in (0.125, 0.5):
+        given = {**_NOISE, "disparity_rounding": {"step_px": step}}
+        wanted = {("disparity_rounding", "step_per_m"): step / focal_px / 0.075}
+        cases.append(Case(f"disparity step {step:g} px", given, wanted))
+    for step in (1.0, 8.0):
+        given = {**_NOISE, "range_rounding": {"step_mm": step}}
+        cases.append(Case(f"step {step:g} mm", given, {("range_rounding", "step_mm"): step}))
+    for share in (0.3, 0.8):
+        given = {"mixed_pixels": {"share": share, "background_m": None}}
+        cases.append(Case(f"mixed {share:.0%}", given, {("mixed_pixels", "share"): share}, wall=True))
+    for share in (0.05, 0.4):
+        given = {"missing_data": {"rates": (share,)}}
+        cases.append(Case(f"random {share:.0%}", given, {("missing_data", "share"): share}))
+    for share in (0.05, 0.2):
+        both = {"low": share, "high": share}
+        cases.append(Case(f"patches {share:.0%}", {"patch_loss": both}, {("patch_loss", "share"): share}))
+    for along in ("rows", "columns"):
+        given = {"stripe_loss": {"low": 0.1, "high": 0.1, "along": along}}
+        cases.append(Case(f"stripes in {along} 10%", given, {("stripe_loss", "share"): 0.1}))
+    for angle, share in ((70.0, 0.5), (75.0, 1.0)):
+        wanted = {("grazing_loss", "from_deg"): angle}
+        if share < 1:
+            wanted[("grazing_loss", "share")] = share
+        given = {"grazing_loss": {"from_deg": angle, "share": share}}
+        cases.append(Case(f"grazing from {angle:g}° {share:.0%}", given, wanted))
+    for width, share in ((1, 0.5), (3, 0.3)):
+        wanted = {("edge_loss", "width_px"): float(width), ("edge_loss", "share"): share}
+        given = {"edge_loss": {"width_px": width, "share": share}}
+        cases.append(Case(f"edges {width} px {share:.0%}", given, wanted))
+    for baseline in (0.075, 0.2):
+        wanted = {("occlusion", "baseline_m"): baseline}
+        cases.append(Case(f"shadow {baseline:g} m", {"occlusion": {}}, wanted, wall=True, baseline_m=baseline))
+    return [Case("nothing", {}, {}), *cases]
+
+
+SCENES: Final = (Scene(1), Scene(4), Scene(12), Scene(8, moving=True))
+
+
+def bench_sensor_fit(views: int = 1, progress: Progress = silent) -> dict[str, Any]:
+    """Fit every case in every scene.
+
+    views: bodies of the open set. Returns, a case and scene, each wanted figure's true and found values, its relative
+    error (None where the artifact was not found), and which other artifacts were said to be needed. Raises BadConfig
+    for no body, MissingLibrary without Anny.
+    """
+    count = check_int("the number of bodies", views, 1)
+    rig = replace(load_rig(RIG), range_step_mm=STEP_MM)
+    cases = all_cases(rig.camera.focal_px)
+    source = open_source("open")
+    bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
+    rows: list[dict[str, Any]] = []
+    total = len(bodies) * len(cases) * len(SCENES)
+    for number, body in enumerate(bodies):
+        scenes = Scenes(source.build(body), rig)
+        for index, case in enumerate(cases):
+            for place, scene in enumerate(SCENES):
+                rows.append({"body": body.mesh, **measure(case, scene, scenes, rig)})
+                progress((number * len(cases) + index) * len(SCENES) + place + 1, total)
+        scenes.close()
+    return {"rig": RIG, "range_step_mm": STEP_MM, "within": WITHIN, "rows": rows, "summary": summarise(rows)}
+
+
+def measure(case: Case, scene: Scene, scenes: Scenes, rig: Rig) -> dict[str, Any]:
+    """One recording of a case, fitted: its figures."""
+    used = rig if case.baseline_m is None else _with_baseline(rig, case.baseline_m)
+    scene = replace(scene, wall=case.wall)
+    recording = scenes.record(scene, case.sensor(), None if case.baseline_m is None else used)
+    fit = fit_sensor(recording, FrameCamera(used.camera, "known", rig=used))
+    found = {finding.artifact: finding for finding in fit.findings}
+    figures = [_figure(found[artifact], name, true) for (artifact, name), true in case.wanted.items()]
+    others = [each.artifact for each in fit.findings if each.verdict == NEEDED and each.artifact not in case.given]
+    return {
+        "case": case.name,
+        "scene": str(scene),
+        "figures": figures,
+        "verdicts": {artifact: found[artifact].verdict for artifact in case.given},
+        "others_needed": others,
+    }
+
+
+def _figure(finding: Finding, name: str, true: float) -> dict[str, Any]:
+    estimate = finding.estimates.get(name)
+    value = None if estimate is None or finding.verdict != NEEDED else round(float(estimate.value), 6)
+    error = None if value is None else round(value / true - 1, 4)
+    return {"artifact": finding.artifact, "figure": name, "true": round(true, 6), "found": value, "error": error}
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """By scene: the share of figures within `WITHIN`, those found beyond it, those not found, and false alarms."""
+    summary = {}
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        chosen = [row for row in rows if row["scene"] == scene]
+        errors = [figure["error"] for row in chosen for figure in row["figures"]]
+        known = [abs(error) for error in errors if error is not None]
+        summary[scene] = {
+            "figures": len(errors),
+            "within": sum(error <= WITHIN for error in known),
+            "beyond": sum(error > WITHIN for error in known),
+            "not_found": len(errors) - len(known),
+            "median_error": round(float(np.median(known)), 4) if known else None,
+            "others_needed": sum(len(row["others_needed"]) for row in chosen),
+        }
+    return summary
+
+
+def _with_baseline(rig: Rig, baseline_m: float) -> Rig:
+    projector = replace(
+        rig.projector, position_m=(baseline_m, 0.0, 0.0), aims_at_m=(baseline_m, 0.0, rig.projector.aims_at_m[2])
+    )
+    return replace(rig, projector=projector)
