@@ -113,11 +113,11 @@ def apply(
     while run < runs:
         run, taken, row, found, count = take_pieces(scratch.edges, runs, run, taken, row, width, block, pieces)
         if occluded:
-            mark_lit(shadow, found, scratch, marks)
+            mark_lit(shadow, found, scratch, marks, None)
         else:
             marks[:count] = 1
         if second is not None:
-            mark_lit(second, found, second_scratch, second_scratch.marks)
+            mark_lit(second, found, second_scratch, second_scratch.marks, marks)
             for point in range(np.uint64(count)):
                 marks[point] |= second_scratch.marks[point]
         if strengths.threshold:

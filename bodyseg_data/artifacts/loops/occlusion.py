@@ -181,10 +181,11 @@ def decide(hits: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any)
 
 
 @_kernel
-def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any) -> None:
+def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any, lit: Any) -> None:
     """Set `marks` to 1 for the points of a chunk's pieces that one projector lights and to 0 for the others.
 
-    scratch: as `mark_occupied` left it for this projector.
+    scratch: as `mark_occupied` left it for this projector. lit: points that need no answer, where `marks` may get
+    either, as the other projector lights them; None without one: the compiler then leaves it out.
     """
     pieces, floats, ints = scratch.pieces, scratch.floats, scratch.ints
     size = np.int64(shadow.camera_range.size)
@@ -194,7 +195,10 @@ def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any) -> None:
         span: Any = min(size - np.int64(first), BLOCK)
         for i in range(np.uint64(span)):
             marks[point + i] = shadow.facing[first + i]
-            faces |= shadow.facing[first + i]
+            if lit is None:
+                faces |= shadow.facing[first + i]
+            else:
+                faces |= shadow.facing[first + i] & (lit[point + i] ^ np.uint8(1))
         pieces[4, piece] = faces
     find_extremes(shadow.camera_range, pieces, found, scratch.extremes)
     bound_pieces(shadow, pieces, found, scratch.extremes, scratch.boxes)
@@ -215,7 +219,7 @@ def lit_image(shadow: Any, scratch: Any, answer: Any) -> None:
     pieces = scratch.pieces
     while run < runs:
         run, taken, row, found, _ = take_pieces(scratch.edges, runs, run, taken, row, shadow.width, BLOCK, pieces)
-        mark_lit(shadow, found, scratch, scratch.marks)
+        mark_lit(shadow, found, scratch, scratch.marks, None)
         for piece in range(np.uint64(found)):
             first, point = np.uint64(pieces[0, piece]), np.uint64(pieces[3, piece])
             for i in range(np.uint64(pieces[1, piece])):
