@@ -24,11 +24,17 @@ class FrameCamera:
 
     @property
     def projector_side(self) -> Literal["left", "right"] | None:
-        """The projector's side of the camera, as the camera looks; None if it is not known, or above or below."""
+        """The projector's side of the camera, as the camera looks; None if it is not known, or above or below.
+
+        Also None for two projectors on different sides.
+        """
         if self.rig is None:
             return None
-        x, y, _ = self.camera.axes @ np.subtract(self.rig.projector.position_m, self.rig.camera.position_m)
-        return None if abs(x) <= abs(y) else "right" if x > 0 else "left"
+        sides: set[Literal["left", "right"] | None] = set()
+        for projector in self.rig.projectors:
+            x, y, _ = self.camera.axes @ np.subtract(projector.position_m, self.rig.camera.position_m)
+            sides.add(None if abs(x) <= abs(y) else "right" if x > 0 else "left")
+        return sides.pop() if len(sides) == 1 else None
 
     def to_json(self) -> dict[str, Any]:
         """Intrinsics, any distortion and their origin as plain JSON; the pose does not matter to a frame."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from known_sensors import CAMERA, RIG, flipped, recorded
 
 from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.core.rig import load_rig
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
 from bodyseg_model.sensor_fit.shadows import ShadowFrames, measure_shadow, probably_mirrored, shadow_finding
@@ -54,3 +57,10 @@ def test_the_projectors_side_is_the_rigs() -> None:
     assert frame_camera((480, 640), "a frame").projector_side == "right"
     assert frame_camera((640, 329), "a frame", rig="paper").projector_side == "left"
     assert frame_camera((480, 640), "a frame", focal_px=500.0).projector_side is None
+
+
+@pytest.mark.parametrize(("x", "side"), [(-0.3, "left"), (0.5, None)])
+def test_two_projectors_have_a_side_only_if_they_share_it(x: float, side: str | None) -> None:
+    rig = load_rig()
+    two = replace(rig, second_projector=replace(rig.projector, position_m=(x, 0.0, 0.0)))
+    assert FrameCamera(rig.camera, "known", rig=two).projector_side == side

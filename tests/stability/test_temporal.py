@@ -18,7 +18,7 @@ from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.rig import Camera, load_rig
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
@@ -273,17 +273,18 @@ def test_shots_lie_evenly_along_motions_to_test_on() -> None:
         choose_shots(Walk(), 1, 8)
 
 
-def test_a_shot_of_one_frame_is_the_sample_of_that_body() -> None:
-    shot = choose_shots(Walk(), 1, 1)[0]
-    (frame,) = render_shot(Walk(), shot, RIG)
+@pytest.mark.parametrize("second", [None, replace(RIG.projector, position_m=(-0.5, -0.3, 0.0))])
+def test_a_shot_of_one_frame_is_the_sample_of_that_body(second: Camera | None) -> None:
+    rig, shot = replace(RIG, second_projector=second), choose_shots(Walk(), 1, 1)[0]
+    (frame,) = render_shot(Walk(), shot, rig)
     ref, body = shot.bodies[0], Walk().build(shot.bodies[0])
     parts = partition(body.mesh, body.landmarks)
-    sample = Sampler(RasterRenderer(body.mesh), RIG, body.mesh, parts, "open", ref).take(shot.view)
+    sample = Sampler(RasterRenderer(body.mesh), rig, body.mesh, parts, "open", ref).take(shot.view)
     frame.sample.check()
     assert (frame.sample.key, frame.sample.info) == (sample.key, sample.info)
     np.testing.assert_array_equal(frame.sample.range, sample.range)
     for variant in ("none", "all"):
-        mine, usual = (Augmentation(RIG, variant)(each) for each in (frame.sample, sample))
+        mine, usual = (Augmentation(rig, variant)(each) for each in (frame.sample, sample))
         np.testing.assert_array_equal(mine.range, usual.range)
         np.testing.assert_array_equal(mine.labels, usual.labels)
 
