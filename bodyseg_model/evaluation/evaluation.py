@@ -243,8 +243,9 @@ class _CleanSamples:
         return self._subsets[body]
 
     def labels(self, key: str, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The clean label image of a sample, uint8 [H, W]. shown: its labels in the variant, which stand where the clean
-        image has background: lateral noise moves silhouettes.
+        """The clean label image of a sample, uint8 [H, W].
+
+        shown: its labels in the variant, used where the clean image has background: lateral noise moves silhouettes.
         """
         if self._same:
             return shown
