@@ -101,7 +101,9 @@ def measure(
         expected = {image.key: checksum_of(image) for image in Premade(RangeImages(packed, variant))}
         of_variant = [setup for setup in setups if setup.variant == variant]
         found |= _rounds(packed, of_variant, batch, rounds, expected, tick)
-    training = _trainings(packed, min(2, most), trainings, tick)
+    workers = min(2, most)
+    kinds = [Setup("all", "thread", 0), Setup("all", "thread", workers), Setup("all", "process", workers)]
+    training = _trainings(packed, kinds, trainings, tick)
     counts = {"samples": len(RangeImages(packed)), "batch": batch, "rounds": rounds}
     return {
         "rows": [_row(setup, one) for setup, one in found.items()],
@@ -188,12 +190,11 @@ def _peak_mb(pipe: Any, process: int) -> float | None:
     return round(max(known), 1) if known else None
 
 
-def _trainings(packed: Path, workers: int, trainings: int, tick: Callable[[], None]) -> list[dict[str, Any]]:
-    """Trainings of `compact` on one thread, without workers and with `workers` threads and processes, in turn."""
-    setups = [Setup("all", "thread", 0), Setup("all", "thread", workers), Setup("all", "process", workers)]
+def _trainings(packed: Path, setups: list[Setup], trainings: int, tick: Callable[[], None]) -> list[dict[str, Any]]:
+    """Trainings of `compact` on one thread with each of the setups, in turn."""
     found: dict[Setup, list[dict[str, float]]] = {setup: [] for setup in setups}
     for number in range(trainings):
-        for setup in setups[number % 3 :] + setups[: number % 3]:
+        for setup in setups[number % len(setups) :] + setups[: number % len(setups)]:
             with _started(subject.train, packed, setup, TRAINING_STEPS, TRAINING_BATCH) as (pipe, _):
                 found[setup].append(pipe.recv())
             tick()
