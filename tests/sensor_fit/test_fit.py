@@ -51,7 +51,7 @@ def test_too_little_data_tells_nothing() -> None:
 def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
     known = (Occlusion(), Noise(4.0, 4.0), DisparityRounding(0.02), EdgeLoss(1, 0.4), MissingData((0.05,)))
     seen: list[tuple[int, int]] = []
-    fit = fit_sensor(recorded(*known, frames=8, wall=True), CAMERA, lambda *numbers: seen.append(numbers))
+    fit = fit_sensor(recorded(*known, frames=5, wall=True), CAMERA, lambda *numbers: seen.append(numbers))
     assert seen[0] == (0, 5) and seen[-1] == (5, 5)
     found = by_artifact(fit)
     needed = [finding.artifact for finding in fit.findings if finding.verdict == NEEDED]
@@ -67,12 +67,12 @@ def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
     assert parse_sensor_model(text, "text") == model and "# needed: " in text and "# mixed_pixels: " in text
     assert max(map(len, text.splitlines())) <= 112
     tree = fit.to_json()
-    assert tree["frames"] == 8 and tree["still"] and tree["mirrored"] is False
+    assert tree["frames"] == 5 and tree["still"] and tree["mirrored"] is False
     assert tree["findings"][0]["artifact"] == "occlusion" and tree["findings"][0]["verdict"] == NEEDED
 
 
 def test_jitter_explains_ragged_outlines() -> None:
-    found = fitted(recorded(LateralNoise(0.8, 0.0), frames=6))
+    found = fitted(recorded(LateralNoise(0.8, 0.0), frames=4))
     assert found["lateral_noise"].verdict == NEEDED and found["edge_loss"].verdict == NOT_SEEN
     assert found["lateral_noise"].strengths["constant_px"] == pytest.approx(0.8, rel=0.15)
     assert "jitter" in found["edge_loss"].reason

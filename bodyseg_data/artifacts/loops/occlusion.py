@@ -1,7 +1,7 @@
 """The shadow test compiled with numba: the operations of `artifacts/occlusion.py` in the same order, so the same bits.
 
-Foreground is handled in chunks that stay in the first cache, and of these only what may be shaded is projected
-(`bounds.py`). Indices are unsigned, so that no code is made for those that count from the end.
+The loops take the foreground in chunks that stay in the first cache, and project only the pixels that a texel may
+shade (`bounds.py`). Indices are unsigned, so that no code is made for those that count from the end.
 """
 
 from __future__ import annotations

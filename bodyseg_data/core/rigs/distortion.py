@@ -42,7 +42,7 @@ class Distortion:
                 raise BadConfig(f"a coefficient of distortion must be at most {_LARGEST:g}, found {name} = {value:g}")
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""
+        """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""
         squared = x * x + y * y
         radial = 1 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
         return (

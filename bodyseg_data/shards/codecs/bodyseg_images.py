@@ -206,7 +206,7 @@ class OccluderMemory:
 
 
 class _ThreadMemory(threading.local):
-    """What a thread keeps from sample to sample: making it takes as long as decoding."""
+    """Memory and decompressor that a thread keeps from sample to sample: making them takes as long as decoding."""
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)

@@ -17,21 +17,21 @@ from bodyseg_data.core.errors import BadConfig
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Results for one figure, four cases and two scenes."""
+    """Results for one figure, four cases and one scene."""
     names = ("nothing", "noise 3 mm", "edges 1 px 50%", "shadow 0.2 m")
     chosen = [case for case in all_cases(525.0) if case.name in names]
     monkeypatch.setattr(bench, "all_cases", lambda focal_px: chosen)
-    monkeypatch.setattr(bench, "SCENES", (Scene(1), Scene(4)))
+    monkeypatch.setattr(bench, "SCENES", (Scene(4),))
     monkeypatch.setattr(bench, "open_source", lambda name: Figures())
     done: list[tuple[int, int]] = []
     answer = bench_sensor_fit(1, lambda *numbers: done.append(numbers))
-    assert done == [(number, 8) for number in range(1, 9)]
+    assert done == [(number, 4) for number in range(1, 5)]
     return answer
 
 
 def test_known_strengths_are_compared_with_those_found(figures: dict[str, Any], tmp_path: Path) -> None:
     rows = {(row["case"], row["scene"]): row for row in figures["rows"]}
-    assert set(figures["summary"]) == {"1 still", "4 still"} and len(rows) == 8
+    assert set(figures["summary"]) == {"4 still"} and len(rows) == 4
     assert rows["nothing", "4 still"]["figures"] == [] == rows["nothing", "4 still"]["others_needed"]
     (noise,) = rows["noise 3 mm", "4 still"]["figures"]
     assert noise["true"] == 3.0 and abs(noise["error"]) < 0.1
