@@ -28,8 +28,9 @@ def _scenes() -> Scenes:
     return Scenes(source.build(next(iter(source.bodies()))), RIG)
 
 
+@cache
 def recorded(*artifacts: Artifact, frames: int = 4, moving: bool = False, wall: bool = False) -> Recording:
-    """A recording of the figure with these artifacts."""
+    """A recording of the figure with these artifacts, made once."""
     return _scenes().record(Scene(frames, moving, wall), SensorModel("known", artifacts))
 
 
