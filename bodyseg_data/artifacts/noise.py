@@ -124,5 +124,10 @@ def add_noise(foreground: NDArray[np.uint16], sigma: np.float32, draws: NDArray[
     Rounds to the nearest step and stays within 1 .. 65535: a foreground pixel neither becomes background (0) nor wraps
     around in 16 bits.
     """
-    noisy = foreground.astype(np.float32) + normals(draws) * sigma
-    return np.clip(np.rint(noisy), 1, 65535).astype(np.uint16)
+    return as_range(foreground.astype(np.float32) + normals(draws) * sigma)
+
+
+def as_range(steps: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Steps as stored ranges of measured pixels: the nearest whole number from 1 to 65535."""
+    found: NDArray[np.uint16] = np.clip(np.rint(steps), 1, 65535).astype(np.uint16)
+    return found

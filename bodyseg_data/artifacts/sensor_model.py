@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
@@ -16,12 +15,13 @@ from typing import Any, Final
 from bodyseg_data.artifacts import artifact_class, check_artifact_class
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.tables import Table
+from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
 
 SENSOR_FORMAT: Final = "bodyseg sensor 1"
 PAPER_SENSOR: Final = "paper"
 """The default sensor model: the artifacts of the paper's Table 1."""
 
+_FOLDER: Final = resources.files(__package__) / "sensors"
 _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 
@@ -79,7 +79,7 @@ class SensorModel:
         """
         names = [artifact.name for artifact in self.artifacts]
         for index, artifact in enumerate(given):
-            if artifact in given[:index] or any(artifact.name == other.name for other in given[:index]):
+            if any(artifact.name == other.name for other in given[:index]):
                 raise BadConfig(f"an artifact may be given once, found {artifact.name} twice")
         replaced = {artifact.name: artifact for artifact in given}
         kept = tuple(replaced.get(artifact.name, artifact) for artifact in self.artifacts)
@@ -134,8 +134,7 @@ def artifacts_to_json(artifacts: Sequence[Artifact]) -> list[dict[str, Any]]:
 
 def sensor_model_names() -> tuple[str, ...]:
     """Names of the sensor files that ship with the package, in alphabetical order."""
-    files = (resources.files(__package__) / "sensors").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return toml_names(_FOLDER)
 
 
 def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> SensorModel:
@@ -148,33 +147,19 @@ def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> Sensor
         return sensor
     if not isinstance(sensor, str | Path):
         raise BadConfig(f"a sensor must be a SensorModel, a name or a path, found {type(sensor).__name__}")
-    path = Path(sensor)
-    if path.suffix != ".toml":
-        return _shipped(str(sensor))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadConfig(f"cannot read the sensor file {path}: {error}") from error
-    return parse_sensor_model(text, str(path))
+    return _read(sensor) if Path(sensor).suffix == ".toml" else _shipped(str(sensor))
 
 
-@cache
-def _shipped(name: str) -> SensorModel:
-    if name not in sensor_model_names():
-        names = ", ".join(sensor_model_names())
-        raise BadConfig(f"no sensor is called {name!r}: give one of {names} or the path of a .toml file")
-    text = (resources.files(__package__) / "sensors" / f"{name}.toml").read_text(encoding="utf-8")
-    return parse_sensor_model(text, name)
+def _read(name_or_path: str | Path) -> SensorModel:
+    return parse_sensor_model(toml_text("sensor", name_or_path, _FOLDER), str(name_or_path))
+
+
+_shipped = cache(_read)  # the default is read for every set; a user's file may change
 
 
 def parse_sensor_model(text: str, where: str) -> SensorModel:
     """Parse a sensor file's text; `where` names its origin in messages. Raises BadConfig as `load_sensor_model`."""
-    try:
-        tree = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
-        raise BadConfig(f"sensor {where} is not TOML: {error}") from error
-    if tree.pop("format", None) != SENSOR_FORMAT:
-        raise BadConfig(f"sensor {where}: 'format' must be {SENSOR_FORMAT!r}")
+    tree = toml_tree(text, f"sensor {where}", SENSOR_FORMAT)
     artifacts = tree.pop("artifacts", [])
     table = Table(tree, f"sensor {where}")
     name = table.text("name")

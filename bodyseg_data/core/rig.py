@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 import re
-import tomllib
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
-from bodyseg_data.core.tables import Table
+from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
 from bodyseg_data.core.views import View
 
 __all__ = [
@@ -44,6 +43,7 @@ __all__ = [
 RIG_FORMAT: Final = "bodyseg rig 1"
 PAPER: Final = "paper"
 """The default rig."""
+_FOLDER: Final = resources.files(__package__) / "rigs"
 
 RANGE_STEP_MM: Final = 0.1
 """The step of stored ranges where a rig does not say, millimetres."""
@@ -210,8 +210,7 @@ class Sensor:
 
 def rig_names() -> tuple[str, ...]:
     """Names of the rig files that ship with the package, in alphabetical order."""
-    files = (resources.files(__package__) / "rigs").iterdir()
-    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+    return toml_names(_FOLDER)
 
 
 def load_rig(name_or_path: str | Path = PAPER) -> Rig:
@@ -219,25 +218,12 @@ def load_rig(name_or_path: str | Path = PAPER) -> Rig:
 
     Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """
-    return parse_rig(_rig_text(name_or_path), str(name_or_path))
+    return parse_rig(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
 
 
 def load_sensor(name_or_path: str | Path = PAPER) -> Sensor:
     """Read a rig file as `load_rig`, with or without a projector. Raises BadConfig."""
-    return parse_sensor(_rig_text(name_or_path), str(name_or_path))
-
-
-def _rig_text(name_or_path: str | Path) -> str:
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        if str(name_or_path) not in rig_names():
-            names = ", ".join(rig_names())
-            raise BadConfig(f"no rig is called {str(name_or_path)!r}: give one of {names} or the path of a .toml file")
-        return (resources.files(__package__) / "rigs" / f"{name_or_path}.toml").read_text(encoding="utf-8")
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadConfig(f"cannot read the rig file {path}: {error}") from error
+    return parse_sensor(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
 
 
 def parse_rig(text: str, where: str) -> Rig:
@@ -250,13 +236,7 @@ def parse_rig(text: str, where: str) -> Rig:
 
 def parse_sensor(text: str, where: str) -> Sensor:
     """Parse a rig file's text, with or without a projector; `where` names its origin in messages. Raises BadConfig."""
-    try:
-        tree = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
-        raise BadConfig(f"rig {where} is not TOML: {error}") from error
-    if tree.pop("format", None) != RIG_FORMAT:
-        raise BadConfig(f"rig {where}: 'format' must be {RIG_FORMAT!r}")
-    table = Table(tree, f"rig {where}")
+    table = Table(toml_tree(text, f"rig {where}", RIG_FORMAT), f"rig {where}")
     name = table.text("name")
     title = table.text("title") if table.has("title") else name
     assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False

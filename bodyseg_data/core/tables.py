@@ -1,7 +1,13 @@
-"""Reader of tables from files, key by key, with one clear line for a key that is missing, wrong or unknown."""
+"""TOML files that ship or that users write, and their tables, read key by key.
+
+A file or key that is missing, wrong or unknown is one clear line.
+"""
 
 from __future__ import annotations
 
+import tomllib
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 from bodyseg_data.core.errors import BadConfig
@@ -95,3 +101,38 @@ class Table:
         """Raise BadConfig for keys that were not read."""
         if self._tree:
             raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
+
+
+def toml_names(folder: Traversable) -> tuple[str, ...]:
+    """Names of a folder's TOML files, without their suffix, in alphabetical order."""
+    return tuple(sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")))
+
+
+def toml_text(kind: str, name_or_path: str | Path, folder: Traversable) -> str:
+    """Read a TOML file of a folder by its name, or any by its path, which ends in .toml.
+
+    kind: the content's name in messages. Raises BadConfig for a name that is not there, or a file that cannot be read.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        names = toml_names(folder)
+        if str(name_or_path) not in names:
+            raise BadConfig(
+                f"no {kind} is called {str(name_or_path)!r}: give one of {', '.join(names)} or the path of a .toml file"
+            )
+        return (folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"cannot read the {kind} file {path}: {error}") from error
+
+
+def toml_tree(text: str, where: str, file_format: str) -> dict[str, Any]:
+    """Parse TOML text whose `format` must be `file_format`; the tree comes without it. Raises BadConfig."""
+    try:
+        tree = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
+        raise BadConfig(f"{where} is not TOML: {error}") from error
+    if tree.pop("format", None) != file_format:
+        raise BadConfig(f"{where}: 'format' must be {file_format!r}")
+    return tree

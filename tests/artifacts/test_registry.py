@@ -130,18 +130,25 @@ def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch:
     assert lost > 50
 
 
+def in_both_forms(
+    images: RangeImages, count: int, monkeypatch: pytest.MonkeyPatch
+) -> list[tuple[RangeImage, RangeImage]]:
+    """The first images, each with compiled loops and in NumPy."""
+    compiled = [images.image(index) for index in range(count)]
+    monkeypatch.setenv(kernels.VARIABLE, "numpy")
+    kernels.use_compiled.cache_clear()
+    try:
+        plain = [images.image(index) for index in range(count)]
+    finally:
+        kernels.use_compiled.cache_clear()
+    return list(zip(compiled, plain, strict=True))
+
+
 def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
     figures_set: Path, dots: SensorModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(*dots, Losses(0.3)))
-    compiled = [images.image(index) for index in range(6)]
-    monkeypatch.setenv(kernels.VARIABLE, "numpy")
-    kernels.use_compiled.cache_clear()
-    try:
-        plain = [images.image(index) for index in range(6)]
-    finally:
-        kernels.use_compiled.cache_clear()
-    for ours, theirs in zip(compiled, plain, strict=True):
+    for ours, theirs in in_both_forms(images, 6, monkeypatch):
         assert ours.drawn == theirs.drawn
         np.testing.assert_array_equal(ours.range, theirs.range)
         np.testing.assert_array_equal(ours.labels, theirs.labels)
@@ -157,14 +164,7 @@ def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
     else:
         sensor = load_sensor_model(name)
     images = RangeImages(figures_set, "all", sensor=sensor, seed=3)
-    compiled = [images.image(index) for index in range(8)]
-    monkeypatch.setenv(kernels.VARIABLE, "numpy")
-    kernels.use_compiled.cache_clear()
-    try:
-        plain = [images.image(index) for index in range(8)]
-    finally:
-        kernels.use_compiled.cache_clear()
-    for ours, theirs in zip(compiled, plain, strict=True):
+    for ours, theirs in in_both_forms(images, 8, monkeypatch):
         np.testing.assert_array_equal(ours.range, theirs.range)
         np.testing.assert_array_equal(ours.labels, theirs.labels)
 

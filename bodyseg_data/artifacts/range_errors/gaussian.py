@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage, Scene
-from bodyseg_data.artifacts.noise import drawn_normals
+from bodyseg_data.artifacts.noise import as_range, drawn_normals
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -39,9 +39,3 @@ def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, si
 def loops() -> Any:
     """The compiled forms; they load numba, so not before they are used."""
     return import_module("bodyseg_data.artifacts.loops.range_errors")
-
-
-def as_range(steps: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Steps as stored ranges of measured pixels: the nearest whole number from 1 to 65535."""
-    found: NDArray[np.uint16] = np.clip(np.rint(steps), 1, 65535).astype(np.uint16)
-    return found

@@ -10,7 +10,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import drawn_normals
 from bodyseg_data.artifacts.range_errors.gaussian import loops
-from bodyseg_data.artifacts.surface import box_of, grazing, widened
+from bodyseg_data.artifacts.surface import grazing, widened
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
@@ -45,7 +45,7 @@ class LateralNoise(Artifact):
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
         clean = scene.sample.range
-        if box_of(clean) is None:
+        if not len(scene.pixels):
             return
         near = widened(clean > 0, REACH)
         pixels = np.flatnonzero(near)

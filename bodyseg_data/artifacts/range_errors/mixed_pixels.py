@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import as_range, loops
+from bodyseg_data.artifacts.noise import as_range
+from bodyseg_data.artifacts.range_errors.gaussian import loops
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, as_range, clean_metres, loops
+from bodyseg_data.artifacts.noise import as_range
+from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
