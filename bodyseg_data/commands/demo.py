@@ -19,8 +19,8 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_atomically
-from bodyseg_data.core.machine import processors
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_data.loading.loader import loader

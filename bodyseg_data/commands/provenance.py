@@ -10,7 +10,7 @@ from typing import Any
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.machine import hardware
+from bodyseg_data.core.system.machine import hardware
 
 
 def provenance(command: str) -> dict[str, str]:

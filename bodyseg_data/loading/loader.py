@@ -195,8 +195,8 @@ class Loader:
         return self._state
 
     def _new_state(self) -> _WorkerState:
-        camera, options = self.images.manifest.rig.camera, self._options
-        slots = Slots(self._prefetched, self.order.largest, camera.rows, camera.columns, options.metres)
+        options = self._options
+        slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         self.images.augmentation.prepare()
         workers = self._new_workers(maker)

@@ -7,10 +7,8 @@ shard size.
 
 from __future__ import annotations
 
-import fnmatch
 import hashlib
 import operator
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -25,10 +23,13 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artifacts_to_json, load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
-from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.splits import Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
+from bodyseg_data.loading.selection import Selection
+from bodyseg_data.loading.transforms.transform import Transform, check_transforms, transform_image, transforms_to_json
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.codecs.codec import OutputArrays
@@ -40,7 +41,8 @@ from bodyseg_data.shards.tar import ShardReader
 class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
-    labels: uint8 [B, H, W], parts 0 to 32, 255 is background. key: the B samples' keys.
+    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
+    the B samples' keys.
     """
 
     range: torch.Tensor
@@ -55,8 +57,10 @@ class RangeImages(Dataset[dict[str, Any]]):
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
     "train", "test", or None for both. seed: of all draws and of the order. epoch: the first epoch. sensor: the
     artifacts, of which the variant takes those of its kinds: a model, the name of one that ships with the package, or a
-    TOML file (docs/sensors.md). only: patterns as for file names ("open-A-*", "*-d255-*"); a sample's key must match
-    one of them.
+    TOML file (docs/sensors.md). transform: of the samples, applied in the workers, one or several in their order
+    (docs/transforms.md). labels: classes that take the place of the 33 parts: a map, the name of one that ships with
+    the package, or a TOML file (docs/label_maps.md). only: patterns as for file names ("open-A-*", "*-d255-*"); a
+    sample's key must match one of them.
 
     For remote sets (docs/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -79,32 +83,21 @@ class RangeImages(Dataset[dict[str, Any]]):
         storage_options: Mapping[str, Any] | None = None,
         retry_policy: RetryPolicy | None = None,
         only: Sequence[str] = (),
+        transform: Transform | Sequence[Transform] = (),
+        labels: str | Path | LabelMap = PARTS33,
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
-        if split is not None and split not in SPLITS:
-            raise BadConfig(f"the split must be one of {', '.join(SPLITS)} or None, found {split!r}")
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = read_manifest(store)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
-        chosen = [
-            (number, index)
-            for number, shard in enumerate(self.manifest.shards)
-            if split in (None, shard.split) and Path(shard.name).match(pattern)
-            for index in range(len(shard))
-        ]
+        self.transforms = check_transforms(transform)
+        self.label_map = load_label_map(labels)
+        self._joins_parts = self.label_map != PARTS33
         self.only = tuple(only)
-        if self.only:
-            fits = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
-            keys = (self.manifest.shards[number].keys[index] for number, index in chosen)
-            chosen = [sample for sample, key in zip(chosen, keys, strict=True) if any(fit(key) for fit in fits)]
-        if not chosen:
-            held = ", ".join(f"{self.manifest.samples(name)} {name}" for name in SPLITS)
-            wanted = " ".join((pattern, *self.only))
-            raise BadConfig(f"{path} has no sample of split {split!r} that matches {wanted!r}; the set holds {held}")
-        self._samples: NDArray[np.int64] = np.asarray(chosen, np.int64)  # [N, 2]: shard, index within it
+        self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
@@ -120,6 +113,14 @@ class RangeImages(Dataset[dict[str, Any]]):
     def step_m(self) -> float:
         """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
         return self.manifest.rig.range_step_m
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the images, as the transforms leave them."""
+        rows, columns = self.manifest.rig.camera.rows, self.manifest.rig.camera.columns
+        for each in self.transforms:
+            rows, columns = each.shape(rows, columns)
+        return rows, columns
 
     @property
     def keys(self) -> list[str]:
@@ -147,8 +148,14 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self._reader.read(shard, within)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
-        """Return the sample with the variant's artifacts as drawn in `epoch`, as 16-bit arrays."""
-        return self.augmentation(self._sample(index), self.epoch if epoch is None else check_epoch(epoch))
+        """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays."""
+        chosen = self.epoch if epoch is None else check_epoch(epoch)
+        image = self.augmentation(self._sample(index), chosen)
+        if self.transforms:
+            image = transform_image(image, self.transforms, Draws(self.seed, chosen, image.key))
+        if self._joins_parts:
+            self.label_map.table.take(image.labels, out=image.labels)
+        return image
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
         """Read the parts of a stored sample that the variant uses; into: see `decode_sample`."""
@@ -158,7 +165,13 @@ class RangeImages(Dataset[dict[str, Any]]):
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Write the arrays of `image` into given ones [H, W], replacing their content. Raises BadShard for others."""
         try:
+            if self.transforms:
+                made = self.image(index, epoch)
+                image[...], labels[...] = made.range, made.labels
+                return
             self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
+            if self._joins_parts:
+                self.label_map.table.take(labels, out=labels)
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
@@ -217,7 +230,10 @@ class RangeImages(Dataset[dict[str, Any]]):
             "variant": self.variant,
             "seed": self.seed,
             "artifacts": artifacts_to_json(self.augmentation.sensor.artifacts),
-        } | ({"only": list(self.only)} if self.only else {})
+            **({"only": list(self.only)} if self.only else {}),
+            **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
+            **({"labels": self.label_map.to_json()} if self._joins_parts else {}),
+        }
 
     @cached_property
     def _digest(self) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.meshes.repair import SAME_POINT_M
 from bodyseg_data.meshes.topology import Edges, components, find_edges
 

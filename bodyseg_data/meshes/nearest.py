@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.core.system.libraries import missing_library
 
 
 def nearest_corner(

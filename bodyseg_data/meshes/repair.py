@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.core.system_libraries import missing_library, require_libraries
+from bodyseg_data.core.system.libraries import missing_library, require_libraries
 from bodyseg_data.meshes.topology import check_arrays, components
 
 SAME_POINT_M: Final = 1e-6

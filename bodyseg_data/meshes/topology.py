@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.core.system.libraries import missing_library
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.core.rig import Camera, PlacedCamera
-from bodyseg_data.core.system_libraries import SOFTWARE_DRIVER, missing_library
+from bodyseg_data.core.system.libraries import SOFTWARE_DRIVER, missing_library
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering.renderer import Surface
 

@@ -17,8 +17,8 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.machine import hardware
 from bodyseg_data.core.rig import rig_names
+from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import BadMesh, MissingLibrary
+from bodyseg_data.core.system import libraries
 from bodyseg_data.meshes import repair as mesh_repair
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.repair import repair
@@ -186,7 +186,7 @@ def test_a_filter_that_fails_is_a_bad_mesh(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = ball(subdivisions=1)
-    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "OpenGL")
+    monkeypatch.setattr(libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match=r"mesh repair needs libOpenGL: apt-get install libopengl0$"):
         repair("ball", whole.vertices, whole.faces)
 

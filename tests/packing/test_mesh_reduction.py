@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from shapes import ball, figure
 
 from bodyseg_data.bodies.source import Body
-from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system import libraries
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mending import find_edges
 from bodyseg_data.meshes.mesh import Mesh
@@ -319,6 +319,6 @@ def test_probes_see_the_body_from_all_sides_at_every_pitch() -> None:
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "OpenGL")
+    monkeypatch.setattr(libraries, "can_load", lambda name: name != "OpenGL")
     with pytest.raises(MissingLibrary, match=r"--tolerance-mm 0 keeps meshes whole\) needs libOpenGL"):
         reduce(BALL, MARKS, 5e-4, RIG)

@@ -13,9 +13,9 @@ import sys
 import pytest
 from folders import HELPERS, ROOT
 
-from bodyseg_data.core import system_libraries
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.system_libraries import missing_library, require_libraries
+from bodyseg_data.core.system import libraries
+from bodyseg_data.core.system.libraries import missing_library, require_libraries
 
 OPEN_GL = "from bodyseg_data.rendering import open_renderer\nopen_renderer('opengl', ball())"
 OPEN_RASTER = "from bodyseg_data.rendering import open_renderer\nopen_renderer('raster', ball())"
@@ -143,12 +143,12 @@ def test_mesh_repair_does_not_start_half_working() -> None:
     ],
 )
 def test_messages(error: Exception, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "can_load", lambda name: False)
+    monkeypatch.setattr(libraries, "can_load", lambda name: False)
     assert str(missing_library("x", error)).startswith(told)
 
 
 def test_a_library_named_by_the_cause_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(system_libraries, "can_load", lambda name: name != "EGL")
+    monkeypatch.setattr(libraries, "can_load", lambda name: name != "EGL")
     error = ImportError("no luck")
     error.__cause__ = OSError("libEGL.so.1: cannot open; libGL.so.1 is fine")
     assert str(missing_library("x", error)) == "x needs libEGL: apt-get install libegl1 (no luck)"

@@ -14,7 +14,7 @@ from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.machine import hardware
+from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.drawing.style import check_picture, new_chart
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, Unanswerable
-from bodyseg_data.core.system_libraries import missing_library
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.repair import SAME_POINT_M
 from bodyseg_data.meshes.topology import Edges, components, find_edges

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from bodyseg_data.core.machine import processors
+from bodyseg_data.core.system.machine import processors
 from bodyseg_data.packing.engines.engine import Engine
 
 

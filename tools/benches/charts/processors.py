@@ -20,7 +20,7 @@ _HARDWARE: Final = re.compile(r"(\d+) cores? of (.+?)(?: \(|$)")
 
 
 def processor_name(hardware: str) -> str:
-    """Processor and number of cores ("AMD EPYC, 2 cores") of a line as `bodyseg_data.core.machine.hardware` makes it.
+    """Processor and number of cores ("AMD EPYC, 2 cores") of a line that `core.system.machine.hardware` returned.
 
     Raises BadConfig for another line.
     """

@@ -41,7 +41,7 @@ from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
 from benches.measuring import Progress, evenly_spaced, silent
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.machine import processors
+from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import Batch, RangeImages

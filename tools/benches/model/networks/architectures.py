@@ -25,7 +25,7 @@ from benches.model.networks.network_frames import as_batch, body_rectangle, stre
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Evaluator
 from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.machine import processors
+from bodyseg_data.core.system.machine import processors
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report

@@ -30,7 +30,7 @@ from benches.model.networks.network_times import (
     time_cell,
 )
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.machine import processors
+from bodyseg_data.core.system.machine import processors
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, parameters

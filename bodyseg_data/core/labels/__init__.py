@@ -1,0 +1,1 @@
+"""Label maps: fewer classes than the 33 parts."""

@@ -1,0 +1,1 @@
+"""The machine under this program: its hardware, its shared libraries."""
