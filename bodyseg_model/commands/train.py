@@ -18,7 +18,7 @@ from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName, sensor_for
-from bodyseg_data.commands.options import command_line, option
+from bodyseg_data.commands.options import WHERE_HELP, command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
@@ -43,6 +43,7 @@ class Options:
     variant: VariantName = option("which artifacts the images have", "all")
     network: NetworkName = option("which network", "compact")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
+    where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
@@ -84,7 +85,13 @@ def run(options: Options) -> int:
         options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
     )
     images = RangeImages(
-        options.data, options.variant, "train", options.seed, sensor=_sensor(options), only=options.only
+        options.data,
+        options.variant,
+        "train",
+        options.seed,
+        sensor=_sensor(options),
+        only=options.only,
+        where=options.where,
     )
     network = _network(options)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:

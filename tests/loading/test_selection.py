@@ -274,6 +274,15 @@ def test_val_does_not_depend_on_other_choices() -> None:
     assert set(chosen_keys(shards, "val", 0.1)) == val
 
 
+def test_val_of_a_set_with_more_subsets_is_in_the_same_order() -> None:
+    """The open bodies are in `wide`, too: a body of one val should be in no other's rest as far as shares allow."""
+    names = [
+        [key.partition("-")[2] for key in chosen_keys(planned(source, views=1), "val", 0.1)]
+        for source in ("open", "wide")
+    ]
+    assert {key for key in names[1] if not key.startswith("wide")} == set(names[0])
+
+
 def rows(subset: str, people: int, poses: int, frames: int = 1) -> list[BodyRow]:
     return [
         ("s", subset, f"p{who}", f"m{who}-{pose}-{frame}", f"pose{pose}")
@@ -286,9 +295,9 @@ def rows(subset: str, people: int, poses: int, frames: int = 1) -> list[BodyRow]
 def test_groups_are_people_where_there_are_enough() -> None:
     many, few = rows("X", 10, 2, 3), rows("Y", 9, 2, 3)
     found = groups([*many, *few], 0.1)
-    assert found[many[0]] == ("s", "X", "p0")
+    assert found[many[0]] == ("X", "p0")
     assert len({found[row] for row in many}) == 10
-    assert found[few[0]] == ("s", "Y", "p0", "pose0")
+    assert found[few[0]] == ("Y", "p0", "pose0")
     assert len({found[row] for row in few}) == 18
     assert len({groups(few, 0.2)[row] for row in few}) == 9
     postures = rows("A", 1, 1, 5)

@@ -18,7 +18,7 @@ from bodyseg_data.core.splits import holds_postures
 from bodyseg_data.loading.selection.sample_table import BodyRow, SampleTable
 
 Group = tuple[str, ...]
-"""What the bodies of a group have in common: source, subset, subject, and in coarse subsets more."""
+"""What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
 
 
 def check_val_share(share: Any) -> float:
@@ -53,14 +53,14 @@ def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
     A group is a person where the subset has enough people for the share, 1 / share or more; otherwise the person in
     one pose, such as a whole motion; in the paper's subset A, where each mesh is a posture of its own, the mesh.
     """
-    people = Counter(subset for _, subset, _ in {(source, subset, who) for source, subset, who, _, _ in bodies})
+    people = Counter(subset for subset, _ in {(subset, subject) for _, subset, subject, _, _ in bodies})
     found: dict[BodyRow, Group] = {}
     for row in bodies:
-        source, subset, subject, mesh, pose = row
+        _, subset, subject, mesh, pose = row
         within: Group = ()
         if people[subset] < math.ceil(1 / share):
             within = (mesh,) if holds_postures(subset) else (pose,)
-        found[row] = (source, subset, subject, *within)
+        found[row] = (subset, subject, *within)
     return found
 
 
@@ -73,7 +73,7 @@ def choose_groups(sizes: dict[Group, int], share: float) -> set[Group]:
     """
     subsets: dict[str, list[Group]] = {}
     for group in sizes:
-        subsets.setdefault(group[1], []).append(group)
+        subsets.setdefault(group[0], []).append(group)
     chosen: set[Group] = set()
     short = 0.0
     for _, members in sorted(subsets.items(), key=lambda item: (-max(sizes[group] for group in item[1]), item[0])):
