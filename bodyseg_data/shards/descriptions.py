@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadShard
@@ -67,38 +68,26 @@ def descriptions_from_json(record: dict[str, Any], where: str) -> Descriptions:
         _table(record, table, width, kind, where)
         for table, width, kind in (("bodies", len(BODY_FIELDS), str), ("views", len(VIEW_FIELDS), int))
     )
-    if any(abs(value) > LARGEST_VALUE for row in views for value in row):
+    if max(map(abs, chain.from_iterable(views)), default=0) > LARGEST_VALUE:
         raise BadShard(f"{where}: 'views' must hold whole numbers of at most {LARGEST_VALUE}")
-    columns = (
-        _column(record, column, table, len(rows), where)
-        for column, table, rows in (("body", "bodies", bodies), ("view", "views", views))
-    )
-    return Descriptions(bodies, views, *columns)
+    for column, table, rows in (("body", "bodies", bodies), ("view", "views", views)):
+        if list(dict.fromkeys(record[column])) != list(range(len(rows))):
+            raise BadShard(
+                f"{where}: {column!r} must number the rows of {table!r}, all of them, in the order of their first use"
+            )
+    return Descriptions(bodies, views, tuple(record["body"]), tuple(record["view"]))
 
 
 def _table(record: dict[str, Any], name: str, width: int, kind: type, where: str) -> tuple[tuple[Any, ...], ...]:
     rows = record[name]
-    if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == width for row in rows):
+    if not isinstance(rows, list) or set(map(type, rows)) - {list} or set(map(len, rows)) - {width}:
         raise BadShard(f"{where}: {name!r} must be a list of rows of {width}")
-    if not all(type(value) is kind for row in rows for value in row):
+    if set(map(type, chain.from_iterable(rows))) - {kind}:
         raise BadShard(f"{where}: {name!r} must hold {kind.__name__} only")
     table = tuple(map(tuple, rows))
     if len(set(table)) < len(table):
         raise BadShard(f"{where}: {name!r} must hold each row once")
     return table
-
-
-def _column(record: dict[str, Any], name: str, table: str, rows: int, where: str) -> tuple[int, ...]:
-    column: tuple[int, ...] = tuple(record[name])
-    used = 0
-    for number in column:
-        if not 0 <= number <= used:
-            break
-        used += number == used
-    else:
-        if used == rows:
-            return column
-    raise BadShard(f"{where}: {name!r} must number the rows of {table!r}, all of them, in the order of their first use")
 
 
 def difference(stored: SampleInfo, listed: SampleInfo) -> str | None:

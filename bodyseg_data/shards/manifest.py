@@ -100,7 +100,11 @@ class Manifest:
 
 
 def _digest(tree: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(_compact(tree)).hexdigest()
+
+
+def _compact(tree: dict[str, Any]) -> bytes:
+    return json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()
 
 
 def record_to_json(record: ShardRecord) -> dict[str, Any]:
@@ -128,7 +132,7 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         if not isinstance(values, list) or len(values) != tree["samples"]:
             raise BadShard(f"{where}: {column!r} must have one entry a sample")
         kind = str if column == "keys" else int
-        if not all(type(value) is kind for value in values):
+        if set(map(type, values)) - {kind}:
             raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
     notes = tree["notes"]
     if not isinstance(notes, list) or not all(isinstance(note, str) and note.isprintable() for note in notes):
@@ -163,9 +167,7 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
 
 def write_manifest(manifest: Manifest, folder: Path) -> None:
     """Write `folder`/manifest.json atomically."""
-    write_atomically(
-        folder / MANIFEST_NAME, json.dumps(manifest.to_json(), indent=None, sort_keys=True).encode() + b"\n"
-    )
+    write_atomically(folder / MANIFEST_NAME, _compact(manifest.to_json()) + b"\n")
 
 
 def read_manifest(where: Path | Store) -> Manifest:

@@ -174,7 +174,7 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
         (lambda data: b"[" * 100_000, "cannot be read"),
         (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 5', found 'bodyseg shards 3'"),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
-        (lambda data: data.replace(b'"samples": 5', b'"samples": 6', 1), "altered after it was written"),
+        (lambda data: data.replace(b'"samples":5', b'"samples":6', 1), "altered after it was written"),
     ],
 )
 def test_a_broken_manifest_is_one_line_and_exit_status_1(

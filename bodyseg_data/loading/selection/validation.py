@@ -102,4 +102,5 @@ def _choose(members: list[Group], sizes: dict[Group, int], due: float) -> set[Gr
 
 
 def _hash(group: Group) -> bytes:
-    return hashlib.blake2b("\0".join(group).encode(errors="surrogatepass"), digest_size=16, person=b"bodyseg").digest()
+    text = "\0".join(group)
+    return hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=16, person=b"bodyseg val").digest()
