@@ -60,7 +60,9 @@ def test_the_public_classes_print_in_one_readable_line(figures_set: Path) -> Non
     images.set_epoch(2)
     later = shown.replace("epoch=0", "epoch=2")
     batches = loader(images, 4, num_workers=2)
-    assert repr(batches) == f"Loader({later}, batch_size=4, shuffle=False, num_workers=2, batches={-(-count // 4)})"
+    assert repr(batches) == (
+        f"Loader({later}, batch_size=4, shuffle=False, batches={-(-count // 4)}, num_workers=2, worker_method='thread')"
+    )
     assert repr(batches.order) == (
         f"BatchOrder({later}, batch_size=4, shuffle=False, drop_last=False, rank=0, world_size=1, "
         f"batches={-(-count // 4)})"
