@@ -123,7 +123,8 @@ def _sensor(options: Options) -> SensorModel:
 
 
 def _network(options: Options, label_map: LabelMap) -> Network:
-    network = build(options.network, {"classes": len(label_map), **_settings(options.settings)}, options.seed)
+    classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
+    network = build(options.network, {**classes, **_settings(options.settings)}, options.seed)
     if options.pretrained is not None:
         network.load_pretrained(options.pretrained)
     return network

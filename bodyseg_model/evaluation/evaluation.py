@@ -29,7 +29,7 @@ from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -216,8 +216,7 @@ def evaluate(
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")
     found = Evaluation(frozenset(extras), label_map=images.label_map)
     predicts = images.label_map if label_map is None else label_map
-    if network.classes != len(predicts):
-        raise BadConfig(f"labels {predicts.name!r} are {len(predicts)}, the network has {network.classes}")
+    check_label_map(network, predicts)
     joined = None if predicts == images.label_map else predicts.joined_to(images.label_map)
     clean = _CleanSamples(images)
     device = device_of(network)

@@ -109,7 +109,7 @@ def _confidences(confidences: Confidences) -> Tree:
 
 
 def _borders(borders: BorderErrors, told: frozenset[str]) -> list[Tree]:
-    """Rows of the bins: pixels, and the share of them that is wrong, in all and by each kind of mistake that is told."""
+    """Rows of the bins: pixels, and the share of them that is wrong, in all and by each kind that is told."""
     rows = []
     for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
         pixels = sum(counts)

@@ -17,7 +17,7 @@ from safetensors.torch import save as tensor_bytes
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import build
 
 FORMAT: Final = "bodyseg network 1"
@@ -78,11 +78,13 @@ def load_network(path: Path) -> Trained:
 def label_map_of_card(card: Mapping[str, Any], network: Network, where: str) -> LabelMap:
     """Read the classes that a network predicts from its card; the 33 parts where the card names none.
 
-    Raises BadConfig, naming `where`, if they are damaged, or as many as the network has not.
+    Raises BadConfig, naming `where`, for classes that are damaged or another number of them than the network's.
     """
     label_map = label_map_from_json(card["labels"], f"{where}, labels") if "labels" in card else PARTS33
-    if len(label_map) != network.classes:
-        raise BadConfig(f"{where}: labels {label_map.name!r} are {len(label_map)}, the network has {network.classes}")
+    try:
+        check_label_map(network, label_map)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
     return label_map
 
 

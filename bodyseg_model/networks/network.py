@@ -16,6 +16,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 
 
@@ -88,3 +89,11 @@ def check_classes(classes: int) -> int:
     if count > BACKGROUND:
         raise BadConfig(f"classes must be at most {BACKGROUND}, found {count}")
     return count
+
+
+def check_label_map(network: Network, label_map: LabelMap) -> None:
+    """Raise BadConfig unless a network has as many classes as a label map."""
+    if network.classes != len(label_map):
+        raise BadConfig(
+            f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"
+        )

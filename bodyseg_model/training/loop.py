@@ -27,7 +27,7 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, ch
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
@@ -103,11 +103,7 @@ class Training:
             raise BadConfig(
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
-        if network.classes != len(images.label_map):
-            raise BadConfig(
-                f"the network must have the {len(images.label_map)} classes of the images' labels "
-                f"{images.label_map.name!r}, found {network.classes}"
-            )
+        check_label_map(network, images.label_map)
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
