@@ -18,7 +18,10 @@ _LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
 
 
 def luma(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Grey of colours, sRGB uint8 [N, 3], as it is printed without colour: float64 [N], 0 to 255."""
+    """Grey of colours as they look without colour, float64 [N], 0 to 255.
+
+    colours: sRGB uint8 [N, 3].
+    """
     grey: NDArray[np.float64] = colours @ _LUMA
     return grey
 
