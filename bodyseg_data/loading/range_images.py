@@ -96,6 +96,8 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.transforms = check_transforms(transform)
         self.label_map = load_label_map(labels)
         self._joins_parts = self.label_map != PARTS33
+        if self._joins_parts:
+            self.label_map.prepare()
         self.only = tuple(only)
         self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
@@ -154,7 +156,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         if self.transforms:
             image = transform_image(image, self.transforms, Draws(self.seed, chosen, image.key))
         if self._joins_parts:
-            self.label_map.table.take(image.labels, out=image.labels)
+            self.label_map.write(image.labels)
         return image
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
@@ -171,7 +173,7 @@ class RangeImages(Dataset[dict[str, Any]]):
                 return
             self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
             if self._joins_parts:
-                self.label_map.table.take(labels, out=labels)
+                self.label_map.write(labels)
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error

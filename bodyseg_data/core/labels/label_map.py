@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.colours import class_colours
 from bodyseg_data.core.parts import BACKGROUND, COLOURS, LANDMARKS, PART_COUNT, PARTS, Part, Side
 from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
@@ -78,6 +79,29 @@ class LabelMap:
         return found
 
     @cached_property
+    def _bytes(self) -> bytes:
+        return self.table.tobytes()
+
+    @cached_property
+    def _wide(self) -> NDArray[np.uint64]:
+        return self.table.astype(np.uint64)
+
+    def write(self, labels: NDArray[np.uint8]) -> None:
+        """Replace part labels by class labels in place, uint8 [H, W], contiguous; no part becomes `BACKGROUND`."""
+        flat = labels.reshape(-1)
+        if not use_compiled():
+            # Bytes are translated faster than NumPy looks them up, for it first makes 64-bit numbers of them.
+            flat[:] = np.frombuffer(flat.tobytes().translate(self._bytes), np.uint8)
+            return
+        first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
+        words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
+        _loops().join(flat, words, first, self._wide)
+
+    def prepare(self) -> None:
+        """Compile or load the loop of `write`, so that workers forked from this process have it too."""
+        self.write(np.zeros((1, 1), np.uint8))
+
+    @cached_property
     def mirrored(self) -> NDArray[np.uint8]:
         """Class label -> class label in the mirror image, uint8 [256]; other values stay as they are."""
         found = np.arange(256, dtype=np.uint8)
@@ -135,6 +159,11 @@ class LabelMap:
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON object; its classes are a list, since their order matters."""
         return {"name": self.name, "classes": [{"name": name, "landmarks": [*parts]} for name, parts in self.classes]}
+
+
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_data.core.labels.loops")
 
 
 def _parts(landmarks: tuple[str, ...]) -> tuple[Part, ...]:
