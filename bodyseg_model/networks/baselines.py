@@ -32,7 +32,9 @@ class Baseline(Network):
 
     output_stride: ClassVar[int] = 4
 
-    def __init__(self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any], classes: int) -> None:
+    def __init__(
+        self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any], classes: int = PART_COUNT
+    ) -> None:
         super().__init__({**settings, "shrink": shrink}, classes)
         if shrink not in (1, 2, 4):
             raise BadConfig(f"shrink must be 1, 2 or 4, found {shrink!r}")
