@@ -17,7 +17,7 @@ from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import PARTS
+from bodyseg_data.core.labels.label_map import PARTS33, label_map_names
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.splits import SPLITS, ReadSplit
 from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
@@ -34,6 +34,7 @@ class Options:
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    labels: str = option(f"classes to count: {', '.join(label_map_names())} or a label map (.toml)", PARTS33.name)
     split: ReadSplit | None = option("only this split (default: train and test)", None)
     val_share: float = option("share of train that is the split val, and not train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
@@ -59,6 +60,7 @@ def run(options: Options) -> int:
         sensor=options.sensor,
         where=options.where,
         val_share=options.val_share,
+        labels=options.labels,
     )
     if options.out is not None:
         save_picture(contact_sheet(images, options.rows), options.out)
@@ -81,7 +83,7 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
         lines.append(Row(sample, images.step_m, variants))
     sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
     title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
-    return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor)
+    return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor, images.label_map)
 
 
 def _pick(number: int, count: int, length: int) -> int:
@@ -93,7 +95,8 @@ def _pick(number: int, count: int, length: int) -> int:
 def summarise(images: RangeImages) -> dict[str, Any]:
     """Count a set's samples and pixels and the share that a variant keeps of the clean foreground, as plain JSON."""
     splits, subsets, subjects = Counter[str](), Counter[str](), Counter[str]()
-    pixels = np.zeros(len(PARTS), np.int64)
+    label_map = images.label_map
+    pixels = np.zeros(len(label_map), np.int64)
     clean_pixels = kept_pixels = 0
     drawn: dict[str, list[float]] = {name: [] for artifact in images.augmentation.sensor for name in artifact.drawn}
     with Progress("inspecting", "samples") as progress:
@@ -103,7 +106,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
             splits[sample.info.split] += 1
             subsets[sample.info.subset] += 1
             subjects[sample.info.subject] += 1
-            pixels += np.bincount(image.labels.ravel(), minlength=256)[: len(PARTS)]
+            pixels += np.bincount(label_map.table[image.labels.ravel()], minlength=256)[: len(label_map)]
             clean_pixels += int(np.count_nonzero(sample.range))
             kept_pixels += int(np.count_nonzero(image.range))
             for name, value in image.drawn.items():
@@ -131,8 +134,8 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "kept": round(kept_pixels / max(clean_pixels, 1), 4),
         **{f"mean_{name}": round(float(np.mean(values)), 4) if values else None for name, values in drawn.items()},
         "part_shares": {
-            part.landmark: round(int(count) / max(int(pixels.sum()), 1), 4)
-            for part, count in zip(PARTS, pixels, strict=True)
+            name: round(int(count) / max(int(pixels.sum()), 1), 4)
+            for name, count in zip(label_map.names, pixels, strict=True)
         },
         "notes": manifest.notes(),
     }

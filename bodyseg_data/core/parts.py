@@ -107,9 +107,16 @@ COLOURS: Final = _part_colours()
 """sRGB of every part, uint8 [33, 3]."""
 
 
-def colour_labels(labels: NDArray[np.uint8], background: tuple[int, int, int] = (24, 26, 32)) -> NDArray[np.uint8]:
-    """Draw a label image: uint8 [H, W] with 0..32 or BACKGROUND -> sRGB uint8 [H, W, 3]."""
+def colour_labels(
+    labels: NDArray[np.uint8],
+    background: tuple[int, int, int] = (24, 26, 32),
+    colours: NDArray[np.uint8] = COLOURS,
+) -> NDArray[np.uint8]:
+    """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3]; `background` where a label has no colour.
+
+    colours: sRGB of every label from 0 on, uint8 [N, 3]; by default those of the 33 parts.
+    """
     table = np.empty((256, 3), np.uint8)
     table[:] = background
-    table[:PART_COUNT] = COLOURS
+    table[: len(colours)] = colours
     return table[labels]

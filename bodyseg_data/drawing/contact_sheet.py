@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import colour_labels
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
@@ -51,19 +52,22 @@ def colour_range(image: NDArray[np.uint16 | np.float32], near: float, far: float
     return drawn
 
 
-def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str, sensor: SensorModel) -> Image.Image:
+def draw_sheet(
+    rows: Sequence[Row], shown: VariantName, title: str, sensor: SensorModel, label_map: LabelMap = PARTS33
+) -> Image.Image:
     """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`.
 
-    sensor: the model that made the variants, which captions name the drawn quantities of.
+    sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
+    labels are coloured by.
     """
-    panels = [_panels(row, shown, sensor) for row in rows]
+    panels = [_panels(row, shown, sensor, label_map) for row in rows]
     heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
         for column, head in enumerate(heads)
     ]
     width = sum(widths) + _GAP * (len(widths) + 1)
-    legend = _legend(width - 2 * _GAP)
+    legend = _legend(width - 2 * _GAP, label_map)
     line_height = _CAPTION + _PANEL_ROWS + _NOTE + _GAP
     top = 34 + _CAPTION
     sheet = Image.new("RGB", (width, top + line_height * len(rows) + legend.height + 2 * _GAP), PAPER)
@@ -82,7 +86,7 @@ def draw_sheet(rows: Sequence[Row], shown: VariantName, title: str, sensor: Sens
     return sheet
 
 
-def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str, Image.Image]]:
+def _panels(row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelMap) -> list[tuple[str, Image.Image]]:
     """Captions and pictures of one line. All camera range panels share the scale of the clean one."""
     sample = row.sample
     occluder = sample.occluder_range()
@@ -90,10 +94,10 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str
     panels = [
         (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
         (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
-        ("", colour_labels(sample.labels, _EMPTY)),
+        ("", colour_labels(label_map.table[sample.labels], _EMPTY, label_map.colours)),
     ]
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
-    panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
+    panels.append(("", colour_labels(label_map.table[row.variants[shown].labels], _EMPTY, label_map.colours)))
     return [(note, _fit(picture)) for note, picture in panels]
 
 
@@ -125,9 +129,9 @@ def _caption(sample: Sample) -> str:
     return f"{info.subject}, {info.pose}, {info.view.words} ({info.split}, {sample.key})"
 
 
-def _legend(width: int) -> Image.Image:
-    """Legend of the 33 parts, and below it the colour scale of ranges."""
-    parts = draw_legend(width)
+def _legend(width: int, label_map: LabelMap) -> Image.Image:
+    """Legend of the classes, and below it the colour scale of ranges."""
+    parts = draw_legend(width, label_map)
     legend = Image.new("RGB", (width, parts.height + 34), PAPER)
     legend.paste(parts, (0, 0))
     pen = ImageDraw.Draw(legend)

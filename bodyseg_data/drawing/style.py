@@ -1,4 +1,4 @@
-"""Shared style of all pictures: colours, font, the legend of the 33 parts, and writing PNG and SVG files."""
+"""Shared style of all pictures: colours, font, the legend of the parts, and writing PNG and SVG files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.parts import COLOURS, PART_COUNT, PARTS
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 
 PAPER: Final = (250, 250, 247)
 INK: Final = (32, 34, 40)
@@ -25,20 +25,32 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def draw_legend(width: int) -> Image.Image:
-    """Draw the legend of the 33 parts (colour, number, landmark), in as many columns as fit into `width` pixels."""
+def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
+    """Draw the legend of the classes (colour, number, name), in as many columns as fit into `width` pixels.
+
+    A name longer than its column is cut.
+    """
     columns = max(1, width // _COLUMN)
-    lines = -(-PART_COUNT // columns)
-    columns = -(-PART_COUNT // lines)
+    lines = -(-len(label_map) // columns)
+    columns = -(-len(label_map) // lines)
     legend = Image.new("RGB", (width, lines * _LINE), PAPER)
     pen = ImageDraw.Draw(legend)
-    for part in PARTS:
-        column, line = divmod(part.label, lines)
+    for label, (name, colour) in enumerate(zip(label_map.names, label_map.colours.tolist(), strict=True)):
+        column, line = divmod(label, lines)
         left, top = column * width // columns, line * _LINE
-        pen.rounded_rectangle((left, top + 2, left + 15, top + 17), 3, tuple(COLOURS[part.label].tolist()))
-        pen.text((left + 38, top + 10), str(part.label), INK, font=font(13), anchor="rm")
-        pen.text((left + 46, top + 10), part.landmark, INK, font=font(13), anchor="lm")
+        pen.rounded_rectangle((left, top + 2, left + 15, top + 17), 3, tuple(colour))
+        pen.text((left + 38, top + 10), str(label), INK, font=font(13), anchor="rm")
+        pen.text((left + 46, top + 10), _cut(name, width // columns - 50), INK, font=font(13), anchor="lm")
     return legend
+
+
+def _cut(name: str, width: int) -> str:
+    """As much of a name, in size 13, as fits into `width` pixels, with dots for the rest."""
+    if font(13).getlength(name) <= width:
+        return name
+    while name and font(13).getlength(f"{name}...") > width:
+        name = name[:-1]
+    return f"{name}..."
 
 
 def check_picture(path: Path, option: str = "--out") -> None:

@@ -100,6 +100,8 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.transforms = check_transforms(transform)
         self.label_map = load_label_map(labels)
         self._joins_parts = self.label_map != PARTS33
+        if self._joins_parts:
+            self.label_map.prepare()
         self.selection = Selection.of(pattern, split, only, where, val_share)
         self._samples = self.selection.choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
@@ -160,7 +162,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         if self.transforms:
             image = transform_image(image, self.transforms, Draws(self.seed, chosen, image.key))
         if self._joins_parts:
-            self.label_map.table.take(image.labels, out=image.labels)
+            self.label_map.write(image.labels)
         return image
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
@@ -177,7 +179,7 @@ class RangeImages(Dataset[dict[str, Any]]):
                 return
             self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
             if self._joins_parts:
-                self.label_map.table.take(labels, out=labels)
+                self.label_map.write(labels)
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error

@@ -14,6 +14,7 @@ from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, o
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import LabelMap, load_label_map
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
@@ -44,6 +45,7 @@ class Options:
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
+    labels: str | None = option("classes to score, of which the network's are parts (default: the network's)", None)
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
@@ -61,9 +63,10 @@ def run(options: Options) -> int:
     _check(options)
     trained = shipped_network() if options.run is None else load_network(options.run)
     trained.network.to(find_device(options.device))
-    sets = _open(options)
+    label_map = trained.label_map if options.labels is None else load_label_map(options.labels)
+    sets = _open(options, label_map)
     facts = _facts(options, trained)  # first, as files may change meanwhile
-    picture = None if options.figures is None else SamplePicture()
+    picture = None if options.figures is None else SamplePicture(label_map)
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
     scores = report(found)
@@ -101,7 +104,7 @@ def _check(options: Options) -> None:
         check_target(options.figures / "parts.png", "--figures")
 
 
-def _open(options: Options) -> list[RangeImages]:
+def _open(options: Options, label_map: LabelMap) -> list[RangeImages]:
     """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
     sets, path_of = [], dict[str, str]()
     sensor = load_sensor_model(options.sensor)
@@ -118,6 +121,7 @@ def _open(options: Options) -> list[RangeImages]:
             sensor,
             options.where,
             options.val_share,
+            label_map,
         )
         for key in images.keys:
             if key in path_of:
@@ -129,7 +133,7 @@ def _open(options: Options) -> list[RangeImages]:
 
 def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
     total = sum(_count(images, options.images) for images in sets)
-    found, before = Evaluation(), 0
+    found, before = Evaluation(label_map=sets[0].label_map), 0
 
     def show(done: int, _: int) -> None:
         progress.update(before + done, total)
@@ -141,6 +145,7 @@ def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], pictu
                     trained.network,
                     images,
                     options.images,
+                    label_map=trained.label_map,
                     batch_size=options.batch_size,
                     num_workers=options.num_workers,
                     worker_method=options.worker_method,

@@ -17,6 +17,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
+from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.drawing.style import save_picture
@@ -68,11 +69,12 @@ class Options:
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
-    step_m, background, preview = metres_a_step(options.units), _background(options), Preview(options.fps)
+    step_m, background = metres_a_step(options.units), _background(options)
     frames = find_frames(options.frames)
     first = frames[0].read()
     camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
     trained = shipped_network() if options.run is None else load_network(options.run)
+    label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
     trained.network.to(find_device(options.device))
     lens = None if camera.camera.distortion is None else Undistortion(camera.camera)
     ideal = camera.camera if lens is None else lens.camera
@@ -83,14 +85,15 @@ def run(options: Options) -> int:
     summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            range_m, bodies = _segment(frame, lens, step_m, segmenter, options.out, summary, preview)
+            range_m, bodies = _segment(frame, lens, step_m, segmenter, options.out, summary, preview, label_map)
             shadows.add(number, frame.name, range_m, bodies)
             progress.update(number + 1, len(frames))
-    save_picture(draw_parts_legend(), options.out / "legend.png")
+    save_picture(draw_parts_legend(label_map), options.out / "legend.png")
     write_result(options.out / _PREVIEW, preview.to_gif())
     facts = {
         "format": _FORMAT,
         "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
+        "labels": {"name": label_map.name, "classes": [*label_map.names]},
         "camera": {**camera.to_json(), "mirrored": options.mirrored},
         "unit_m": step_m,
         "background": background.to_json(),
@@ -125,6 +128,7 @@ def _segment(
     out: Path,
     summary: SequenceSummary,
     preview: Preview,
+    label_map: LabelMap,
 ) -> tuple[NDArray[np.float32], list[NDArray[np.intp]]]:
     """Read, label, write and count one frame; returns its ranges and the pixels of its bodies.
 
@@ -139,7 +143,7 @@ def _segment(
     except BadConfig as error:
         raise BadConfig(f"{frame.where}: {error}") from error
     with watch("write"):
-        overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies])
+        overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies], label_map)
         images: dict[str, NDArray[Any]] = {"labels": result.labels, "overlay": overlay}
         if lens is not None:
             images[_UNDISTORTED] = pixels

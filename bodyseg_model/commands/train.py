@@ -22,6 +22,7 @@ from bodyseg_data.commands.options import WHERE_HELP, command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
@@ -42,6 +43,7 @@ class Options:
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
     network: NetworkName = option("which network", "compact")
+    labels: str = option(f"classes to predict: {', '.join(label_map_names())} or a label map (.toml)", PARTS33.name)
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
@@ -92,8 +94,9 @@ def run(options: Options) -> int:
         sensor=_sensor(options),
         only=options.only,
         where=options.where,
+        labels=options.labels,
     )
-    network = _network(options)
+    network = _network(options, images.label_map)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(network, options.network, images, recipe, folder, processes, options.seed, run_options)
@@ -121,8 +124,9 @@ def _sensor(options: Options) -> SensorModel:
     return sensor_for(options.variant, sensor, given)
 
 
-def _network(options: Options) -> Network:
-    network = build(options.network, _settings(options.settings), options.seed)
+def _network(options: Options, label_map: LabelMap) -> Network:
+    classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
+    network = build(options.network, {**classes, **_settings(options.settings)}, options.seed)
     if options.pretrained is not None:
         network.load_pretrained(options.pretrained)
     return network

@@ -1,7 +1,7 @@
-"""Errors by distance to a border: the distance of a pixel to the nearest pixel of another part, and errors at each.
+"""Errors by distance to a border: the distance of a pixel to the nearest pixel of another class, and errors at each.
 
-A pixel of another part is within a distance exactly if the largest or the smallest label within that distance,
-background aside, differs from the pixel's own. So one radius takes maxima over a disc, whatever the number of parts.
+A pixel of another class is within a distance exactly if the largest or the smallest label within that distance,
+background aside, differs from the pixel's own. So one radius takes maxima over a disc, whatever the number of classes.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
 
 EDGES: Final = (1, 2, 4, 8, 16)
 """Upper ends (included) of all bins but the last, pixels: up to 1, above 1 to 2, 2 to 4, 4 to 8, 8 to 16, above 16."""
@@ -33,10 +34,10 @@ _ROWS: Final = tuple(
 
 
 def distance_bins(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bin of every pixel's distance to another part, uint8 [H, W], BACKGROUND where `labels` has it.
+    """Bin of every pixel's distance to another class, uint8 [H, W], BACKGROUND where `labels` has it.
 
-    The distance is Euclidean, between pixel centres, to the nearest pixel of another part; background is not a part.
-    Pixels at distance 1 are adjacent to another part. labels: uint8 [H, W], 0..32 or BACKGROUND.
+    The distance is Euclidean, between pixel centres, to the nearest pixel of another class; background is none.
+    Pixels at distance 1 are adjacent to another class. labels: uint8 [H, W], any or BACKGROUND.
     """
     bins = np.full(labels.shape, BACKGROUND, np.uint8)
     body = labels != BACKGROUND
@@ -50,7 +51,7 @@ def distance_bins(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     # Rows are padded with background, so that every shift is a shift in flat memory.
     own = np.zeros((2, height, width + EDGES[-1]), np.uint8)
     own[0, :, :width] = (labels[box] + np.uint8(1)) * inside
-    own[1, :, :width] = (np.uint8(PART_COUNT) - labels[box]) * inside
+    own[1, :, :width] = (np.uint8(BACKGROUND) - labels[box]) * inside
     stride = own.shape[2]
     own = own.reshape(2, -1)
     found = np.full(own.shape[1], len(EDGES), np.uint8)
@@ -83,7 +84,8 @@ def _discs(own: NDArray[np.uint8], stride: int) -> list[NDArray[np.uint8]]:
 class BorderErrors:
     """Counts of pixels by distance and kind of mistake. counts: int64 [6, 5], row bin, column kind of `KINDS`."""
 
-    def __init__(self) -> None:
+    def __init__(self, label_map: LabelMap = PARTS33) -> None:
+        self._kinds = kinds_of(label_map).ravel()
         self.counts: NDArray[np.int64] = np.zeros((len(EDGES) + 1, len(KINDS)), np.int64)
 
     def __repr__(self) -> str:
@@ -91,7 +93,7 @@ class BorderErrors:
 
     def add(self, pairs: NDArray[np.int64], bins: NDArray[np.uint8]) -> None:
         """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and their bins, uint8 [N]."""
-        kinds = KIND_OF.ravel().take(pairs)
+        kinds = self._kinds.take(pairs)
         self.counts += np.bincount(bins * np.uint8(len(KINDS)) + kinds, minlength=self.counts.size).reshape(
             self.counts.shape
         )

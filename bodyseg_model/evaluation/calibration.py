@@ -15,28 +15,22 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.evaluation.scores import PAIRS
 
 STEPS: Final = 1500
 FINER: Final = 1500
 CELLS: Final = FINER + STEPS - 1
 ECE_BINS: Final = 15
 THRESHOLD_STEPS: Final = 30
-"""Counts by part are kept in bins of 1/30, so thresholds are multiples of it: 50, 60, 70, 80, 90 % are among them."""
+"""Counts by class are kept in bins of 1/30, so thresholds are multiples of it: 50, 60, 70, 80, 90 % are among them."""
 
 _ROUNDING: Final = 1e-4  # softmax and interpolation may exceed 1 by as much
-
-_TRUTH, _PREDICTED = np.divmod(np.arange(PAIRS), PART_COUNT)
-_WRONG: Final = (_TRUTH != _PREDICTED).astype(np.int64)
-_FIRST_BIN: Final = (2 * _TRUTH + _WRONG) * THRESHOLD_STEPS
-"""Pair number -> 1 if it is wrong, and the flat index of its first bin in `by_part`."""
 
 
 @dataclass(frozen=True)
 class ConfidentPixels:
     """Pixels above a threshold of confidence: their share of all, and their accuracy.
 
-    average_per_class_accuracy: over the parts that have such pixels.
+    average_per_class_accuracy: over the classes that have such pixels.
     """
 
     share_of_pixels: float
@@ -59,13 +53,17 @@ class Confidences:
     """Counts of right and wrong pixels by confidence.
 
     counts: int64 [2, CELLS], row 0 right, row 1 wrong, most confident first; sums: float64 [CELLS], of confidences;
-    by_part: int64 [33, 2, 30], by true part, right or wrong, and bin of 1/30, most confident first.
+    by_class: int64 [C, 2, 30], by true class, right or wrong, and bin of 1/30, most confident first.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, classes: int = PART_COUNT) -> None:
+        truth, predicted = np.divmod(np.arange(classes**2), classes)
+        # Pair number -> 1 if it is wrong, and the flat index of its first bin in `by_class`.
+        self._wrong = (truth != predicted).astype(np.int64)
+        self._first_bin = (2 * truth + self._wrong) * THRESHOLD_STEPS
         self.counts: NDArray[np.int64] = np.zeros((2, CELLS), np.int64)
         self.sums: NDArray[np.float64] = np.zeros(CELLS)
-        self.by_part: NDArray[np.int64] = np.zeros((PART_COUNT, 2, THRESHOLD_STEPS), np.int64)
+        self.by_class: NDArray[np.int64] = np.zeros((classes, 2, THRESHOLD_STEPS), np.int64)
 
     def __repr__(self) -> str:
         return f"Confidences({self.pixels} pixels, mean {self.mean():.3f})"
@@ -84,17 +82,17 @@ class Confidences:
         step = np.minimum(scaled.astype(np.int64), STEPS - 1)
         cell = np.where(step == 0, (scaled * np.float32(FINER)).astype(np.int64), step + (FINER - 1))
         self.sums += np.bincount(cell, confidence, CELLS)
-        cell += CELLS * _WRONG.take(pairs)
+        cell += CELLS * self._wrong.take(pairs)
         self.counts += np.bincount(cell, minlength=2 * CELLS).reshape(2, CELLS)
         step //= STEPS // THRESHOLD_STEPS
-        step += _FIRST_BIN.take(pairs)
-        self.by_part += np.bincount(step, minlength=self.by_part.size).reshape(self.by_part.shape)
+        step += self._first_bin.take(pairs)
+        self.by_class += np.bincount(step, minlength=self.by_class.size).reshape(self.by_class.shape)
 
     def merge(self, other: Confidences) -> None:
         """Add the counts of other pixels."""
         self.counts += other.counts
         self.sums += other.sums
-        self.by_part += other.by_part
+        self.by_class += other.by_class
 
     @property
     def pixels(self) -> int:
@@ -162,7 +160,7 @@ class Confidences:
         steps = round(scaled) if 0.5 < scaled <= THRESHOLD_STEPS else 0  # 0 for NaN
         if not steps or abs(scaled - steps) > 1e-6:
             raise BadConfig(f"a threshold must be a multiple of 1/30 from 0 to below 1, found {threshold:g}")
-        right, wrong = self.by_part[:, :, :steps].sum(axis=2).T
+        right, wrong = self.by_class[:, :, :steps].sum(axis=2).T
         kept = right + wrong
         if not kept.any():
             return ConfidentPixels(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))

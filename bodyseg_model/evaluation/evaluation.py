@@ -17,6 +17,7 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.variants import sensor_for
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
@@ -28,7 +29,7 @@ from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import device_of, predict
 
 Extra = Literal["confidences", "borders"]
@@ -55,15 +56,19 @@ class PredictedImage(NamedTuple):
 
 
 class Scores:
-    """Counts of one group of images; `confidences` and `borders` are None unless they are among `extras`."""
+    """Counts of one group of images; `confidences` and `borders` are None unless they are among `extras`.
 
-    def __init__(self, extras: Collection[Extra] = EXTRAS) -> None:
-        self.extras = frozenset(extras)
+    label_map: the classes of truth and prediction.
+    """
+
+    def __init__(self, extras: Collection[Extra] = EXTRAS, label_map: LabelMap = PARTS33) -> None:
+        classes = len(label_map)
+        self.extras, self.label_map = frozenset(extras), label_map
         self.images = 0
-        self.confusion = ConfusionMatrix()
-        self.per_image = PerImageAccuracy()
-        self.confidences = Confidences() if "confidences" in extras else None
-        self.borders = BorderErrors() if "borders" in extras else None
+        self.confusion = ConfusionMatrix(classes)
+        self.per_image = PerImageAccuracy(classes)
+        self.confidences = Confidences(classes) if "confidences" in extras else None
+        self.borders = BorderErrors(label_map) if "borders" in extras else None
 
     def __repr__(self) -> str:
         return f"Scores({self.images} images, {self.confusion})"
@@ -72,10 +77,11 @@ class Scores:
         """Count one image; returns its average per-class accuracy, NaN if it shows nothing.
 
         borders: the label image in which distances to borders are measured, uint8 [H, W]. Raises BadConfig for labels
-        above 32 or confidences outside 0 to 1.
+        of no class or confidences outside 0 to 1.
         """
-        pairs = pairs_of(image.labels, image.predicted)
-        counts = count_pairs(pairs)
+        classes = len(self.label_map)
+        pairs = pairs_of(image.labels, image.predicted, classes)
+        counts = count_pairs(pairs, classes)
         self.images += 1
         self.confusion.counts += counts
         where = np.flatnonzero(image.labels != BACKGROUND)
@@ -86,7 +92,12 @@ class Scores:
         return self.per_image.add(counts)
 
     def merge(self, other: Scores) -> None:
-        """Add the counts of other images. Raises BadConfig unless both have the same `extras`."""
+        """Add the counts of other images. Raises BadConfig unless both have the same `extras` and `label_map`."""
+        if self.label_map != other.label_map:
+            raise BadConfig(
+                f"scores to merge must be of the same labels, found {self.label_map.name!r} and "
+                f"{other.label_map.name!r}"
+            )
         if self.extras != other.extras:
             raise BadConfig(
                 "scores to merge must count the same things, found "
@@ -105,18 +116,19 @@ class Scores:
 class Evaluation:
     """Scores of every subset: the paper's A, B, C and people, or those that a source names.
 
-    milliseconds: time of the network, of scores, and of waiting for images to be loaded. worst: average per-class
-    accuracy and key of the ten images of lowest accuracy, the lowest first.
+    label_map: the classes that are scored. milliseconds: time of the network, of scores, and of waiting for images to
+    be loaded. worst: average per-class accuracy and key of the ten images of lowest accuracy, the lowest first.
     """
 
     extras: frozenset[Extra] = field(default=frozenset(EXTRAS), repr=False)
     subsets: dict[str, Scores] = field(default_factory=dict)
     milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_STAGES, 0.0), repr=False)
     worst: list[tuple[float, str]] = field(default_factory=list, repr=False)
+    label_map: LabelMap = field(default=PARTS33, repr=False)
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
         """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
-        total = Scores(self.extras)
+        total = Scores(self.extras, self.label_map)
         for name in self.subsets if subsets is None else subsets:
             if name not in self.subsets:
                 raise BadConfig(f"the subset must be one of {', '.join(sorted(self.subsets))}, found {name!r}")
@@ -125,15 +137,15 @@ class Evaluation:
 
     def add(self, image: PredictedImage, borders: NDArray[np.uint8]) -> float:
         """Count one image in its subset; see `Scores.add`."""
-        accuracy = self.subsets.setdefault(image.subset, Scores(self.extras)).add(image, borders)
+        accuracy = self.subsets.setdefault(image.subset, Scores(self.extras, self.label_map)).add(image, borders)
         if not math.isnan(accuracy):
             self.worst = sorted([*self.worst, (accuracy, image.key)])[:_WORST]
         return accuracy
 
     def merge(self, other: Evaluation) -> None:
-        """Add the counts of other images. Raises BadConfig unless both have the same `extras`."""
+        """Add the counts of other images. Raises BadConfig unless both have the same `extras` and `label_map`."""
         for name, scores in other.subsets.items():
-            self.subsets.setdefault(name, Scores(self.extras)).merge(scores)
+            self.subsets.setdefault(name, Scores(self.extras, self.label_map)).merge(scores)
         for stage, milliseconds in other.milliseconds.items():
             self.milliseconds[stage] += milliseconds
         self.worst = sorted([*self.worst, *other.worst])[:_WORST]
@@ -150,16 +162,18 @@ def open_images(
     sensor: str | Path | SensorModel = PAPER_SENSOR,
     where: Sequence[str] = (),
     val_share: float = 0.0,
+    labels: str | Path | LabelMap = PARTS33,
 ) -> RangeImages:
     """Open a set for evaluation; where, val_share: as for `RangeImages`.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others that replace or follow the sensor's. Raises BadConfig for a strength
+    for each image by default. artifacts: others that replace or follow the sensor's. labels: the
+    classes to score. Raises BadConfig for a strength
     that is invalid, is given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
     model = sensor_for(variant, load_sensor_model(sensor), given)
-    return RangeImages(path, variant, split, seed, sensor=model, where=where, val_share=val_share)
+    return RangeImages(path, variant, split, seed, sensor=model, where=where, val_share=val_share, labels=labels)
 
 
 def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:
@@ -178,6 +192,7 @@ def evaluate(
     count: int | None = None,
     *,
     extras: Collection[Extra] = EXTRAS,
+    label_map: LabelMap | None = None,
     batch_size: int = 16,
     num_workers: int = 0,
     worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
@@ -189,17 +204,22 @@ def evaluate(
     count: number of images, the first in the permutation of the images' seed and epoch; None, or more than there are,
     takes all. So networks, variants and strengths of artifacts are compared on the same bodies. extras: scores to count
     beyond the confusion matrix; () is fastest. Distances to borders are measured in the clean label image: a pixel has
-    the same distance in every variant, and missing pixels make no borders. progress: called with images done and images
-    in all. watch: called with every image and its average per-class accuracy.
+    the same distance in every variant, and missing pixels make no borders. label_map: the classes that the network
+    predicts, by default those of the images' labels; where the images have coarser classes, each predicted label counts
+    as the class that it is part of, with its own confidence. progress: called with images done and images in all.
+    watch: called with every image and its average per-class accuracy.
 
-    Raises BadConfig for an invalid count, an unknown score, or a network that predicts labels above 32 or confidences
-    outside 0 to 1; otherwise as `loader`.
+    Raises BadConfig for an invalid count, an unknown score, another number of classes than the network's, classes that
+    cannot be joined to the images', or confidences outside 0 to 1; otherwise as `loader`.
     """
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     for name in extras:
         if name not in EXTRAS:
             raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")
-    found = Evaluation(frozenset(extras))
+    found = Evaluation(frozenset(extras), label_map=images.label_map)
+    predicts = images.label_map if label_map is None else label_map
+    check_label_map(network, predicts)
+    joined = None if predicts == images.label_map else predicts.joined_to(images.label_map)
     clean = _CleanSamples(images)
     device = device_of(network)
     stage = Stopwatch(_STAGES)
@@ -216,6 +236,8 @@ def evaluate(
         with stage("network"):
             prediction = predict(network, batch["range"][: len(keys)].to(device))
             predicted, confidence = prediction.labels.cpu().numpy(), prediction.confidence.cpu().numpy()
+            if joined is not None:
+                predicted = joined[predicted]
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
             for at, key in enumerate(keys):
@@ -252,7 +274,9 @@ class _CleanSamples:
         """
         if self._same:
             return shown
-        clean = self._read(key).labels
+        clean, label_map = self._read(key).labels, self._images.label_map
+        if label_map != PARTS33:
+            clean = label_map.table[clean]
         return np.where(clean == BACKGROUND, shown, clean)
 
     def _read(self, key: str) -> Sample:

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import PART_COUNT, PARTS
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.drawing.style import new_chart, save_chart
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
 from bodyseg_model.evaluation.report import PAPERS_THRESHOLD
 
 Tree = dict[str, Any]
@@ -21,7 +21,7 @@ _PALE: Final = "#a9c4ea"
 _GRID: Final = "#e2e2e2"
 _LEAST_SHARE: Final = 0.001  # of pixels, for a bin's accuracy to say anything
 _KIND_STYLES: Final = {
-    "other": ("any other part", "#d3dbe6", ""),
+    "other": ("any other class", "#d3dbe6", ""),
     "left_right": ("left for right", "#6f9bd8", ""),
     "front_back": ("front for back", "#e0a13c", "////"),
     "both": ("both at once", "#222222", ""),
@@ -47,10 +47,11 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
 
 
 def draw_parts(figures: Tree) -> Any:
-    """Average per-class accuracy of the set and its subsets, and accuracy of each part: the paper's Fig. 6."""
+    """Average per-class accuracy of the set and its subsets, and accuracy of each class: the paper's Fig. 6."""
     groups = {"all": figures, **figures["subsets"]}
-    figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + PART_COUNT))
-    upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, PART_COUNT + 0.6), sharex=True)
+    parts = figures["parts"]
+    figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + len(parts)))
+    upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)
     _bars(
         upper,
         [f"{name}  (images: {_thousands(group['images'])})" for name, group in groups.items()],
@@ -58,10 +59,9 @@ def draw_parts(figures: Tree) -> Any:
         [(group["over_images"]["mean"], group["over_images"]["sd"]) for group in groups.values()],
     )
     upper.set_title("Average per-class accuracy: all images, and by subset", loc="left", fontsize=11)
-    parts = figures["parts"]
     _bars(
         lower,
-        [f"{part['landmark']}  {part['label']:>2}" for part in parts],
+        [f"{part['name']}  {part['label']:>2}" for part in parts],
         [part["accuracy"] for part in parts],
         [(part["mean_over_images"], part["sd_over_images"]) for part in parts],
     )
@@ -100,7 +100,9 @@ def draw_confusion(figures: Tree) -> Any:
 
     counts = np.array(figures["confusion"], np.float64)
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    figure = new_chart(12.6, 11.6)
+    label_map = _label_map(figures)
+    side = 5.0 + 0.2 * len(label_map)
+    figure = new_chart(side + 1, side)
     axis = figure.subplots()
     drawn = axis.imshow(shares, cmap="Greys", norm=PowerNorm(0.45, 0, 1))
     for row, column in np.argwhere(shares >= 0.01):
@@ -108,10 +110,12 @@ def draw_confusion(figures: Tree) -> Any:
         axis.text(column, row, f"{100 * shares[row, column]:.0f}", ha="center", va="center", fontsize=7, color=colour)
     sides: Tree = {"color": _DARK, "linewidth": 1.4}
     faces: Tree = {"color": "#b06f00", "linewidth": 1.6, "linestyle": (0, (4, 2))}
-    _outline(axis, np.isin(KIND_OF, [KINDS.index("front/back"), KINDS.index("both")]), faces)
-    _outline(axis, np.isin(KIND_OF, KINDS.index("left/right")), sides)
-    axis.set_xticks(range(PART_COUNT), [f"{part.label}  {part.landmark}" for part in PARTS], fontsize=8, rotation=90)
-    axis.set_yticks(range(PART_COUNT), [f"{part.landmark}  {part.label}" for part in PARTS], fontsize=8)
+    kinds = kinds_of(label_map)
+    _outline(axis, np.isin(kinds, [KINDS.index("front/back"), KINDS.index("both")]), faces)
+    _outline(axis, np.isin(kinds, KINDS.index("left/right")), sides)
+    names = list(enumerate(label_map.names))
+    axis.set_xticks(range(len(names)), [f"{label}  {name}" for label, name in names], fontsize=8, rotation=90)
+    axis.set_yticks(range(len(names)), [f"{name}  {label}" for label, name in names], fontsize=8)
     axis.set_xlabel("predicted part", fontsize=10)
     axis.set_ylabel("true part", fontsize=10)
     axis.set_title("Predicted parts of each true part's pixels, per cent (1 and more)", fontsize=12)
@@ -119,12 +123,19 @@ def draw_confusion(figures: Tree) -> Any:
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
     face = f"front for back: {_percent(swaps['front_back'])}, and left for right as well: {_percent(swaps['both'])}"
-    handles = [
-        Line2D([], [], label=f"left for right: {_percent(swaps['left_right'])} of all pixels", **sides),
-        Line2D([], [], label=face, **faces),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
+    told = told_kinds(label_map)
+    handles = []
+    if "left/right" in told:
+        handles.append(Line2D([], [], label=f"left for right: {_percent(swaps['left_right'])} of all pixels", **sides))
+    if "front/back" in told:
+        handles.append(Line2D([], [], label=face, **faces))
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
     return figure
+
+
+def _label_map(figures: Tree) -> LabelMap:
+    return label_map_from_json(figures["labels"], "labels of the scores") if "labels" in figures else PARTS33
 
 
 def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:
@@ -216,7 +227,10 @@ def draw_border_distance(figures: Tree) -> Any:
     axis = figure.subplots()
     positions = np.arange(len(rows))
     bottom = np.zeros(len(rows))
+    told = {kind.replace("/", "_") for kind in told_kinds(_label_map(figures))}
     for kind, (name, colour, hatch) in _KIND_STYLES.items():
+        if kind not in told:
+            continue
         heights = np.array([row[kind] or 0 for row in rows])
         axis.bar(
             positions, heights, 0.74, bottom, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=name

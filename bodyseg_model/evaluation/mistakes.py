@@ -9,16 +9,20 @@ either knee against the back of either.
 
 Both: the predicted part is on the opposite face and the opposite side. A network that mistakes a body's back for its
 front makes these mistakes on trunk and knees, and plain left/right swaps on arms and feet.
+
+Classes that join parts have a kind only where it can be told: a class has a face or a side if all its parts have it.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import PART_COUNT, PARTS, Part
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
+from bodyseg_data.core.parts import Part
 
 REGIONS: Final[dict[str, tuple[str, ...]]] = {
     "head": ("Sellion", "Nuchale", "Supramenton"),
@@ -46,25 +50,43 @@ def _without_side(part: Part) -> str:
     return part.landmark.removeprefix("Rt. ").removeprefix("Lt. ")
 
 
-def _kind(truth: Part, predicted: Part) -> str:
-    if truth is predicted:
+@lru_cache(maxsize=16)
+def kinds_of(label_map: LabelMap) -> NDArray[np.uint8]:
+    """Kind's number of every pair of classes, uint8 [C, C], row truth, column prediction; not to be written to."""
+    labels = range(len(label_map))
+    kinds = [[KINDS.index(_kind(label_map, truth, predicted)) for predicted in labels] for truth in labels]
+    found = np.array(kinds, np.uint8)
+    found.setflags(write=False)
+    return found
+
+
+def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
+    if truth == predicted:
         return "right"
-    if truth.mirror == predicted.label:
+    if label_map.mirrored[truth] == predicted:
         return "left/right"
-    sides_differ = {truth.side, predicted.side} == {"left", "right"}
-    together = any({_without_side(truth), _without_side(predicted)} <= {*names} for names in REGIONS.values())
-    if together and truth.face != predicted.face:
-        return "both" if sides_differ else "front/back"
+    true_parts, predicted_parts = label_map.parts[truth], label_map.parts[predicted]
+    names = {_without_side(part) for part in (*true_parts, *predicted_parts)}
+    faces = [{part.face for part in parts} for parts in (true_parts, predicted_parts)]
+    if any(names <= {*region} for region in REGIONS.values()) and faces in _OPPOSITE:
+        sides = [{part.side for part in parts} for parts in (true_parts, predicted_parts)]
+        return "both" if sides in ([{"left"}, {"right"}], [{"right"}, {"left"}]) else "front/back"
     return "other"
 
 
-KIND_OF: Final[NDArray[np.uint8]] = np.array(
-    [[KINDS.index(_kind(truth, predicted)) for predicted in PARTS] for truth in PARTS], np.uint8
-)
-"""Kind's number, uint8 [33, 33], row truth, column prediction."""
+_OPPOSITE: Final = ([{"front"}, {"back"}], [{"back"}, {"front"}])
+
+KIND_OF: Final[NDArray[np.uint8]] = kinds_of(PARTS33)
+"""`kinds_of` the 33 parts."""
 
 
-def count_kinds(confusion: NDArray[np.int64]) -> dict[str, int]:
-    """Pixels of each kind in a confusion matrix, int64 [33, 33]."""
-    counts = np.bincount(KIND_OF.ravel(), confusion.reshape(PART_COUNT**2), len(KINDS))
-    return {kind: int(count) for kind, count in zip(KINDS, counts, strict=True)}
+def count_kinds(confusion: NDArray[np.int64], label_map: LabelMap = PARTS33) -> dict[str, int | None]:
+    """Pixels of each kind in a confusion matrix, int64 [C, C]; None for a kind that the classes cannot tell."""
+    counts = np.bincount(kinds_of(label_map).ravel(), confusion.ravel(), len(KINDS))
+    told = told_kinds(label_map)
+    return {kind: int(count) if kind in told else None for kind, count in zip(KINDS, counts, strict=True)}
+
+
+def told_kinds(label_map: LabelMap) -> frozenset[str]:
+    """Kinds that a prediction of these classes can have: joined front and back parts are no mistake any more."""
+    return frozenset(KINDS[number] for number in np.unique(kinds_of(label_map)).tolist())

@@ -10,11 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.core.parts import PARTS
+from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
 from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels, Reliability
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds
+from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds, told_kinds
 
 Tree = dict[str, Any]
 
@@ -31,11 +31,12 @@ _DECIMALS: Final = 5
 def report(evaluation: Evaluation) -> Tree:
     """All scores of all images together, the summary of every subset, and the images of lowest accuracy."""
     total = evaluation.total()
-    details: Tree = {"parts": _parts(total), "confusion": total.confusion.counts.tolist()}
+    labels = {} if evaluation.label_map == PARTS33 else {"labels": evaluation.label_map.to_json()}
+    details: Tree = {**labels, "parts": _parts(total), "confusion": total.confusion.counts.tolist()}
     if total.confidences is not None:
         details |= _confidences(total.confidences)
     if total.borders is not None:
-        details["border_distance_px"] = _borders(total.borders)
+        details["border_distance_px"] = _borders(total.borders, told_kinds(total.label_map))
     return {
         **summary(total),
         "subsets": {name: summary(evaluation.subsets[name]) for name in sorted(evaluation.subsets, key=subset_order)},
@@ -49,7 +50,7 @@ def report(evaluation: Evaluation) -> Tree:
 def summary(scores: Scores) -> Tree:
     """Short scores of a group of images."""
     matrix, pixels = scores.confusion, scores.confusion.pixels
-    kinds = count_kinds(matrix.counts)
+    kinds = count_kinds(matrix.counts, scores.label_map)
     found: Tree = {
         "images": scores.images,
         "pixels": pixels,
@@ -60,7 +61,7 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {_key(kind): _share(kinds[kind] / pixels if pixels else math.nan) for kind in SWAPS},
+        "swaps": {_key(kind): _share_of(kinds[kind], pixels) for kind in SWAPS},
     }
     if scores.confidences is not None:
         found["confidence"] = {
@@ -73,21 +74,21 @@ def summary(scores: Scores) -> Tree:
 
 
 def _parts(scores: Scores) -> list[Tree]:
-    """Scores of each part: accuracy over all pixels, mean and standard deviation over the images that show it."""
+    """Scores of each class: accuracy over all pixels, mean and standard deviation over the images that show it."""
     accuracy, iou = scores.confusion.per_class_accuracy(), scores.confusion.intersection_over_union()
     mean, deviation = scores.per_image.mean(), scores.per_image.deviation()
     return [
         {
-            "label": part.label,
-            "landmark": part.landmark,
-            "pixels": int(scores.confusion.counts[part.label].sum()),
-            "accuracy": _share(float(accuracy[part.label])),
-            "iou": _share(float(iou[part.label])),
-            "images": int(scores.per_image.images[part.label]),
-            "mean_over_images": _share(float(mean[part.label])),
-            "sd_over_images": _share(float(deviation[part.label])),
+            "label": label,
+            "name": name,
+            "pixels": int(scores.confusion.counts[label].sum()),
+            "accuracy": _share(float(accuracy[label])),
+            "iou": _share(float(iou[label])),
+            "images": int(scores.per_image.images[label]),
+            "mean_over_images": _share(float(mean[label])),
+            "sd_over_images": _share(float(deviation[label])),
         }
-        for part in PARTS
+        for label, name in enumerate(scores.label_map.names)
     ]
 
 
@@ -107,13 +108,16 @@ def _confidences(confidences: Confidences) -> Tree:
     }
 
 
-def _borders(borders: BorderErrors) -> list[Tree]:
-    """Rows of the bins: pixels, and the share of them that is wrong, in all and by kind of mistake."""
+def _borders(borders: BorderErrors, told: frozenset[str]) -> list[Tree]:
+    """Rows of the bins: pixels, and the share of them that is wrong, in all and by each kind that is told."""
     rows = []
     for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
         pixels = sum(counts)
         shares = [count / pixels if pixels else math.nan for count in counts]
-        kinds = {_key(kind): _share(share) for kind, share in zip(KINDS[1:], shares[1:], strict=True)}
+        kinds = {
+            _key(kind): _share(share) if kind in told else None
+            for kind, share in zip(KINDS[1:], shares[1:], strict=True)
+        }
         rows.append({"distance": name, "pixels": pixels, "wrong": _share(1 - shares[0]), **kinds})
     return rows
 
@@ -129,6 +133,10 @@ def subset_order(subset: str) -> tuple[bool, str]:
 
 def _key(kind: str) -> str:
     return kind.replace("/", "_")
+
+
+def _share_of(count: int | None, pixels: int) -> float | None:
+    return None if count is None or not pixels else round(count / pixels, _DECIMALS)
 
 
 def _share(value: float) -> float | None:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.drawing.contact_sheet import colour_range
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
 from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 
@@ -38,9 +39,13 @@ _BODY_MARGIN: Final = 6
 
 
 class SamplePicture:
-    """Collects the first image of every subset and the image of lowest accuracy during an evaluation."""
+    """Collects the first image of every subset and the image of lowest accuracy during an evaluation.
 
-    def __init__(self) -> None:
+    label_map: the classes of the labels.
+    """
+
+    def __init__(self, label_map: LabelMap = PARTS33) -> None:
+        self._label_map = label_map
         self._first: dict[str, tuple[float, PredictedImage]] = {}
         self._worst: tuple[float, PredictedImage] | None = None
 
@@ -60,10 +65,10 @@ class SamplePicture:
         groups = sorted(self._first, key=subset_order)
         shown = [(f"first of {name}", *self._first[name]) for name in groups]
         shown.append(("worst of all", *self._worst))
-        lines = [[_fit(panel) for panel in _panels(image)] for _, _, image in shown]
+        lines = [[_fit(panel) for panel in _panels(image, self._label_map)] for _, _, image in shown]
         widths = [max(_LEAST_WIDTH, *(line[column].width for line in lines)) for column in range(len(_HEADS))]
         width = sum(widths) + _GAP * (len(_HEADS) + 1)
-        legend = _legend(width - 2 * _GAP)
+        legend = _legend(width - 2 * _GAP, self._label_map)
         heights = [_CAPTION + line[0].height + _GAP for line in lines]
         picture = Image.new("RGB", (width, _TOP + sum(heights) + legend.height + 2 * _GAP), PAPER)
         pen = ImageDraw.Draw(picture)
@@ -72,7 +77,7 @@ class SamplePicture:
             pen.text((left, 7), head, INK, font=font(15))
         top = _TOP
         for (which, accuracy, image), line, height in zip(shown, lines, heights, strict=True):
-            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, image)}", FAINT, font=font(13))
+            pen.text((_GAP, top + 3), f"{which}: {_caption(accuracy, image, self._label_map)}", FAINT, font=font(13))
             for left, panel in zip(lefts, line, strict=True):
                 picture.paste(panel, (left, top + _CAPTION))
             top += height
@@ -90,8 +95,8 @@ def _cropped(image: PredictedImage) -> PredictedImage:
     return image._replace(**{name: getattr(image, name)[box].copy() for name in arrays})
 
 
-def _caption(accuracy: float, image: PredictedImage) -> str:
-    confident = ConfusionMatrix()
+def _caption(accuracy: float, image: PredictedImage, label_map: LabelMap) -> str:
+    confident = ConfusionMatrix(len(label_map))
     confident.add(np.where(image.confidence > PAPERS_THRESHOLD, image.labels, np.uint8(BACKGROUND)), image.predicted)
     share = confident.pixels / np.count_nonzero(image.labels != BACKGROUND)
     caption = f"{image.key}. Average per-class accuracy {100 * accuracy:.1f} %"
@@ -101,22 +106,22 @@ def _caption(accuracy: float, image: PredictedImage) -> str:
     return f"{caption}; {better:.1f} % among the {100 * share:.0f} % of pixels above {_THRESHOLD}"
 
 
-def _panels(image: PredictedImage) -> list[NDArray[np.uint8]]:
+def _panels(image: PredictedImage, label_map: LabelMap) -> list[NDArray[np.uint8]]:
     body = image.labels != BACKGROUND
     # Noise has long tails: the ramp covers 98 % of the pixels.
     near, far = (float(edge) for edge in np.percentile(image.range_m[body], (1, 99)))
     kinds = np.zeros(body.shape, np.uint8)
-    kinds[body] = KIND_OF[image.labels[body], image.predicted[body]]
+    kinds[body] = kinds_of(label_map)[image.labels[body], image.predicted[body]]
     mistakes = np.array([_KIND_COLOURS.get(kind, _SWAPPED) for kind in KINDS], np.uint8)[kinds]
     mistakes[~body] = _EMPTY
     confidence = _colour_confidence(image.confidence)
     confidence[~body] = _EMPTY
-    confident = colour_labels(image.predicted, _EMPTY)
+    confident = colour_labels(image.predicted, _EMPTY, label_map.colours)
     confident[body & (image.confidence <= PAPERS_THRESHOLD)] = _DROPPED
     return [
         colour_range(image.range_m, near, far),
-        colour_labels(image.labels, _EMPTY),
-        colour_labels(image.predicted, _EMPTY),
+        colour_labels(image.labels, _EMPTY, label_map.colours),
+        colour_labels(image.predicted, _EMPTY, label_map.colours),
         mistakes,
         confidence,
         confident,
@@ -138,9 +143,9 @@ def _fit(panel: NDArray[np.uint8]) -> Image.Image:
     return Image.fromarray(panel).resize(size, Image.Resampling.NEAREST)
 
 
-def _legend(width: int) -> Image.Image:
-    """The colours of mistakes and confidence, and the 33 parts."""
-    parts = draw_legend(width)
+def _legend(width: int, label_map: LabelMap) -> Image.Image:
+    """The colours of mistakes and confidence, and the classes."""
+    parts = draw_legend(width, label_map)
     legend = Image.new("RGB", (width, parts.height + 34), PAPER)
     legend.paste(parts, (0, 34))
     pen = ImageDraw.Draw(legend)

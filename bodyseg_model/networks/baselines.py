@@ -16,24 +16,26 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_classes
 from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
 
 _INPUTS: Final = 2
 
 
 class Baseline(Network):
-    """Range images -> scores of the 33 parts, by a network of the package transformers.
+    """Range images -> scores of the classes, by a network of the package transformers.
 
-    network: of two input channels, with 33 output channels as `.logits`. apart: pixels of its input between two of its
-    own scores. shrink: pixels of the image along one side of a square that is averaged to one of its input. Raises
-    BadConfig for a shrink that is not 1, 2 or 4.
+    network: of two input channels, with an output channel for each class as `.logits`. apart: pixels of its input
+    between two of its own scores. shrink: pixels of the image along one side of a square that is averaged to one of its
+    input. Raises BadConfig for a shrink that is not 1, 2 or 4.
     """
 
     output_stride: ClassVar[int] = 4
 
-    def __init__(self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any]) -> None:
-        super().__init__({**settings, "shrink": shrink})
+    def __init__(
+        self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any], classes: int = PART_COUNT
+    ) -> None:
+        super().__init__({**settings, "shrink": shrink}, classes)
         if shrink not in (1, 2, 4):
             raise BadConfig(f"shrink must be 1, 2 or 4, found {shrink!r}")
         self.network = network
@@ -54,13 +56,15 @@ class Baseline(Network):
 class Segformer(Baseline):
     """SegFormer (Xie et al., 2021), B0 or B1 by `size`. Raises BadConfig for another, MissingLibrary."""
 
-    def __init__(self, size: int = 0, shrink: int = 1) -> None:
+    def __init__(self, size: int = 0, shrink: int = 1, classes: int = PART_COUNT) -> None:
         if size not in (0, 1):
             raise BadConfig(f"size of segformer must be 0 or 1, found {size!r}")
         transformers = _transformers("segformer")
         widths = [(32 << size) * factor for factor in (1, 2, 5, 8)]
-        config = transformers.SegformerConfig(num_channels=_INPUTS, hidden_sizes=widths, num_labels=PART_COUNT)
-        super().__init__(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size})
+        config = transformers.SegformerConfig(
+            num_channels=_INPUTS, hidden_sizes=widths, num_labels=check_classes(classes)
+        )
+        super().__init__(transformers.SegformerForSemanticSegmentation(config), 4, shrink, {"size": size}, classes)
 
 
 class Deeplab(Baseline):
@@ -69,15 +73,15 @@ class Deeplab(Baseline):
     Raises BadConfig for another number, MissingLibrary.
     """
 
-    def __init__(self, apart: int = 16, shrink: int = 1) -> None:
+    def __init__(self, apart: int = 16, shrink: int = 1, classes: int = PART_COUNT) -> None:
         if apart not in (8, 16):
             raise BadConfig(f"apart of deeplab must be 8 or 16, found {apart!r}")
         transformers = _transformers("deeplab")
         config = transformers.MobileNetV2Config(
-            num_channels=_INPUTS, output_stride=apart, num_labels=PART_COUNT, tf_padding=False
+            num_channels=_INPUTS, output_stride=apart, num_labels=check_classes(classes), tf_padding=False
         )
         network = transformers.MobileNetV2ForSemanticSegmentation(config)
-        super().__init__(network, apart, shrink, {"apart": apart})
+        super().__init__(network, apart, shrink, {"apart": apart}, classes)
 
 
 def _transformers(name: str) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from bodyseg_data.core.parts import MIRRORED_LABELS
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.randomness import chance
 
 
@@ -34,13 +34,15 @@ def cut_to_bodies(
     return range_m[:, :, rows, columns], labels[:, rows, columns]
 
 
-def mirror(range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def mirror(
+    range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor, label_map: LabelMap = PARTS33
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Copies of range [B, 1, H, W] and labels uint8 [B, H, W] in which those `chosen`, bool [B], are mirrored.
 
-    A mirrored person's left hand is a right hand, so labels change sides. Shadows change sides, too: such an image is
-    that of a rig whose projector is on the camera's other side.
+    A mirrored person's left hand is a right hand, so labels change sides as `label_map` says. Shadows change sides,
+    too: such an image is that of a rig whose projector is on the camera's other side.
     """
-    flipped = torch.from_numpy(MIRRORED_LABELS).to(labels.device)[labels.flip(-1).long()]
+    flipped = torch.from_numpy(label_map.mirrored).to(labels.device)[labels.flip(-1).long()]
     return (
         torch.where(chosen[:, None, None, None], range_m.flip(-1), range_m),
         torch.where(chosen[:, None, None], flipped, labels),

@@ -16,7 +16,8 @@ from safetensors.torch import save as tensor_bytes
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_model.networks.network import Network
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import build
 
 FORMAT: Final = "bodyseg network 1"
@@ -30,10 +31,14 @@ _LARGEST_FILE: Final = 1 << 31
 
 @dataclass(frozen=True)
 class Trained:
-    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained."""
+    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained.
+
+    label_map: the classes that it predicts.
+    """
 
     network: Network
     card: dict[str, Any]
+    label_map: LabelMap = PARTS33
 
     def __repr__(self) -> str:
         facts = {name: self.card.get(name) for name in ("network", "settings", "variant", "seed")}
@@ -67,7 +72,20 @@ def load_network(path: Path) -> Trained:
         raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
     network = build(card["network"], settings)
     fill(network, read_tensors(file), file)
-    return Trained(network.eval(), card)
+    return Trained(network.eval(), card, label_map_of_card(card, network, str(file.with_suffix(".json"))))
+
+
+def label_map_of_card(card: Mapping[str, Any], network: Network, where: str) -> LabelMap:
+    """Read the classes that a network predicts from its card; the 33 parts where the card names none.
+
+    Raises BadConfig, naming `where`, for classes that are damaged or another number of them than the network's.
+    """
+    label_map = label_map_from_json(card["labels"], f"{where}, labels") if "labels" in card else PARTS33
+    try:
+        check_label_map(network, label_map)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
+    return label_map
 
 
 def shipped_network() -> Trained:

@@ -1,4 +1,4 @@
-"""A small network for one task: range image -> 33 parts.
+"""A small network for one task: range image -> parts.
 
 Its first layer reads patches of 16 x 16 pixels, so that nothing is computed at full resolution and no pixel is thrown
 away: noise and missing pixels are averaged by learned filters. All other layers work on cells 16 to 64 pixels wide,
@@ -29,7 +29,8 @@ class CompactSettings:
 
     patch: pixels along one side of a patch of the first layer, 2, 4, 8 or 16. widths: channels at 1 / patch,
     1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every cell also gets the mean
-    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none.
+    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. classes: see
+    `Network`.
     """
 
     patch: int = 16
@@ -37,6 +38,7 @@ class CompactSettings:
     blocks: tuple[int, ...] = (2, 2, 1)
     context: bool = True
     shrink: int = 1
+    classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
         if self.patch not in (2, 4, 8, 16):
@@ -52,7 +54,7 @@ class CompactSettings:
 
 
 class Compact(Network):
-    """Range images -> scores of the 33 parts, for images of any size.
+    """Range images -> scores of the classes, for images of any size.
 
     The input has two channels (`range_input.relief_of`): each pixel's range less the mean over the body, and whether it
     was measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
@@ -64,9 +66,8 @@ class Compact(Network):
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()
-        super().__init__(
-            {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
-        )
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
+        super().__init__({name: value for name, value in plain.items() if name != "classes"}, shape.classes)
         patch, widths, blocks = shape.patch, shape.widths, shape.blocks
         self.embed = _layer(2 * patch * patch, widths[0], 1)
         self.down = nn.ModuleList(
@@ -82,7 +83,7 @@ class Compact(Network):
         self.fuse = nn.ModuleList(_layer(shallow, shallow, 3) for shallow, _ in pairs)
         self._patch, self._shrink, self._cell = patch, shape.shrink, patch * shape.shrink
         self._fine = max(1, self._cell // self.output_stride)
-        self.head = nn.Conv2d(widths[0], PART_COUNT * self._fine**2, 1)
+        self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Self:

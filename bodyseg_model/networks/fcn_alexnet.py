@@ -36,11 +36,11 @@ RANGE_SCALE: Final = 50.0
 
 
 class FcnAlexnet(Network):
-    """Range images -> scores of the 33 parts, one for every pixel, for images of any size.
+    """Range images -> scores of the classes, one for every pixel, for images of any size.
 
     normalise: AlexNet's local response normalisation after conv1 and conv2. It has no parameters; Fig. 4 does not list
     it, but weights imported from AlexNet were learned with it. width: a share of all channel counts up to conv7, for
-    measuring what width is worth; the paper's network is 1.
+    measuring what width is worth; the paper's network is 1. classes: see `Network`.
 
     New layers are drawn from a Gaussian of standard deviation 0.01, those of AlexNet as in `nn.Conv2d` until
     `load_pretrained` fills them. Upfeat is bilinear and frozen; its filters are stored between all 16 x 16 channels, as
@@ -49,8 +49,8 @@ class FcnAlexnet(Network):
 
     default_recipe: ClassVar[str] = "fcn_alexnet"
 
-    def __init__(self, normalise: bool = False, width: float = 1.0) -> None:
-        super().__init__({"normalise": normalise, "width": width})
+    def __init__(self, normalise: bool = False, width: float = 1.0, classes: int = PART_COUNT) -> None:
+        super().__init__({"normalise": normalise, "width": width}, classes)
         if not 1 / 16 <= width <= 4:
             raise BadConfig(f"width must be from 1/16 to 4, found {width!r}")
         c1, c2, c3, c4, c5, c6 = (2 * round(count * width / 2) for count in (96, 256, 384, 384, 256, 4096))
@@ -63,7 +63,7 @@ class FcnAlexnet(Network):
         self.conv7 = nn.Conv2d(c6, c6, 1)
         self.conv8 = nn.Conv2d(c6, 16, 1)
         self.upfeat = nn.ConvTranspose2d(16, 16, _KERNEL, stride=STRIDE, bias=False)
-        self.score = nn.Conv2d(16, PART_COUNT, 1)
+        self.score = nn.Conv2d(16, self.classes, 1)
         for layer in (self.conv8, self.score):
             nn.init.normal_(layer.weight, std=0.01)
             nn.init.zeros_(layer.get_parameter("bias"))

@@ -21,8 +21,8 @@ from bodyseg_model.networks.range_input import check_range_images
 class Prediction(NamedTuple):
     """Labels of range images, and how sure the network is of them.
 
-    labels: uint8 [B, H, W], 0..32, 255 where nothing was measured. confidence: float32 [B, H, W], the probability (of
-    softmax) of that label; 0 where nothing was measured.
+    labels: uint8 [B, H, W], from 0 to below the network's `classes`, 255 where nothing was measured. confidence:
+    float32 [B, H, W], the probability (of softmax) of that label; 0 where nothing was measured.
     """
 
     labels: torch.Tensor

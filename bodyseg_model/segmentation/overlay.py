@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import COLOURS, PART_COUNT
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.drawing.style import draw_legend
 
 _EMPTY: Final = (24, 26, 32)
@@ -29,13 +29,16 @@ FRAMES_PER_SECOND: Final = (0.1, 50.0)
 
 
 def draw_overlay(
-    range_m: NDArray[np.float32], labels: NDArray[np.uint8], bodies: Sequence[NDArray[np.intp]]
+    range_m: NDArray[np.float32],
+    labels: NDArray[np.uint8],
+    bodies: Sequence[NDArray[np.intp]],
+    label_map: LabelMap = PARTS33,
 ) -> NDArray[np.uint8]:
     """Draw one frame, sRGB uint8 [H, W, 3].
 
-    range_m: [H, W], metres. labels: uint8 [H, W], 0..32; any other value on a body is drawn grey. bodies: flat indices
-    of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and for the room, which
-    is darker than any body; pixels that were not measured are nearly black.
+    range_m: [H, W], metres. labels: uint8 [H, W], classes of `label_map`; any other value on a body is drawn grey.
+    bodies: flat indices of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and
+    for the room, which is darker than any body; pixels that were not measured are nearly black.
     """
     picture = np.empty((range_m.size, 3), np.uint8)
     picture[:] = _EMPTY
@@ -43,8 +46,8 @@ def draw_overlay(
     picture[room] = _between(_ROOM_GREYS, _depth(range_m.ravel()[room]))[:, None]
     for pixels in bodies:
         depth, label = _depth(range_m.ravel()[pixels]), labels.ravel()[pixels]
-        is_part = label < PART_COUNT
-        colours = COLOURS[np.where(is_part, label, 0)] * _between((1, _DARKEST), depth)[:, None]
+        is_part = label < len(label_map)
+        colours = label_map.colours[np.where(is_part, label, 0)] * _between((1, _DARKEST), depth)[:, None]
         picture[pixels] = np.where(is_part[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
     return picture.reshape(*range_m.shape, 3)
 
@@ -52,10 +55,10 @@ def draw_overlay(
 class Preview:
     """An animation of overlays, subsampled so that hundreds of frames fit into memory.
 
-    Raises BadConfig for a rate outside `FRAMES_PER_SECOND`.
+    label_map: the classes, whose colours the animation has. Raises BadConfig for a rate outside `FRAMES_PER_SECOND`.
     """
 
-    def __init__(self, frames_per_second: float) -> None:
+    def __init__(self, frames_per_second: float, label_map: LabelMap = PARTS33) -> None:
         if not FRAMES_PER_SECOND[0] <= frames_per_second <= FRAMES_PER_SECOND[1]:
             slowest, fastest = FRAMES_PER_SECOND
             raise BadConfig(
@@ -63,7 +66,7 @@ class Preview:
             )
         self._hundredths = round(100 / frames_per_second)
         self._palette = Image.new("P", (1, 1))
-        self._palette.putpalette(_palette().ravel().tolist())
+        self._palette.putpalette(_palette(label_map).ravel().tolist())
         self._frames: list[Image.Image] = []
 
     @property
@@ -92,9 +95,9 @@ class Preview:
         return buffer.getvalue()
 
 
-def draw_parts_legend() -> Image.Image:
-    """Draw the colours of the 33 parts with their names."""
-    return draw_legend(_LEGEND_WIDTH)
+def draw_parts_legend(label_map: LabelMap = PARTS33) -> Image.Image:
+    """Draw the colours of the classes with their names."""
+    return draw_legend(_LEGEND_WIDTH, label_map)
 
 
 def _depth(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -109,9 +112,9 @@ def _between(ends: tuple[float, float], depth: NDArray[np.float32]) -> NDArray[n
     return np.asarray(np.interp(depth, (0, 1), ends), np.float32)
 
 
-def _palette() -> NDArray[np.uint8]:
-    """The 256 colours of a preview: every part in `_LEVELS` brightnesses, and greys; uint8 [256, 3]."""
+def _palette(label_map: LabelMap) -> NDArray[np.uint8]:
+    """The 256 colours of a preview: every class in `_LEVELS` brightnesses, and greys; uint8 [256, 3]."""
     brightness = np.linspace(1, _DARKEST, _LEVELS)
-    parts = (COLOURS[:, None] * brightness[:, None]).reshape(-1, 3)
+    parts = (label_map.colours[:, None] * brightness[:, None]).reshape(-1, 3)
     greys = np.linspace(_ROOM_GREYS[1], _UNKNOWN_GREYS[0], 256 - len(parts) - 1)[:, None].repeat(3, axis=1)
     return np.concatenate([parts, greys, [_EMPTY]]).astype(np.uint8)

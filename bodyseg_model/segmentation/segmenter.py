@@ -37,8 +37,8 @@ class LabelledBody:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Labels of a frame, uint8 [H, W], 0..32 on bodies, 255 elsewhere; its bodies, the largest first; and the time of
-    each of `STAGES`, milliseconds.
+    """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
+    and the time of each of `STAGES`, milliseconds.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_model.networks.checkpoints import Trained, load_network
 
 FEWEST_SEEDS: Final = 3
@@ -56,7 +57,8 @@ class Group:
 
 
 def load_runs(paths: Sequence[Path]) -> list[Run]:
-    """Load the networks of runs' folders or .safetensors files, each once; raises BadConfig as `load_network`.
+    """Load the networks of runs' folders or .safetensors files, each once; raises BadConfig as `load_network`,
+    and for a network of other classes than the 33 parts.
 
     A run is named after its folder, with as many parent folders as are needed to tell it from the others.
     """
@@ -67,7 +69,13 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
         depth = 1
         while depth < len(parts) and sum(parts[-depth:] == other[-depth:] for other in every) > 1:
             depth += 1
-        runs.append(Run("/".join(parts[-depth:]), path, load_network(path)))
+        trained = load_network(path)
+        if trained.label_map != PARTS33:
+            raise BadConfig(
+                f"{path}: stability is measured on the 33 parts, which a network with labels "
+                f"{trained.label_map.name!r} does not predict"
+            )
+        runs.append(Run("/".join(parts[-depth:]), path, trained))
     return runs
 
 

@@ -19,7 +19,7 @@ from torch import nn
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
-from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
@@ -27,7 +27,7 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, ch
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
@@ -85,7 +85,7 @@ class Training:
 
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. Raises BadConfig for batches
-    that cannot be divided evenly between the processes.
+    that cannot be divided evenly between the processes, or a network with another number of classes than the images.
     """
 
     def __init__(
@@ -103,6 +103,7 @@ class Training:
             raise BadConfig(
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
+        check_label_map(network, images.label_map)
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -121,6 +122,7 @@ class Training:
             "seed": self.seed,
             "recipe": asdict(self.recipe),
             "data": self.images.identity(),
+            **({} if self.images.label_map == PARTS33 else {"labels": self.images.label_map.to_json()}),
         }
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
@@ -138,7 +140,7 @@ class Training:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()
         self.network.train()
-        window = _MetricsWindow(self.processes)
+        window = _MetricsWindow(self.processes, self.network.classes)
         batches = _endless(data_loader)
         while self.step < self.recipe.steps:
             set_learning_rate(self.optimiser, self.recipe.learning_rate_at(self.step))
@@ -153,7 +155,7 @@ class Training:
                 if self.processes.first:
                     self.folder.log(asdict(metrics))
                     report(metrics)
-                window = _MetricsWindow(self.processes)
+                window = _MetricsWindow(self.processes, self.network.classes)
             if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
                 self.folder.keep(self._checkpoint(data_loader))
         if self.processes.first:
@@ -182,9 +184,9 @@ class Training:
         return Checkpoint(self.step, data_loader.state_dict(), weights | state)
 
     def _objective(self) -> nn.Module:
-        weights = torch.ones(PART_COUNT)
+        weights = torch.ones(self.network.classes)
         if self.recipe.balance:
-            weights = part_weights(_part_pixels(self.images), self.recipe.balance)
+            weights = part_weights(_class_pixels(self.images), self.recipe.balance)
         objective: nn.Module = NetworkWithLoss(
             self.network, weights, self.recipe.loss_stride, self.run_options.compile
         ).to(self.processes.device)
@@ -206,7 +208,8 @@ class Training:
                 network = self.network
                 range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
             if recipe.mirror:
-                range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
+                draws = mirror_draws(self.seed, epoch, batch["key"]).to(device)
+                range_m, labels = mirror(range_m, labels, draws, self.images.label_map)
             range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])
             name = f"pixels {index}"
             offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
@@ -236,10 +239,10 @@ class Training:
 class _MetricsWindow:
     """Sums over the steps between two lines of the log."""
 
-    def __init__(self, processes: ProcessGroup) -> None:
-        self._processes = processes
+    def __init__(self, processes: ProcessGroup, classes: int) -> None:
+        self._processes, self._classes = processes, classes
         self._loss = torch.zeros((), device=processes.device)
-        self._counts = torch.zeros(PART_COUNT, PART_COUNT, dtype=torch.int64, device=processes.device)
+        self._counts = torch.zeros(classes, classes, dtype=torch.int64, device=processes.device)
         self._turns = self._images = 0
         self._waited = 0.0
         self._start = time.perf_counter()
@@ -258,7 +261,7 @@ class _MetricsWindow:
 
     def metrics(self, step: int, rate: float) -> Metrics:
         loss = self._processes.add_up(self._loss).item() / (self._turns * self._processes.world_size)
-        matrix = ConfusionMatrix()
+        matrix = ConfusionMatrix(self._classes)
         matrix.counts += self._processes.add_up(self._counts).cpu().numpy()
         seconds = time.perf_counter() - self._start
         right = matrix.counts.trace() / max(1, matrix.counts.sum())
@@ -281,9 +284,10 @@ def _endless(data_loader: Loader) -> Iterator[tuple[int, Batch]]:
             yield epoch, batch
 
 
-def _part_pixels(images: RangeImages) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Pixels of each part, int64 [33], in clean samples spread evenly over the set."""
-    counts = np.zeros(PART_COUNT, np.int64)
+def _class_pixels(images: RangeImages) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
+    label_map = images.label_map
+    counts = np.zeros(len(label_map), np.int64)
     for index in np.unique(np.linspace(0, len(images) - 1, _SAMPLES_FOR_WEIGHTS).astype(int)).tolist():
-        counts += np.bincount(images.clean(index).labels.ravel(), minlength=256)[:PART_COUNT]
+        counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
     return counts

@@ -9,14 +9,14 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.networks.network import Network
 
 
 class LossAndCounts(NamedTuple):
     """Result of a step.
 
-    loss: scalar. counts: int64 [33, 33], confusion matrix of the selected pixels, rows truth, columns prediction.
+    loss: scalar. counts: int64 [C, C], confusion matrix of the selected pixels, rows truth, columns prediction.
     """
 
     loss: torch.Tensor
@@ -26,12 +26,12 @@ class LossAndCounts(NamedTuple):
 class NetworkWithLoss(nn.Module):
     """A network and its loss as one module, as distributed training wraps it.
 
-    Softmax cross-entropy over 33 parts, background ignored (section 3.5). A step selects one pixel of every cell of
-    stride x stride pixels, where stride is the larger of `loss_stride` and the network's output stride: the pixels at
-    the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
+    Softmax cross-entropy over the C classes, background ignored (section 3.5). A step selects one pixel of every cell
+    of stride x stride pixels, where stride is the larger of `loss_stride` and the network's output stride: the pixels
+    at the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
     selected once; a stride of 4 makes a sixteenth of the cost.
 
-    weights: float32 [33], weight of a pixel of each part. compiled: whether the network is compiled first, anew for
+    weights: float32 [C], weight of a pixel of each class. compiled: whether the network is compiled first, anew for
     every size of images.
     """
 
@@ -65,13 +65,13 @@ class NetworkWithLoss(nn.Module):
         if step > 1:
             scores = shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
         scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
-        body = truth != BACKGROUND
+        body, classes = truth != BACKGROUND, len(self.weights)
         each = F.cross_entropy(scores, truth, self.weights, ignore_index=BACKGROUND, reduction="none")
-        weight = torch.where(body, self.weights[truth.clamp(max=PART_COUNT - 1)], 0.0)
+        weight = torch.where(body, self.weights[truth.clamp(max=classes - 1)], 0.0)
         loss = (each.sum((1, 2)) / weight.sum((1, 2)).clamp(min=1e-6)).mean()
         with torch.no_grad():
-            pairs = truth[body] * PART_COUNT + scores.argmax(1)[body]
-            counts = torch.bincount(pairs, minlength=PART_COUNT**2).reshape(PART_COUNT, PART_COUNT)
+            pairs = truth[body] * classes + scores.argmax(1)[body]
+            counts = torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
         return LossAndCounts(loss, counts)
 
 
@@ -93,10 +93,10 @@ def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:
 
 
 def part_weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: float) -> torch.Tensor:
-    """Weights of the parts, float32 [33]: each part's share of all pixels to the power of -balance, scaled so that the
-    mean weight of a pixel is 1.
+    """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
+    the mean weight of a pixel is 1.
 
-    counts: int64 [33], pixels of each part. Parts without a pixel weigh as much as the rarest with any.
+    counts: int64 [C], pixels of each class. Classes without a pixel weigh as much as the rarest with any.
     """
     shares = np.maximum(counts, counts[counts > 0].min() if counts.any() else 1).astype(np.float64)
     shares /= shares.sum()

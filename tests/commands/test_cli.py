@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 from benches import __main__ as tools
 from benches import bench
@@ -27,6 +28,7 @@ import bodyseg_model
 from bodyseg_data.commands import cli, shard, verify
 from bodyseg_data.commands.options import flag_of, option, parse
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import load_label_map
 from bodyseg_model.commands.cli import COMMANDS, main
 
 
@@ -331,6 +333,25 @@ def test_closed_streams_change_no_status(figures_set: Path) -> None:
     for closed in (">&-", "2>&-", ">&- 2>&-"):
         script = f"{sys.executable} -m bodyseg_data verify {figures_set} {closed}"
         assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
+
+
+def test_inspect_counts_and_draws_classes(
+    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["inspect", str(figures_set), "--variant", "none", "--json"]
+    assert main(words) == 0
+    parts = json.loads(capsys.readouterr().out)["part_shares"]
+    assert main([*words, "--labels", "limbs14", "--out", str(tmp_path / "sheet.png")]) == 0
+    shares = json.loads(capsys.readouterr().out)["part_shares"]
+    limbs = load_label_map("limbs14")
+    assert list(shares) == list(limbs.names)
+    for name, landmarks in limbs.classes:
+        assert shares[name] == pytest.approx(sum(parts[each] for each in landmarks), abs=2e-3)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        shown = {tuple(colour) for colour in np.asarray(sheet.convert("RGB")).reshape(-1, 3).tolist()}
+    assert {tuple(colour) for colour in limbs.colours.tolist()} <= shown
+    assert main([*words, "--labels", "limbs"]) == 2
+    assert "bodyseg inspect: no label map is called 'limbs'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("variant", ["none", "all"])

@@ -17,6 +17,7 @@ from label_networks import Places
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import load_label_map
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -178,6 +179,15 @@ def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) 
     found = load_runs([runs / "all-0", other, runs / "all-1", runs / "all-0", runs / "none-0" / "network.safetensors"])
     assert [run.name for run in found] == [f"{runs.name}/all-0", "other/all-0", "all-1", "network"]
     assert [run.seed for run in found] == [0, 0, 1, 0]
+
+
+def test_networks_of_other_classes_are_refused(figures_set: Path, runs: Path, tmp_path: Path) -> None:
+    labels = load_label_map("limbs14").to_json()
+    network = build("compact", {**SETTINGS, "classes": 14}, 1)
+    save_network(tmp_path / "limbs.safetensors", network, "compact", {"variant": "all", "seed": 1, "labels": labels})
+    with pytest.raises(BadConfig, match=r"limbs\.safetensors: stability is measured on the 33 parts, .* 'limbs14'"):
+        command.run(asked(figures_set, runs, tmp_path / "out", run=(tmp_path / "limbs.safetensors",)))
+    assert not (tmp_path / "out").exists()
 
 
 def test_other_parts_are_sections(

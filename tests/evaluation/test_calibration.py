@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_model.evaluation.calibration import CELLS, Confidences
-from bodyseg_model.evaluation.scores import PAIRS
 
 
 def pixels(seed: int, count: int, sharp: float) -> tuple[np.ndarray, np.ndarray]:
@@ -134,7 +134,7 @@ def test_nothing_counted_is_no_score() -> None:
     assert math.isnan(confidences.mean())
     assert math.isnan(confidences.above(0.7).share_of_pixels)
     assert confidences.curve()[0].size == 0
-    confidences.add(np.array([PAIRS - 1]), np.array([0.2], np.float32))
+    confidences.add(np.array([PART_COUNT**2 - 1]), np.array([0.2], np.float32))
     kept = confidences.above(0.7)
     assert kept.share_of_pixels == 0
     assert math.isnan(kept.pixel_accuracy)

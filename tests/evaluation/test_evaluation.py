@@ -207,7 +207,7 @@ def test_images_of_every_sensor_are_evaluated_whole(figures_set: Path, network: 
 
 def test_answers_that_are_none_are_refused(figures_set: Path) -> None:
     images = open_images(str(figures_set))
-    with pytest.raises(BadConfig, match="labels must be 0 to 32, found .. in the prediction"):
+    with pytest.raises(BadConfig, match="must have the 33 classes of labels 'parts33', found 40"):
         evaluate(ByRange(40).eval(), images)
     with pytest.raises(BadConfig, match="confidences must be 0 to 1, found nan"):
         evaluate(Undecided().eval(), images)
@@ -281,7 +281,7 @@ def test_scores_stay_small() -> None:
         counts = scores.confidences
         return sum(
             array.nbytes
-            for array in (scores.confusion.counts, counts.counts, counts.sums, counts.by_part, scores.borders.counts)
+            for array in (scores.confusion.counts, counts.counts, counts.sums, counts.by_class, scores.borders.counts)
         )
 
     before = size()

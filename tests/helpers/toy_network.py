@@ -18,9 +18,9 @@ class Toy(Network):
     margin: ClassVar[int] = 16
     crop_multiple: ClassVar[int] = 8
 
-    def __init__(self, width: int = 4) -> None:
-        super().__init__({"width": width})
-        self.layers = nn.Sequential(nn.Conv2d(2, width, 3, padding=1), nn.ReLU(), nn.Conv2d(width, PART_COUNT, 1))
+    def __init__(self, width: int = 4, classes: int = PART_COUNT) -> None:
+        super().__init__({"width": width}, classes)
+        self.layers = nn.Sequential(nn.Conv2d(2, width, 3, padding=1), nn.ReLU(), nn.Conv2d(width, classes, 1))
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         check_range_images(range_m)

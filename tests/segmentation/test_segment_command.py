@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pngs import png
 
+from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
@@ -110,6 +111,7 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
     assert (
         facts["camera"]["focal_px"] == 100 and facts["camera"]["origin"] == "given" and not facts["camera"]["mirrored"]
     )
+    assert facts["labels"] == {"name": "parts33", "classes": list(PARTS33.names)}
     assert facts["unit_m"] == 0.001 and facts["background"]["mode"] == "people"
     assert facts["resampling"]["distance_m"] == 2.5 and facts["preview"] == {"frames": 5, "frames_per_second": 5.0}
     assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
@@ -324,3 +326,18 @@ def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[
         save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
     assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "out") == 0
     assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err
+
+
+def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: Path) -> None:
+    limbs = load_label_map("limbs14")
+    network = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "classes": 14}, seed=1)
+    save_network(tmp_path / "limbs.safetensors", network, "compact", {"labels": limbs.to_json()})
+    out = tmp_path / "out"
+    assert run(recording, "--focal", "100", "--out", out, "--run", tmp_path / "limbs.safetensors") == 0
+    assert report(out)["labels"] == {"name": "limbs14", "classes": list(limbs.names)}
+    legend = {tuple(colour) for colour in pixels(out / "legend.png").reshape(-1, 3).tolist()}
+    assert {tuple(colour) for colour in limbs.colours.tolist()} <= legend
+    labels, overlay = pixels(out / "labels" / "7.png"), pixels(out / "overlay" / "7.png")
+    body = labels != BACKGROUND
+    assert body.sum() == 480 and labels[body].max() < 14
+    np.testing.assert_allclose(overlay[body], limbs.colours[labels[body]], atol=1)

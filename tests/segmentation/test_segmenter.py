@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import load_label_map
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.evaluation.frame_times import Stopwatch
@@ -293,6 +294,21 @@ def test_a_preview_has_an_end() -> None:
 def test_rates_that_no_preview_has(rate: float) -> None:
     with pytest.raises(BadConfig, match="^a preview shows 0.1 to 50 frames per second, found"):
         Preview(rate)
+
+
+def test_a_preview_has_the_colours_of_its_classes() -> None:
+    limbs = load_label_map("limbs14")
+    preview = Preview(10, limbs)
+    for label in range(14):
+        frame, labels = np.full((8, 8), 2.0, np.float32), np.full((8, 8), label, np.uint8)
+        preview.add(draw_overlay(frame, labels, [np.arange(64)], limbs))
+    with Image.open(io.BytesIO(preview.to_gif())) as animation:
+        for label in range(14):
+            animation.seek(label)
+            colour = np.asarray(animation.convert("RGB"))[4, 4].astype(int)
+            assert np.abs(colour - limbs.colours[label]).max() <= 2
+    unknown = draw_overlay(frame, np.full((8, 8), 20, np.uint8), [np.arange(64)], limbs)[4, 4]
+    assert len(set(unknown.tolist())) == 1, "a label of no class is grey"
 
 
 def test_the_legend_has_every_colour() -> None:

@@ -289,7 +289,7 @@ def test_a_batch_larger_than_the_set_is_refused(figures_set: Path, tmp_path: Pat
 
 def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
     images = RangeImages(figures_set, "all", "train")
-    counts = training._part_pixels(images)
+    counts = training._class_pixels(images)
     assert counts.sum() == sum((images.clean(index).labels < 33).sum() for index in range(len(images)))
 
 

@@ -1,0 +1,33 @@
+"""The legend: every class with its colour and number, in columns that fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.drawing.style import PAPER, draw_legend
+
+
+@pytest.mark.parametrize("label_map", [PARTS33, load_label_map("itop15")])
+@pytest.mark.parametrize("width", [230, 900])
+def test_every_class_is_in_the_legend(label_map: LabelMap, width: int) -> None:
+    legend = draw_legend(width, label_map)
+    assert legend.width == width
+    shown = {tuple(colour) for colour in np.asarray(legend).reshape(-1, 3).tolist()}
+    assert {tuple(colour) for colour in label_map.colours.tolist()} <= shown
+
+
+def inked(legend: Image.Image) -> int:
+    """Columns of pixels that hold anything."""
+    return int((np.asarray(legend) != PAPER).any(axis=(0, 2)).sum())
+
+
+def test_a_long_name_is_cut() -> None:
+    def named(name: str) -> Image.Image:
+        return draw_legend(222, LabelMap("mine", ((name, ("Sellion",)),)))
+
+    assert inked(named("nose")) < inked(named("the nose and more")) < 222
+    assert inked(named("the nose " * 40)) < 222
+    assert named("the nose " * 40).tobytes() == named("the nose " * 50).tobytes()

@@ -1,0 +1,202 @@
+"""Scores by the classes of a label map: of a network that predicts them, and of one whose parts are joined."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from label_networks import Places
+from PIL import Image
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.core.parts import BACKGROUND, PARTS
+from bodyseg_model.commands import cli
+from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate, open_images
+from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS, count_kinds, kinds_of, told_kinds
+from bodyseg_model.evaluation.report import report
+from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import build, predict
+
+LIMBS, ITOP = load_label_map("limbs14"), load_label_map("itop15")
+FACES = LabelMap(
+    "faces",
+    (
+        ("chest", ("Suprasternale", "Substernale")),
+        ("right_back", ("Rt. PSIS", "Rt. Axilla, Post.")),
+        ("left_back", ("Lt. PSIS", "Lt. Axilla, Post.")),
+        ("right_breast", ("Rt. Thelion/Bustpoint",)),
+        ("left_breast", ("Lt. Thelion/Bustpoint",)),
+        ("face", ("Sellion",)),
+    ),
+)
+
+
+class Bands(Network):
+    """Labels rows from the top in bands of 40 pixels, one class after the other."""
+
+    def __init__(self, classes: int) -> None:
+        super().__init__({}, classes)
+        self.eval()
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        label = (torch.arange(range_m.shape[2]) // 40).clamp(max=self.classes - 1)[:, None]
+        scores = torch.zeros(len(range_m), self.classes, *range_m.shape[2:])
+        return scores.scatter(1, label.expand(len(range_m), 1, *range_m.shape[2:]), 9.0)
+
+
+def kind(label_map: LabelMap, truth: str, predicted: str) -> str:
+    return KINDS[kinds_of(label_map)[label_map.names.index(truth), label_map.names.index(predicted)]]
+
+
+def test_the_kinds_of_33_parts_are_as_they_were() -> None:
+    """The rule for single parts, written out."""
+    regions = ({0, 1, 2}, set(range(3, 15)), set(range(25, 29)))
+    for truth in PARTS:
+        for predicted in PARTS:
+            expected = "other"
+            if truth is predicted:
+                expected = "right"
+            elif truth.mirror == predicted.label:
+                expected = "left/right"
+            elif any({truth.label, predicted.label} <= region for region in regions) and truth.face != predicted.face:
+                swapped = {truth.side, predicted.side} == {"left", "right"}
+                expected = "both" if swapped else "front/back"
+            assert KINDS[KIND_OF[truth.label, predicted.label]] == expected
+    assert kinds_of(PARTS33) is KIND_OF and not KIND_OF.flags.writeable
+    assert told_kinds(PARTS33) == set(KINDS)
+
+
+def test_kinds_are_told_where_the_classes_tell_them() -> None:
+    assert kind(LIMBS, "right_hand", "left_hand") == "left/right"
+    assert kind(LIMBS, "head", "trunk") == "other"
+    assert told_kinds(LIMBS) == told_kinds(ITOP) == {"right", "left/right", "other"}
+    assert kind(FACES, "chest", "right_back") == kind(FACES, "left_back", "chest") == "front/back"
+    assert kind(FACES, "right_breast", "right_back") == "front/back"
+    assert kind(FACES, "right_breast", "left_back") == "both"
+    assert kind(FACES, "left_breast", "right_breast") == "left/right"
+    assert kind(FACES, "chest", "right_breast") == kind(FACES, "face", "right_back") == "other"
+    confusion = np.ones((14, 14), np.int64)
+    assert count_kinds(confusion, LIMBS) == {
+        "right": 14, "left/right": 12, "front/back": None, "both": None, "other": 14 * 14 - 26,
+    }  # fmt: skip
+
+
+def test_a_network_of_classes_is_scored_by_its_classes(figures_set: Path) -> None:
+    images = open_images(str(figures_set), "all", labels=LIMBS)
+    network = Bands(14)
+    found = evaluate(network, images, batch_size=3)
+    counts = np.zeros((14, 14), np.int64)
+    for index in range(len(images)):
+        shown = images[index]
+        truth, predicted = shown["labels"].numpy(), predict(network, shown["range"][None]).labels[0].numpy()
+        np.add.at(counts, (truth[truth != BACKGROUND], predicted[truth != BACKGROUND]), 1)
+    total = found.total()
+    np.testing.assert_array_equal(total.confusion.counts, counts)
+    assert total.confidences is not None and total.confidences.pixels == counts.sum()
+    assert total.borders is not None and total.borders.counts.sum() == counts.sum()
+    assert total.confidences.above(0.0).average_per_class_accuracy == pytest.approx(
+        total.confusion.average_per_class_accuracy()
+    )
+    tree = report(found)
+    json.dumps(tree, allow_nan=False)
+    assert tree["labels"] == LIMBS.to_json()
+    assert [part["name"] for part in tree["parts"]] == list(LIMBS.names)
+    assert tree["swaps"]["left_right"] is not None
+    assert tree["swaps"]["front_back"] is tree["swaps"]["both"] is None
+    assert all(row["both"] is None and row["other"] is not None for row in tree["border_distance_px"][:3])
+
+
+def test_parts_of_a_network_are_joined(figures_set: Path) -> None:
+    network = Places(0, 20)
+    parts = evaluate(network, open_images(str(figures_set), "all")).total()
+    joined = evaluate(network, open_images(str(figures_set), "all", labels=ITOP), label_map=PARTS33).total()
+    expected = np.zeros((15, 15), np.int64)
+    np.add.at(expected, (ITOP.table[:33, None], ITOP.table[None, :33]), parts.confusion.counts)
+    np.testing.assert_array_equal(joined.confusion.counts, expected)
+    assert joined.confusion.pixel_accuracy() > parts.confusion.pixel_accuracy()
+    assert parts.confidences is not None and joined.confidences is not None
+    assert joined.confidences.mean() == parts.confidences.mean(), "a label keeps its own confidence"
+
+
+def test_borders_between_joined_parts_are_none(figures_set: Path) -> None:
+    one = LabelMap("one", (("body", PARTS33.names),))
+    found = evaluate(Places(0, 20), open_images(str(figures_set), "md", labels=one), label_map=PARTS33).total()
+    assert found.borders is not None
+    assert found.borders.counts[:-1].sum() == 0 and found.borders.counts[-1].sum() == found.confusion.pixels
+    assert found.confusion.pixel_accuracy() == 1
+
+
+def test_scores_of_other_classes_are_refused(figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match="the network must have the 14 classes of labels 'limbs14', found 33"):
+        evaluate(Places(0, 20), open_images(str(figures_set), labels=LIMBS))
+    with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15'"):
+        evaluate(Bands(14), open_images(str(figures_set), labels=ITOP), label_map=LIMBS)
+    with pytest.raises(BadConfig, match="scores to merge must be of the same labels, found 'parts33' and 'limbs14'"):
+        Scores().merge(Scores(label_map=LIMBS))
+    mixed, other = Evaluation(), Evaluation(label_map=LIMBS)
+    other.subsets["A"] = Scores(label_map=LIMBS)
+    with pytest.raises(BadConfig, match="scores to merge must be of the same labels"):
+        mixed.merge(other)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folders = {}
+    for label_map in (PARTS33, LIMBS, FACES):
+        folders[label_map.name] = tmp_path_factory.mktemp("runs") / label_map.name
+        folders[label_map.name].mkdir()
+        settings = {"patch": 16, "widths": [8], "blocks": [0], "context": False, "classes": len(label_map)}
+        facts = {} if label_map == PARTS33 else {"labels": label_map.to_json()}
+        network = build("compact", settings, seed=1)
+        save_network(folders[label_map.name] / "network.safetensors", network, "compact", facts)
+    return folders
+
+
+def call(run: Path, data: Path, out: Path, *more: object) -> dict[str, Any]:
+    words = ["--run", run, "--data", data, "--json", out / "x.json", "--frames", 0, "--num-workers", 0, "--images", 4]
+    assert cli.main(["evaluate", *map(str, (*words, *more))]) == 0
+    found: dict[str, Any] = json.loads((out / "x.json").read_text())
+    return found
+
+
+@pytest.mark.parametrize("name", ["limbs14", "faces"])
+def test_the_command_scores_the_classes_of_the_network(
+    figures_set: Path, runs: dict[str, Path], tmp_path: Path, name: str
+) -> None:
+    tree = call(runs[name], figures_set, tmp_path, "--figures", tmp_path / "figures")
+    label_map = {"limbs14": LIMBS, "faces": FACES}[name]
+    assert tree["labels"] == tree["card"]["labels"] == label_map.to_json()
+    assert len(tree["parts"]) == len(tree["confusion"]) == len(label_map)
+    pictures = sorted((tmp_path / "figures").iterdir())
+    assert [path.name for path in pictures] == [
+        "border_distance.png", "confidence.png", "confusion.png", "parts.png", "samples.png",
+    ]  # fmt: skip
+    with Image.open(tmp_path / "figures" / "samples.png") as picture:
+        shown = {tuple(colour) for colour in np.asarray(picture.convert("RGB")).reshape(-1, 3).tolist()}
+    assert {tuple(colour) for colour in label_map.colours.tolist()} <= shown
+
+
+def test_the_command_joins_the_parts_of_a_network(
+    figures_set: Path, runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = call(runs["parts33"], figures_set, tmp_path)
+    assert "labels" not in whole and [part["name"] for part in whole["parts"]] == list(PARTS33.names)
+    joined = call(runs["parts33"], figures_set, tmp_path, "--labels", "limbs14")
+    assert joined["labels"] == LIMBS.to_json() and joined["pixels"] == whole["pixels"]
+    assert joined["pixel_accuracy"] >= whole["pixel_accuracy"]
+    assert "--labels limbs14" in joined["command"]
+    capsys.readouterr()
+    words = ["--run", runs["limbs14"], "--data", figures_set, "--json", tmp_path / "y.json", "--labels", "itop15"]
+    assert cli.main(["evaluate", *map(str, words)]) == 2
+    assert (
+        capsys.readouterr()
+        .err.splitlines()[-1]
+        .startswith("bodyseg evaluate: labels 'limbs14' cannot be joined to 'itop15', which splits the class 'trunk'")
+    )
+    assert not (tmp_path / "y.json").exists()

@@ -1,0 +1,89 @@
+"""Label maps in the loader: the classes of every variant, by index and in batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.labels import label_map as module
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.loading.transforms.transform import Transform
+
+LIMBS = load_label_map("limbs14")
+FEET = LabelMap("feet", (("feet", ("Rt. Digit II", "Lt. Digit II")),))
+
+
+@dataclass(frozen=True)
+class Upside(Transform):
+    """Turns images upside down, and fails unless it is given parts."""
+
+    name = "upside"
+
+    def __call__(self, image: RangeImage, random: np.random.Generator) -> RangeImage:
+        assert len(np.unique(image.labels)) > 15, "labels are joined after transforms"
+        return RangeImage(image.key, image.range[::-1].copy(), image.labels[::-1].copy(), image.drawn)
+
+
+@pytest.mark.parametrize("variant", ["none", "all"])
+@pytest.mark.parametrize("label_map", [LIMBS, FEET])
+def test_classes_are_those_of_the_parts(
+    figures_set: Path, variant: str, label_map: LabelMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts, classes = RangeImages(figures_set, variant), RangeImages(figures_set, variant, labels=label_map)
+    for compiled in (use_compiled(), False):
+        monkeypatch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
+        for index in (0, 7, 20):
+            one, other = parts[index], classes[index]
+            assert torch.equal(one["range"], other["range"])
+            np.testing.assert_array_equal(other["labels"].numpy(), label_map.table[one["labels"].numpy()])
+            assert (classes.clean(index).labels == parts.clean(index).labels).all(), "as stored"
+    if label_map is FEET:
+        assert set(np.unique(other["labels"].numpy())) <= {0, BACKGROUND}
+
+
+@pytest.mark.parametrize("method", ["thread", "process"])
+def test_batches_have_the_classes_of_single_images(figures_set: Path, method: Any) -> None:
+    images = RangeImages(figures_set, "all", labels="limbs14", epoch=1)
+    single = {each["key"]: each["labels"] for each in (images[index] for index in range(len(images)))}
+    for batch in loader(images, 5, 2, worker_method=method):
+        for key, labels in zip(batch["key"], batch["labels"], strict=True):
+            assert torch.equal(labels, single[key])
+
+
+def test_labels_are_joined_after_transforms(figures_set: Path) -> None:
+    parts = RangeImages(figures_set, "none")
+    turned = RangeImages(figures_set, "none", transform=Upside(), labels="limbs14")
+    expected = LIMBS.table[parts[3]["labels"].numpy()[::-1]]
+    np.testing.assert_array_equal(turned[3]["labels"].numpy(), expected)
+    image, labels = np.empty(turned.shape, np.uint16), np.empty(turned.shape, np.uint8)
+    turned.write(3, 0, image, labels)
+    np.testing.assert_array_equal(labels, expected)
+
+
+def test_the_map_is_in_the_identity_unless_it_changes_nothing(figures_set: Path) -> None:
+    plain = RangeImages(figures_set).identity()
+    assert RangeImages(figures_set, labels=PARTS33).identity() == plain and "labels" not in plain
+    assert RangeImages(figures_set, labels="limbs14").identity() == {**plain, "labels": LIMBS.to_json()}
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        ("limbs", "no label map is called 'limbs'"),
+        (Path("nowhere.toml"), "cannot read the label map file nowhere.toml"),
+        (3, "labels must be a LabelMap, a name, or the path of a .toml file, found 3"),
+    ],
+)
+def test_maps_that_are_none_are_refused(figures_set: Path, labels: Any, message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        RangeImages(figures_set, labels=labels)
