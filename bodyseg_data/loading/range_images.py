@@ -22,14 +22,22 @@ from torch.utils.data import Dataset
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artifacts_to_json, load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform, with_text
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.core.labels.lookup import looked_up
 from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.loading.selection import Selection
-from bodyseg_data.loading.transforms.transform import Transform, check_transforms, transform_image, transforms_to_json
+from bodyseg_data.loading.transforms.camera_image import with_camera
+from bodyseg_data.loading.transforms.transform import (
+    Transforms,
+    check_transforms,
+    transform_image,
+    transformed_shape,
+    transforms_to_json,
+)
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.codecs.codec import OutputArrays
@@ -83,7 +91,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         storage_options: Mapping[str, Any] | None = None,
         retry_policy: RetryPolicy | None = None,
         only: Sequence[str] = (),
-        transform: Transform | Sequence[Transform] = (),
+        transform: Transforms = (),
         labels: str | Path | LabelMap = PARTS33,
     ) -> None:
         seed = check_seed(seed)
@@ -95,6 +103,9 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         self.transforms = check_transforms(transform)
         self.label_map = load_label_map(labels)
+        camera = self.manifest.rig.camera
+        self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
+        """Rows and columns of the images, as the transforms leave them."""
         self._joins_parts = self.label_map != PARTS33
         self.only = tuple(only)
         self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
@@ -113,14 +124,6 @@ class RangeImages(Dataset[dict[str, Any]]):
     def step_m(self) -> float:
         """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
         return self.manifest.rig.range_step_m
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the images, as the transforms leave them."""
-        rows, columns = self.manifest.rig.camera.rows, self.manifest.rig.camera.columns
-        for each in self.transforms:
-            rows, columns = each.shape(rows, columns)
-        return rows, columns
 
     @property
     def keys(self) -> list[str]:
@@ -148,13 +151,24 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self._reader.read(shard, within)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
-        """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays."""
+        """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
+
+        Raises BadTransform, naming shard and key, for a transform that fails.
+        """
         chosen = self.epoch if epoch is None else check_epoch(epoch)
-        image = self.augmentation(self._sample(index), chosen)
+        camera = self.manifest.rig.camera
+        shape = (camera.rows, camera.columns)
+        ranges, labels = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
+        sample = self._sample(index, (ranges, labels))
+        image = self.augmentation.into(sample, chosen, ranges, labels)
         if self.transforms:
-            image = transform_image(image, self.transforms, Draws(self.seed, chosen, image.key))
+            seen = with_camera(image, camera, self.step_m, sample.info)
+            try:
+                image = transform_image(seen, self.transforms, Draws(self.seed, chosen, image.key))
+            except BadTransform as error:
+                raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
         if self._joins_parts:
-            self.label_map.table.take(image.labels, out=image.labels)
+            image.labels[...] = looked_up(image.labels, self.label_map.table)
         return image
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
@@ -171,7 +185,7 @@ class RangeImages(Dataset[dict[str, Any]]):
                 return
             self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
             if self._joins_parts:
-                self.label_map.table.take(labels, out=labels)
+                labels[...] = looked_up(labels, self.label_map.table)
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
