@@ -29,6 +29,8 @@ from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permuta
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
 from bodyseg_data.loading.batch_order import BatchOrder, Request
+from bodyseg_data.loading.items.item import item_tensor
+from bodyseg_data.loading.items.reused_memory import ReusedMemory
 from bodyseg_data.loading.selection import Selection
 from bodyseg_data.loading.transforms.camera_image import with_camera
 from bodyseg_data.loading.transforms.transform import (
@@ -111,6 +113,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
+        self._memory = ReusedMemory()
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -153,23 +156,12 @@ class RangeImages(Dataset[dict[str, Any]]):
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
 
-        Raises BadTransform, naming shard and key, for a transform that fails.
+        Raises BadShard for a sample that breaks the format, BadTransform for a transform that fails.
         """
-        chosen = self.epoch if epoch is None else check_epoch(epoch)
-        camera = self.manifest.rig.camera
+        chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
         shape = (camera.rows, camera.columns)
-        ranges, labels = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
-        sample = self._sample(index, (ranges, labels))
-        image = self.augmentation.into(sample, chosen, ranges, labels)
-        if self.transforms:
-            seen = with_camera(image, camera, self.step_m, sample.info)
-            try:
-                image = transform_image(seen, self.transforms, Draws(self.seed, chosen, image.key))
-            except BadTransform as error:
-                raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
-        if self._joins_parts:
-            image.labels[...] = looked_up(image.labels, self.label_map.table)
-        return image
+        ranges, labels = self._memory.empty(shape, np.uint16), self._memory.empty(shape, np.uint8)
+        return self._made(index, chosen, ranges, labels)
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
         """Read the parts of a stored sample that the variant uses; into: see `decode_sample`."""
@@ -177,18 +169,29 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self._reader.read(shard, within, self.augmentation.needs_projector, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        """Write the arrays of `image` into given ones [H, W], replacing their content. Raises BadShard for others."""
+        """Write the arrays of `image` into given ones [H, W], replacing their content. Raises as `image`."""
+        if not self.transforms:
+            self._made(index, epoch, image, labels)
+            return
+        made = self.image(index, epoch)
+        image[...], labels[...] = made.range, made.labels
+
+    def _made(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
+        """Make the sample in arrays of the camera's size; transforms may return others."""
         try:
+            sample = self._sample(index, (image, labels))
+            made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
-                made = self.image(index, epoch)
-                image[...], labels[...] = made.range, made.labels
-                return
-            self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
-            if self._joins_parts:
-                labels[...] = looked_up(labels, self.label_map.table)
+                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample.info)
+                made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
+        except BadTransform as error:
+            raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
+        if self._joins_parts:
+            made.labels[...] = looked_up(made.labels, self.label_map.table)
+        return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
         """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
@@ -201,11 +204,8 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def _single(self, index: int, epoch: int | None) -> dict[str, Any]:
         image = self.image(index, epoch)
-        return {
-            "range": torch.from_numpy(metres(image.range, self.step_m)[None]),
-            "labels": torch.from_numpy(image.labels),
-            "key": image.key,
-        }
+        ranges = metres(image.range, self.step_m, self._memory.empty(self.shape, np.float32))
+        return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises BadConfig for no integer, or IndexError."""

@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
 from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.core.errors import BadConfig, BadSample, BadTransform
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform
 from bodyseg_data.core.labels.label_map import load_label_map
 from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS
 from bodyseg_data.loading.transforms import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
@@ -211,7 +211,7 @@ def test_samples_that_a_transform_refuses_can_be_skipped(figures_set: Path) -> N
     assert len(batches.skipped) == 6
     why = f"{batches.skipped[0].key}: transform '{__name__}.refusing': it is seen from the side"
     assert batches.skipped[0].why.endswith(why)
-    with pytest.raises(BadSample, match="it is seen from the side"):
+    with pytest.raises(BadShard, match="it is seen from the side"):
         images[images.keys.index(batches.skipped[0].key)]
 
 

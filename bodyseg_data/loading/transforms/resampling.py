@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.loading.transforms.camera_image import CameraImage, box_of
+from bodyseg_data.loading.transforms.camera_image import Box, CameraImage, box_of
 
 
 def take_grid(
@@ -56,6 +56,10 @@ _BITS: Final = 20
 """Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
 
 
+_ROWS: Final = 32
+"""Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
+
+
 def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
     """The image turned about its optical axis: a point (x, y) about it takes the place (cos x + sin y, cos y - sin x).
 
@@ -69,16 +73,14 @@ def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
         corners = [(column - x, row - y) for row in box[:2] for column in box[2:]]
         down = _span([cos * below - sin * across + y for across, below in corners], height)
         along = _span([cos * across + sin * below + x for across, below in corners], width)
-        # Image coordinates, about the axis, of the pixels' centres; then those of their sources.
-        below, across = np.arange(down.start, down.stop) + 0.5 - y, np.arange(along.start, along.stop) + 0.5 - x
-        columns = _sums(-sin * below + x, cos * across)
-        rows = _sums(cos * below + y, sin * across)
-        inside = _inside(rows, *box[:2])  # outside of the box nothing was measured
-        inside &= _inside(columns, *box[2:])
-        rows *= width
-        rows += columns
-        ranges[down, along] = image.range.take(rows, mode="clip") * inside
-        labels[down, along] = image.labels.take(rows, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
+        across = np.arange(along.start, along.stop) + 0.5 - x  # of the pixels' centres, from the axis
+        for first in range(down.start, down.stop, _ROWS):
+            rows = slice(first, min(first + _ROWS, down.stop))
+            below = np.arange(rows.start, rows.stop) + 0.5 - y
+            from_rows, from_columns = _sums(cos * below + y, sin * across), _sums(x - sin * below, cos * across)
+            places, inside = _sources(from_rows, from_columns, box, width)
+            ranges[rows, along] = image.range.take(places, mode="clip") * inside
+            labels[rows, along] = image.labels.take(places, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
     return replace(image, range=ranges, labels=labels)
 
 
@@ -88,14 +90,20 @@ def _span(places: list[float], size: int) -> slice:
     return slice(low, high)
 
 
-def _inside(places: NDArray[np.intp], first: int, end: int) -> NDArray[np.bool_]:
-    """Where `places` lie from `first` to below `end`: one comparison, as what is below 0 is large without a sign."""
-    found: NDArray[np.bool_] = (places - first).view(np.uintp) < np.uintp(end - first)
-    return found
+def _sources(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], box: Box, width: int
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Flat indices of pixels, and which of them lie in the box; those of others may be out of range."""
+    inside: NDArray[np.bool_] = (rows - box[0]).view(np.uintp) < np.uintp(box[1] - box[0])  # below 0 is large
+    inside &= (columns - box[2]).view(np.uintp) < np.uintp(box[3] - box[2])
+    rows *= width
+    rows += columns
+    return rows, inside
 
 
 def _sums(down: NDArray[np.floating[Any]], along: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
     """Whole pixels of down[i] + along[j], rounded down, [H, W]."""
-    found = np.add.outer(*(np.rint(2.0**_BITS * each).astype(np.intp) for each in (down, along)))
+    fixed = (np.rint(2.0**_BITS * each).astype(np.intp) for each in (down, along))
+    found: NDArray[np.intp] = np.add.outer(*fixed)
     found >>= _BITS
     return found

@@ -21,10 +21,9 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import Field, asdict, dataclass, is_dataclass, replace
 from types import FunctionType
-from typing import Any, ClassVar, Final, Protocol, cast
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadSample, BadTransform
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
@@ -161,10 +160,6 @@ def _called(transform: Transform, image: CameraImage, random: np.random.Generato
         raise failed from error
 
 
-_NO_PART: Final = BACKGROUND - PART_COUNT
-"""The number of labels that are neither a part's nor background's."""
-
-
 def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> CameraImage:
     where = f"{key}: transform {name!r}"
     if not isinstance(found, CameraImage):
@@ -176,15 +171,10 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
     ranges, labels = np.ascontiguousarray(found.range), np.ascontiguousarray(found.labels)
-    wrong = labels - np.uint8(PART_COUNT) < _NO_PART  # wraps around: parts become large
-    if wrong.any():
-        raise BadTransform(
-            f"{where} must return labels 0 to {PART_COUNT - 1} or {BACKGROUND}, found {labels[wrong][0]}"
-        )
-    return replace(found, range=ranges, labels=labels | _lost(ranges))
-
-
-def _lost(ranges: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """All bits where nothing was measured, uint8 [H, W]: a label joined with them is background's."""
-    found: NDArray[np.uint8] = (ranges == 0).view(np.uint8) * np.uint8(BACKGROUND)
-    return found
+    above = labels - np.uint8(PART_COUNT)  # parts wrap around to what is larger than background
+    if above.min() < BACKGROUND - PART_COUNT:
+        parts = f"0 to {PART_COUNT - 1} or {BACKGROUND}"
+        raise BadTransform(f"{where} must return labels {parts}, found {above.min() + PART_COUNT}")
+    lost = (ranges == 0).view(np.uint8)
+    np.negative(lost, out=lost)  # all bits
+    return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))
