@@ -28,9 +28,9 @@ from bodyseg_data.core.labels.lookup import looked_up
 from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.batch_order import BatchOrder, Request
 from bodyseg_data.loading.items.item import item_tensor
-from bodyseg_data.loading.items.reused_memory import ReusedMemory
 from bodyseg_data.loading.selection import Selection
 from bodyseg_data.loading.transforms.camera_image import with_camera
 from bodyseg_data.loading.transforms.transform import (
@@ -113,7 +113,6 @@ class RangeImages(Dataset[dict[str, Any]]):
         self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
-        self._memory = ReusedMemory()
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -160,7 +159,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         """
         chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
         shape = (camera.rows, camera.columns)
-        ranges, labels = self._memory.empty(shape, np.uint16), self._memory.empty(shape, np.uint8)
+        ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
         return self._made(index, chosen, ranges, labels)
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
@@ -204,7 +203,7 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def _single(self, index: int, epoch: int | None) -> dict[str, Any]:
         image = self.image(index, epoch)
-        ranges = metres(image.range, self.step_m, self._memory.empty(self.shape, np.float32))
+        ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
         return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
 
     def _where(self, index: int) -> tuple[int, int]:

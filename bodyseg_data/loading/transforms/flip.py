@@ -9,6 +9,7 @@ import numpy as np
 from bodyseg_data.core.labels.lookup import looked_up
 from bodyseg_data.core.parts import MIRRORED_LABELS
 from bodyseg_data.core.randomness import unit
+from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.transforms.camera_image import CameraImage
 from bodyseg_data.loading.transforms.checks import check_number
 from bodyseg_data.loading.transforms.transform import Transform
@@ -33,10 +34,11 @@ class Flip(Transform):
         """See `Transform`."""
         if unit(random) >= self.share:
             return image
-        x, y = image.centre_px
+        ranges, (x, y) = SCRATCH.empty(image.range.shape, np.uint16), image.centre_px
+        ranges[...] = image.range[:, ::-1]
         return replace(
             image,
-            range=image.range[:, ::-1],
+            range=ranges,
             labels=looked_up(image.labels[:, ::-1], MIRRORED_LABELS),
             centre_px=(image.range.shape[1] - x, y),
         )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.transforms.camera_image import Box, CameraImage, box_of
 
 
@@ -36,7 +37,10 @@ def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
 
 def background(rows: int, columns: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     """Range and labels of an image in which nothing was measured."""
-    return np.zeros((rows, columns), np.uint16), np.full((rows, columns), BACKGROUND, np.uint8)
+    ranges, labels = SCRATCH.empty((rows, columns), np.uint16), SCRATCH.empty((rows, columns), np.uint8)
+    ranges.fill(0)
+    labels.fill(BACKGROUND)
+    return ranges, labels
 
 
 def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int) -> CameraImage:

@@ -28,6 +28,7 @@ import numpy as np
 from bodyseg_data.core.errors import BadConfig, BadSample, BadTransform
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.transforms.camera_image import CameraImage
 
 
@@ -171,10 +172,12 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
     ranges, labels = np.ascontiguousarray(found.range), np.ascontiguousarray(found.labels)
-    above = labels - np.uint8(PART_COUNT)  # parts wrap around to what is larger than background
+    above = np.subtract(
+        labels, np.uint8(PART_COUNT), out=SCRATCH.empty(shape, np.uint8)
+    )  # parts wrap around to what is larger than background
     if above.min() < BACKGROUND - PART_COUNT:
         parts = f"0 to {PART_COUNT - 1} or {BACKGROUND}"
         raise BadTransform(f"{where} must return labels {parts}, found {above.min() + PART_COUNT}")
     lost = (ranges == 0).view(np.uint8)
-    np.negative(lost, out=lost)  # all bits
+    np.negative(lost, out=lost)  # all bits, which are background's
     return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))

@@ -53,3 +53,7 @@ class ReusedMemory:
         found: NDArray[Any] = np.ndarray(shape, kind, memory)
         weakref.finalize(found, free.append, memory).atexit = False
         return found
+
+
+SCRATCH: Final = ReusedMemory()
+"""That of this process."""
