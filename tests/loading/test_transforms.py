@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
+import types
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from folders import ROOT
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
@@ -258,3 +262,18 @@ class Flat(Transform):
 def test_what_is_no_transform_is_refused(figures_set: Path, given: Any, message: str) -> None:
     with pytest.raises(BadConfig, match=f"^{message}"):
         RangeImages(figures_set, transform=given)
+
+
+def test_the_examples_of_the_documentation_run(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "transforms.md").read_text().replace('"shards"', repr(str(figures_set)))
+    use, function, whole_class = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    module = types.ModuleType("examples")
+    monkeypatch.setitem(sys.modules, "examples", module)  # dataclasses look their module up
+    for example in (use, function, whole_class):
+        exec(compile("from __future__ import annotations\n" + example, "docs/transforms.md", "exec"), module.__dict__)
+        if example is use:
+            assert module.images.shape == (512, 256) and next(iter(module.batches))["range"].shape[2:] == (512, 256)
+        if example is function:
+            assert len({float(module.images[index]["range"].max()) for index in range(6)}) == 6
+    smaller = RangeImages(figures_set, "none", transform=module.EveryOther()).image(0)
+    assert np.array_equal(smaller.range, RangeImages(figures_set, "none").image(0).range[::2, ::2])

@@ -60,7 +60,7 @@ _BITS: Final = 20
 """Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
 
 
-_ROWS: Final = 32
+_ROWS: Final = 128
 """Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
 
 
