@@ -7,7 +7,7 @@ status 2; code that uses the library can catch `BodysegError` or one of its subc
 from __future__ import annotations
 
 from numbers import Integral
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 _LONGEST: Final = 1000
 
@@ -50,6 +50,10 @@ class BadShard(BodysegError):
     """A shard or its manifest is cut, altered, or of another format."""
 
 
+class BadTransform(BodysegError):
+    """A transform has failed on a sample, or returned something that is no sample."""
+
+
 class Unreachable(BodysegError):
     """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
 
@@ -64,6 +68,17 @@ class Diverged(BodysegError):
 
 class MissingLibrary(BodysegError):
     """An optional package or a system library that the chosen feature needs is not installed."""
+
+
+_Error = TypeVar("_Error", bound=Exception)
+
+
+def with_text(error: _Error, text: str) -> _Error:
+    """Return a new error of the same class and notes with another text, tied to no traceback's frames."""
+    found = type(error)(text)
+    for note in getattr(error, "__notes__", ()):
+        found.add_note(note)
+    return found
 
 
 def check_int(name: str, value: Any, least: int) -> int:

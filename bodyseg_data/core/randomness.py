@@ -69,6 +69,12 @@ def generator(seed: int, epoch: int, key: str, purpose: str) -> np.random.Genera
     return np.random.Generator(np.random.Philox(key=stream(seed, epoch, key, purpose)))
 
 
+def unit(random: np.random.Generator) -> float:
+    """The next number of a generator, uniform over the multiples of 2**-53 from 0 to below 1: from its raw words."""
+    word: int = random.bit_generator.random_raw()
+    return (word >> 11) * 2.0**-53
+
+
 @dataclass(frozen=True)
 class Draws:
     """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn."""

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 STATE_FORMAT: Final = "bodyseg loader 1"
 
+_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
+"""Fields of a state besides its identity."""
+
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
 
@@ -237,9 +240,12 @@ def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
     found = state.get("format") if isinstance(state, dict) else type(state).__name__
     if found != STATE_FORMAT:
         raise BadConfig(f"a state's 'format' must be {STATE_FORMAT!r}, found {found!r}")
-    for field, here in identity.items():
-        if state.get(field) != here:
-            raise BadConfig(f"the state belongs to another run: {field} {state.get(field)!r}, here {here!r}")
+    there = {field: value for field, value in state.items() if field not in _PROGRESS}
+    for field in identity | there:
+        if there.get(field) != identity.get(field):
+            raise BadConfig(
+                f"the state belongs to another run: {field} {there.get(field)!r}, here {identity.get(field)!r}"
+            )
     epoch, position = (state.get(field) for field in ("epoch", "position"))
     if type(epoch) is not int or epoch < 0 or type(position) is not int or not 0 <= position <= identity["samples"]:
         raise BadConfig(f"a state's epoch and position must be whole numbers, found {epoch!r} and {position!r}")

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.core.errors import BadConfig, BodysegError, check_int
+from bodyseg_data.core.errors import BadConfig, BodysegError, check_int, with_text
 from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
 from bodyseg_data.loading.range_images import Batch, RangeImages, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
@@ -95,7 +95,7 @@ class _BatchMaker:
             try:
                 self.images.write(index, epoch, steps if self.metres else ranges[row, 0], labels[row])
             except BodysegError as error:
-                faults.append((number, type(error)(str(error))))
+                faults.append((number, with_text(error, str(error))))
                 if self.strict or not isinstance(error, SKIPPABLE):
                     break  # this error ends the run, and every further sample might take as long to fail
             else:

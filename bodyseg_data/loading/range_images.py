@@ -22,14 +22,23 @@ from torch.utils.data import Dataset
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artifacts_to_json, load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform, with_text
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.batch_order import BatchOrder, Request
+from bodyseg_data.loading.items.item import item_tensor
 from bodyseg_data.loading.selection.selection import Selection
-from bodyseg_data.loading.transforms.transform import Transform, check_transforms, transform_image, transforms_to_json
+from bodyseg_data.loading.transforms.camera_image import with_camera
+from bodyseg_data.loading.transforms.transform import (
+    Transforms,
+    check_transforms,
+    transform_image,
+    transformed_shape,
+    transforms_to_json,
+)
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.codecs.codec import OutputArrays
@@ -85,7 +94,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         storage_options: Mapping[str, Any] | None = None,
         retry_policy: RetryPolicy | None = None,
         only: str | Sequence[str] = (),
-        transform: Transform | Sequence[Transform] = (),
+        transform: Transforms = (),
         labels: str | Path | LabelMap = PARTS33,
         where: str | Sequence[str] = (),
         val_share: float = 0.0,
@@ -99,6 +108,9 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         self.transforms = check_transforms(transform)
         self.label_map = load_label_map(labels)
+        camera = self.manifest.rig.camera
+        self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
+        """Rows and columns of the images, as the transforms leave them."""
         self._joins_parts = self.label_map != PARTS33
         if self._joins_parts:
             self.label_map.prepare()
@@ -119,14 +131,6 @@ class RangeImages(Dataset[dict[str, Any]]):
     def step_m(self) -> float:
         """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
         return self.manifest.rig.range_step_m
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the images, as the transforms leave them."""
-        rows, columns = self.manifest.rig.camera.rows, self.manifest.rig.camera.columns
-        for each in self.transforms:
-            rows, columns = each.shape(rows, columns)
-        return rows, columns
 
     @property
     def keys(self) -> list[str]:
@@ -156,14 +160,14 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self._reader.read(shard, within)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
-        """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays."""
-        chosen = self.epoch if epoch is None else check_epoch(epoch)
-        image = self.augmentation(self._sample(index), chosen)
-        if self.transforms:
-            image = transform_image(image, self.transforms, Draws(self.seed, chosen, image.key))
-        if self._joins_parts:
-            self.label_map.write(image.labels)
-        return image
+        """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
+
+        Raises BadShard for a sample that breaks the format, BadTransform for a transform that fails.
+        """
+        chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
+        shape = (camera.rows, camera.columns)
+        ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
+        return self._made(index, chosen, ranges, labels)
 
     def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
         """Read the parts of a stored sample that the variant uses; into: see `decode_sample`."""
@@ -171,18 +175,29 @@ class RangeImages(Dataset[dict[str, Any]]):
         return self._reader.read(shard, within, self.augmentation.needs_projector, into)
 
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        """Write the arrays of `image` into given ones [H, W], replacing their content. Raises BadShard for others."""
+        """Write the arrays of `image` into given ones [H, W], replacing their content. Raises as `image`."""
+        if not self.transforms:
+            self._made(index, epoch, image, labels)
+            return
+        made = self.image(index, epoch)
+        image[...], labels[...] = made.range, made.labels
+
+    def _made(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
+        """Make the sample in arrays of the camera's size; transforms may return others."""
         try:
+            sample = self._sample(index, (image, labels))
+            made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
-                made = self.image(index, epoch)
-                image[...], labels[...] = made.range, made.labels
-                return
-            self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
-            if self._joins_parts:
-                self.label_map.write(labels)
+                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample.info)
+                made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
+        except BadTransform as error:
+            raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
+        if self._joins_parts:
+            self.label_map.write(made.labels)
+        return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
         """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
@@ -195,11 +210,8 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def _single(self, index: int, epoch: int | None) -> dict[str, Any]:
         image = self.image(index, epoch)
-        return {
-            "range": torch.from_numpy(metres(image.range, self.step_m)[None]),
-            "labels": torch.from_numpy(image.labels),
-            "key": image.key,
-        }
+        ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
+        return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises BadConfig for no integer, or IndexError."""

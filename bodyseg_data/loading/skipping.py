@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
+from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, with_text
 
 OnError = Literal["stop", "skip"]
 
@@ -45,7 +45,7 @@ class SkipLedger:
         """Record one more sample. Raises `error` if nothing may be skipped, BadShard beyond the budget."""
         if self._budget is None or not isinstance(error, SKIPPABLE):
             # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
-            raise type(error)(str(error))
+            raise with_text(error, str(error))
         # By key: repeating an epoch loses the same samples again.
         lost = {earlier.key for earlier in self.skipped if earlier.epoch == record.epoch}
         if len(lost | {record.key}) > self._budget:

@@ -24,7 +24,8 @@ from bodyseg_data.loading.range_images import Batch, RangeImages
 # webdataset leaves the tars it has read to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
 
-OURS = [f"ours_{name}" for name in ("none", "occ", "noise", "md", "all", "all_dataloader", "all_batch_sampler")]
+OURS = [f"ours_{name}" for name in ("none", "occ", "noise", "md", "all")]
+OURS += [f"ours_all_{name}" for name in ("dataloader", "batch_sampler", "wrapped", "transform", "labels")]
 NAMES = OURS + list(bench.baselines())
 
 
@@ -201,6 +202,12 @@ def test_limits_say_whether_they_hold() -> None:
         "bytes / bytes of five PNG sets": True,
     }
     assert found["all / webdataset_png, 0 workers"]["measured"] == 2.5
+    through = {"ours_all_dataloader": {"2": [93.0]}, "ours_all_wrapped": {"2": [92.0]}}
+    more = {limit["what"]: limit["holds"] for limit in limits(rounds | through, {"ours_all": 1}, 6)}
+    assert more.items() - {what: limit["holds"] for what, limit in found.items()}.items() >= {
+        ("time of ours_all_dataloader / time of memory, 2 workers", True),
+        ("time of ours_all_wrapped / time of memory, 2 workers", False),
+    }
     rounds["mds_raw"] = {}
     missing = {limit["what"]: limit for limit in limits(rounds, {"ours_all": 50_000}, 290_000)}
     assert missing["all / mds_raw, 2 workers"]["measured"] is missing["all / mds_raw, 2 workers"]["holds"] is None

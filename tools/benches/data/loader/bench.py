@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from benches.data.loader.baselines import (
     Baseline,
@@ -45,6 +45,7 @@ from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.loading.transforms import Flip
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
 from bodyseg_data.packing.pack import Packing, pack
 
@@ -60,8 +61,34 @@ OURS: Final[Mapping[str, VariantName]] = {
     **{f"ours_{variant}": variant for variant in VARIANTS},
     "ours_all_dataloader": "all",
     "ours_all_batch_sampler": "all",
+    "ours_all_wrapped": "all",
+    "ours_all_transform": "all",
+    "ours_all_labels": "all",
 }
-"""Row -> variant: by `loader`, and `all` also by PyTorch's own DataLoader, with plain indices and with our order."""
+"""Row -> variant: by `loader`, and `all` also by PyTorch's own DataLoader: with plain indices, with our order, inside a
+data set of a user's own, with a transform, and with a label map.
+"""
+
+
+OPTIONS: Final[Mapping[str, dict[str, Any]]] = {
+    "ours_all_transform": {"transform": Flip()},
+    "ours_all_labels": {"labels": "limbs14"},
+}
+"""Row -> options of `RangeImages` that the others do not have."""
+
+
+class Wrapped(Dataset[dict[str, Any]]):
+    """A data set of a user's own around the images."""
+
+    def __init__(self, images: RangeImages) -> None:
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        sample = self._images[index]
+        return {"range": sample["range"], "labels": sample["labels"], "key": sample["key"]}
 
 
 def baselines(decode: Decode = by_pillow) -> dict[str, Baseline]:
@@ -127,6 +154,9 @@ def measure(
     five_pngs = five_png_bytes(images)
     by_variant = {v: {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
     expected = {name: by_variant[variant] for name, variant in OURS.items()}
+    for name, options in OPTIONS.items():
+        altered = RangeImages(packed, "all", **options)
+        expected[name] = {image.key: checksum_of(image) for image in Premade(altered)}
     tick()
     stored: dict[str, int | None] = dict.fromkeys(OURS, folder_bytes(packed))
     for name, baseline in known.items():
@@ -179,6 +209,9 @@ def _openings(
     def ours(variant: VariantName) -> Iterable[Batch]:
         return loader(RangeImages(packed, variant), batch, workers, shuffle=True)
 
+    def plain(wrap: Callable[[RangeImages], Dataset[Any]], **options: Any) -> Iterable[Batch]:
+        return torch_loader(wrap(RangeImages(packed, "all", **options)), batch, workers, shuffle=True)
+
     def sampled() -> Iterable[Batch]:
         images = RangeImages(packed, "all")
         order = images.batches(batch, shuffle=True)
@@ -188,9 +221,15 @@ def _openings(
         return batches
 
     opens: dict[str, Callable[[], Iterable[Batch]]] = {f"ours_{name}": partial(ours, name) for name in VARIANTS}
-    opens["ours_all_dataloader"] = lambda: torch_loader(RangeImages(packed, "all"), batch, workers, shuffle=True)
     opens["ours_all_batch_sampler"] = sampled
+    opens["ours_all_dataloader"] = partial(plain, _same)
+    opens["ours_all_wrapped"] = partial(plain, Wrapped)
+    opens |= {name: partial(plain, _same, **options) for name, options in OPTIONS.items()}
     return opens | {name: partial(baseline.open, scratch / name, batch, workers) for name, baseline in there.items()}
+
+
+def _same(images: RangeImages) -> Dataset[Any]:
+    return images
 
 
 def _results(

@@ -19,6 +19,15 @@ _SPEEDS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 """Number of workers -> loader -> least speed of `all`, made on the fly, relative to it."""
 
+_THROUGH_DATALOADER: Final = (
+    "ours_all_dataloader",
+    "ours_all_batch_sampler",
+    "ours_all_wrapped",
+    "ours_all_transform",
+    "ours_all_labels",
+)
+"""Loaders that may take 1.2 times the time of tensors in memory with two workers, all through PyTorch's DataLoader."""
+
 Rounds = Mapping[str, Mapping[str, Sequence[float]]]
 """Name -> number of workers -> samples a second, round by round."""
 
@@ -38,6 +47,12 @@ def limits(rounds: Rounds, bytes_per_sample: Mapping[str, float | None], five_pn
         _limit(f"all / {other}, {n} workers", ratio(rounds, n, "ours_all", other), target)
         for n in counts
         for other, target in _SPEEDS.get(n, {}).items()
+    ]
+    found += [
+        _limit(f"time of {name} / time of memory, {n} workers", ratio(rounds, n, "memory", name), 1.2, most=True)
+        for n in counts
+        for name in _THROUGH_DATALOADER
+        if n == "2" and name in rounds
     ]
     for n in counts:
         cost = ratio(rounds, n, "ours_none", "ours_all")

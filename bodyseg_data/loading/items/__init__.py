@@ -1,0 +1,1 @@
+"""Single samples as tensors, and their way through PyTorch's own DataLoader."""

@@ -1,0 +1,61 @@
+"""The samples that transforms receive and return: range, labels, and the camera that sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rigs.camera import Camera
+from bodyseg_data.core.sample import SampleInfo
+
+Box = tuple[int, int, int, int]
+"""First row, end of the rows, first column, end of the columns."""
+
+
+@dataclass(frozen=True, repr=False)
+class CameraImage(RangeImage):
+    """A range image with artifacts, and the pinhole camera whose image it is; `dataclasses.replace` makes altered ones.
+
+    range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured. labels: uint8 [H, W],
+    parts 0 to 32, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
+    position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
+    column + 1. info: where the sample comes from, and the view it was rendered from.
+    """
+
+    step_m: float
+    focal_px: float
+    centre_px: tuple[float, float]
+    info: SampleInfo
+
+    @property
+    def metres(self) -> NDArray[np.float32]:
+        """Ranges in metres, float32 [H, W], 0 where nothing was measured: float32(range) * float32(step_m)."""
+        found: NDArray[np.float32] = np.multiply(self.range, np.float32(self.step_m))
+        return found
+
+    @property
+    def body_box(self) -> Box | None:
+        """The smallest box that holds all labelled pixels; None if there are none."""
+        return box_of(self.labels != BACKGROUND)
+
+
+def with_camera(image: RangeImage, camera: Camera, step_m: float, info: SampleInfo) -> CameraImage:
+    """A range image with the camera of its rig."""
+    return CameraImage(
+        image.key, image.range, image.labels, image.drawn, step_m, camera.focal_px, camera.centre_px, info
+    )
+
+
+def box_of(mask: NDArray[Any]) -> Box | None:
+    """The smallest box that holds all of an image [H, W] that is not 0; None if nothing is."""
+    rows = np.flatnonzero(np.bitwise_or.reduce(mask, axis=1))
+    if not len(rows):
+        return None
+    first, end = int(rows[0]), int(rows[-1]) + 1
+    columns = np.flatnonzero(np.bitwise_or.reduce(mask[first:end], axis=0))
+    return first, end, int(columns[0]), int(columns[-1]) + 1

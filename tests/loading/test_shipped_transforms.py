@@ -1,0 +1,203 @@
+"""The transforms that ship: what they do to pixels, ranges, labels and the camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from camera_images import camera_image
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND, PARTS
+from bodyseg_data.loading.transforms import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
+from bodyseg_data.loading.transforms.roll import turned
+from bodyseg_data.loading.transforms.zoom import magnified
+
+ALL: tuple[Transform, ...] = (
+    Crop(30, 20), Crop(80, 70, "body"), Crop(70, 20, "anywhere"), BodyCrop(48, 32), Flip(), Roll(180), Zoom(2.0),
+    Zoom(2.0, moves_camera=False),
+)  # fmt: skip
+
+
+def drawn(seed: int = 0) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(seed))
+
+
+def same(a: CameraImage, b: CameraImage) -> bool:
+    return np.array_equal(a.range, b.range) and np.array_equal(a.labels, b.labels) and a.centre_px == b.centre_px
+
+
+@pytest.mark.parametrize("transform", ALL, ids=repr)
+def test_every_transform_keeps_the_rules_of_samples(transform: Transform) -> None:
+    for seed in range(20):
+        before = camera_image(seed=seed)
+        kept = replace(before, range=before.range.copy(), labels=before.labels.copy())
+        found = transform(kept, drawn(seed))
+        assert found.key == before.key and found.info == before.info
+        assert found.range.shape == found.labels.shape == transform.shape(60, 40)
+        assert found.range.dtype == np.uint16 and found.labels.dtype == np.uint8
+        assert np.array_equal(found.labels == BACKGROUND, found.range == 0)
+        assert same(found, transform(replace(before), drawn(seed))), "the draws are the generator's"
+        if not isinstance(transform, Zoom) or not transform.moves_camera:
+            assert np.isin(found.range, before.range).all(), "no range lies between two surfaces"
+
+
+@pytest.mark.parametrize("transform", ALL, ids=repr)
+def test_every_transform_takes_an_image_of_nothing(transform: Transform) -> None:
+    empty = camera_image()
+    empty = replace(empty, range=np.zeros_like(empty.range), labels=np.full_like(empty.labels, BACKGROUND))
+    found = transform(empty, drawn())
+    assert found.range.shape == transform.shape(60, 40)
+    assert not found.range.any() and (found.labels == BACKGROUND).all()
+
+
+def test_a_flip_exchanges_left_and_right_and_is_its_own_inverse() -> None:
+    image = camera_image(centre=(17.25, 30.0))
+    found = Flip(1.0)(image, drawn())
+    assert np.array_equal(found.range, image.range[:, ::-1])
+    assert found.centre_px == (40 - 17.25, 30.0)
+    for row, column in np.argwhere(image.labels != BACKGROUND):
+        part = PARTS[image.labels[row, column]]
+        assert found.labels[row, 39 - column] == part.mirror
+        assert (part.side == "middle") == (part.mirror == part.label)
+    assert same(Flip(1.0)(found, drawn()), image)
+    assert same(Flip(0.0)(image, drawn()), image)
+
+
+def test_the_share_of_flips_is_that_asked_for() -> None:
+    image, random = camera_image(), drawn()
+    flipped = sum(not same(Flip(0.3)(image, random), image) for _ in range(1000))
+    assert abs(flipped - 300) < 4 * math.sqrt(1000 * 0.3 * 0.7)
+
+
+def test_a_roll_turns_the_body_against_the_camera() -> None:
+    image = camera_image(centre=(20.0, 30.0))
+    alone = replace(image, range=np.zeros_like(image.range), labels=np.full_like(image.labels, BACKGROUND))
+    alone.range[30, 35], alone.labels[30, 35] = 25_000, 4  # to the right of the axis
+    up = turned(alone, 90.0)  # the camera clockwise: what it sees counterclockwise
+    assert np.argwhere(up.range).tolist() == [[14, 20]]
+    assert up.range[14, 20] == 25_000 and up.labels[14, 20] == 4
+    assert same(turned(image, 180.0), replace(image, range=image.range[::-1, ::-1], labels=image.labels[::-1, ::-1]))
+    assert same(turned(image, 0.0), image)
+
+
+def test_a_roll_agrees_with_a_plain_loop_over_pixels() -> None:
+    image = camera_image(centre=(18.3, 31.7))
+    cos, sin = math.cos(math.radians(23)), math.sin(math.radians(23))
+    found, (x, y) = turned(image, 23.0), image.centre_px
+    for row in range(60):
+        for column in range(40):
+            across, below = column + 0.5 - x, row + 0.5 - y
+            source = math.floor(sin * across + cos * below + y), math.floor(cos * across - sin * below + x)
+            inside = 0 <= source[0] < 60 and 0 <= source[1] < 40
+            assert found.range[row, column] == (image.range[source] if inside else 0)
+            assert found.labels[row, column] == (image.labels[source] if inside else BACKGROUND)
+
+
+def test_rolls_are_spread_evenly_up_to_the_largest() -> None:
+    image, random = camera_image(), drawn()
+    image = replace(image, range=np.zeros_like(image.range), labels=np.full_like(image.labels, BACKGROUND))
+    image.range[5, 20], image.labels[5, 20] = 25_000, 0  # 24.5 pixels above the axis
+    columns = [np.argwhere(Roll(30)(image, random).range)[:, 1] for _ in range(500)]
+    angles = [math.degrees(math.asin((20 - found.mean()) / 24.5)) for found in columns if len(found)]
+    assert -32 < min(angles) < -25 and 25 < max(angles) < 32
+    assert abs(np.mean(angles)) < 4 * 30 / math.sqrt(3 * len(angles)) + 1.2  # 1.2: half a pixel
+
+
+def test_a_zoom_of_the_lens_leaves_ranges_and_grows_pixels() -> None:
+    image = camera_image(centre=(20.0, 30.0))
+    found = magnified(image, 2.0, moves_camera=False)
+    assert found.focal_px == 2 * image.focal_px
+    assert np.array_equal(found.range[::2, ::2], image.range[15:45, 10:30])
+    assert np.array_equal(found.range[1::2, 1::2], image.range[15:45, 10:30])
+    assert same(magnified(image, 1.0, moves_camera=False), image)
+    smaller = magnified(image, 0.5, moves_camera=False)
+    assert np.count_nonzero(smaller.range[:15]) == np.count_nonzero(smaller.range[:, :10]) == 0
+    assert np.count_nonzero(smaller.range) > 0
+
+
+def test_a_zoom_of_the_camera_keeps_the_body_as_large_and_as_deep() -> None:
+    image = camera_image(centre=(20.0, 30.0))
+    found = magnified(image, 1.25, moves_camera=True)  # from 2.5 m to 2.0 m
+    lens = magnified(image, 1.25, moves_camera=False)
+    assert found.focal_px == image.focal_px
+    measured = lens.range > 0
+    assert np.array_equal(found.range[measured], lens.range[measured] - 5000)
+    assert not found.range[~measured].any()
+
+
+def test_a_camera_that_moves_loses_what_16_bits_do_not_hold() -> None:
+    image = camera_image()
+    image.range[20, 12], image.labels[20, 12] = 3000, 0
+    assert (magnified(image, 1.25, moves_camera=True).range != 3000 - 5000 + 65536).all()
+    near = magnified(replace(image, range=np.minimum(image.range, 5000)), 1.25, moves_camera=True)
+    assert not near.range.any(), "the camera has passed it"
+    far = magnified(replace(image, range=np.where(image.range > 0, 65_000, 0).astype(np.uint16)), 0.8, True)
+    assert not far.range.any(), "2.5 m to 3.1 m, and 6.5 m to 7.1 m"
+
+
+def test_magnifications_are_spread_evenly_both_ways() -> None:
+    image, random = camera_image(), drawn()
+    logarithms = [math.log(Zoom(2.0, False)(image, random).focal_px / image.focal_px, 2) for _ in range(1000)]
+    assert -1 <= min(logarithms) < -0.98 and 0.98 < max(logarithms) <= 1
+    assert abs(np.mean(logarithms)) < 4 / math.sqrt(3 * 1000)
+
+
+def test_crops_are_windows_at_their_place() -> None:
+    image = camera_image(centre=(25.0, 20.0))  # the body: rows 15 to 44, columns 8 to 27
+    at_axis = Crop(20, 10)(image, drawn())
+    assert np.array_equal(at_axis.range, image.range[10:30, 20:30])
+    assert at_axis.centre_px == (5.0, 10.0)
+    at_body = Crop(30, 20, "body")(image, drawn())
+    assert np.array_equal(at_body.range, image.range[15:45, 8:28])
+    assert at_body.centre_px == (17.0, 5.0)
+    larger = Crop(70, 50)(image, drawn())
+    assert np.count_nonzero(larger.range) == np.count_nonzero(image.range)
+    assert np.array_equal(larger.range[15:75, :40], image.range[:55, :])
+
+
+def test_crops_anywhere_take_every_place() -> None:
+    image, random = camera_image(centre=(0.0, 0.0)), drawn()
+    places = {Crop(58, 43, "anywhere")(image, random).centre_px for _ in range(300)}
+    assert places == {(float(x), float(-y)) for x in range(4) for y in range(3)}
+
+
+def test_a_crop_to_the_body_holds_it_with_its_margin() -> None:
+    image = camera_image()
+    top, bottom, left, right = image.body_box or (0, 0, 0, 0)
+    found = BodyCrop(60, 60, margin=0.0)(image, drawn())
+    scale = 60 / (bottom - top)
+    assert found.focal_px == image.focal_px * scale
+    assert found.body_box is not None and found.body_box[:2] == (0, 60)
+    around = BodyCrop(60, 60, margin=0.5)(image, drawn())
+    assert around.body_box is not None
+    first, end, start, stop = around.body_box
+    assert (first, end) == (15, 45) and abs((start + stop) / 2 - 30) <= 1
+    # The axis keeps its place beside the body.
+    beside = (around.centre_px[0] - 30) / (scale / 2)
+    assert beside == pytest.approx(image.centre_px[0] - (left + right) / 2)
+    assert set(np.unique(around.labels)) <= set(np.unique(image.labels))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Flip(1.5), "transform 'flip': share must be a number from 0 to 1, found 1.5"),
+        (lambda: Flip(True), "transform 'flip': share must be a number from 0 to 1, found True"),
+        (lambda: Roll(-1), "transform 'roll': largest_deg must be a number from 0 to 180, found -1"),
+        (lambda: Roll(float("nan")), "transform 'roll': largest_deg must be a number from 0 to 180, found nan"),
+        (lambda: Zoom(0.5), "transform 'zoom': largest must be a number from 1 to 4, found 0.5"),
+        (lambda: Zoom(2.0, 1), "transform 'zoom': moves_camera must be True or False, found 1"),
+        (lambda: Crop(0, 5), "transform 'crop': rows must be a whole number of at least 1, found 0"),
+        (lambda: Crop(5, 9000), "transform 'crop': columns must be at most 8192, found 9000"),
+        (lambda: Crop(5, 5, "head"), "transform 'crop': at must be one of axis, body, anywhere, found 'head'"),
+        (lambda: BodyCrop(5, 5, "wide"), "transform 'body_crop': margin must be a number from 0 to 1, found 'wide'"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(make: Any, message: str) -> None:
+    with pytest.raises(BadConfig) as caught:
+        make()
+    assert str(caught.value) == message
