@@ -17,10 +17,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from bodyseg_data import RangeImages, loader
+from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
@@ -92,7 +93,7 @@ class Training:
         self,
         network: Network,
         name: str,
-        images: RangeImages,
+        images: ImageSet,
         recipe: Recipe,
         folder: RunFolder,
         processes: ProcessGroup,
@@ -281,9 +282,9 @@ def _endless(data_loader: Loader) -> Iterator[tuple[int, Batch]]:
             yield epoch, batch
 
 
-def _part_pixels(images: RangeImages) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _part_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Pixels of each part, int64 [33], in clean samples spread evenly over the set."""
     counts = np.zeros(PART_COUNT, np.int64)
-    for index in np.unique(np.linspace(0, len(images) - 1, _SAMPLES_FOR_WEIGHTS).astype(int)).tolist():
+    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
         counts += np.bincount(images.clean(index).labels.ravel(), minlength=256)[:PART_COUNT]
     return counts
