@@ -117,6 +117,7 @@ def _checked_units(sample_weights: ArrayLike, images: RangeImages) -> NDArray[np
         raise BadConfig(
             f"sample weights must be finite, at least 0 and not all 0, found {weights.min():g} to {weights.max():g}"
         )
-    units = np.rint(np.ldexp(weights / weights.max(), _BITS - len(weights).bit_length())).astype(np.int64)
+    scaled = np.ldexp(weights / weights.max(), _BITS - len(weights).bit_length())
+    units: NDArray[np.int64] = np.rint(scaled).astype(np.int64)
     units[(units == 0) & (weights > 0)] = 1
     return units
