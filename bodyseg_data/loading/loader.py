@@ -214,15 +214,17 @@ class Loader:
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
         faults: list[Fault] = state.workers.result()
         slot = state.in_flight.popleft()
-        locations = [self.images.location(index) for _, index in plan.batch(number)]
+        requests = plan.batch(number)
+        locations = [self.images.location(index) for _, index in requests]
         for index, error in faults:
             shard, key, offset = locations[index]
             self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
         missing = {index for index, _ in faults}
         keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
+        epochs = [epoch for index, (epoch, _) in enumerate(requests) if index not in missing]
         pin = self._options.pin_memory and torch.cuda.is_available()
         ranges, labels = state.slots.lend(slot, len(keys), pin)
-        return {"range": ranges, "labels": labels, "key": keys}
+        return {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
 
 
 def _submit(state: _WorkerState, plan: Pass, number: int) -> None:

@@ -43,12 +43,13 @@ class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
     labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
-    the B samples' keys.
+    the B samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only.
     """
 
     range: torch.Tensor
     labels: torch.Tensor
     key: list[str]
+    epoch: list[int]
 
 
 class RangeImages(Dataset[dict[str, Any]]):

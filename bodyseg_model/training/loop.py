@@ -195,20 +195,21 @@ class Training:
             objective = nn.parallel.DistributedDataParallel(objective)
         return objective
 
-    def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], window: _MetricsWindow) -> None:
+    def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: _MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
             with window.waiting():
-                epoch, batch = next(batches)
+                batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
             if recipe.crop:
                 network = self.network
                 range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
+            epochs, keys = batch["epoch"], batch["key"]
             if recipe.mirror:
-                range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epoch, batch["key"]).to(device))
-            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])
+                range_m, labels = mirror(range_m, labels, mirror_draws(self.seed, epochs, keys).to(device))
+            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epochs, keys)
             name = f"pixels {index}"
             offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
             with (
@@ -274,12 +275,10 @@ class _MetricsWindow:
         )
 
 
-def _endless(data_loader: Loader) -> Iterator[tuple[int, Batch]]:
-    """Batches with their epochs, epoch after epoch."""
+def _endless(data_loader: Loader) -> Iterator[Batch]:
+    """Batches, epoch after epoch."""
     while True:
-        epoch = data_loader.epoch
-        for batch in data_loader:
-            yield epoch, batch
+        yield from data_loader
 
 
 def _part_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
