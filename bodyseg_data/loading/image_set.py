@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import Split
 
 if TYPE_CHECKING:
     from bodyseg_data.loading.batch_order import BatchOrder
@@ -45,7 +44,7 @@ class ImageSet(Protocol):
     @property
     def epochs_set(self) -> int: ...
     @property
-    def split(self) -> Split | None: ...
+    def split(self) -> str | None: ...
     @property
     def variant(self) -> str: ...
     @property

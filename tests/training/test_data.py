@@ -103,3 +103,22 @@ def test_a_sample_that_comes_again_in_an_epoch_is_mirrored_as_drawn_anew(figures
     assert sorted(set(batch["epoch"])) == [0, 1, 2, 3]
     mirrored = {key: {bool(drawn[at]) for at in range(64) if batch["key"][at] == key} for key in batch["key"]}
     assert sum(len(each) == 2 for each in mirrored.values()) > 8
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--weights", "3"], "--weights needs a number for each of 2 sets in --data, found 1"),
+        (["--weights", "1", "-2"], "a weight must be finite and at least 0, found -2.0"),
+        (["--weights", "0", "0"], "weights of a mixture must have a sum above 0 and finite, found 0 in epoch 0"),
+        (["--samples", "0"], "samples must be a whole number of at least 1, found 0"),
+        (["--samples", "1"], "they do not fill one batch of 2"),
+    ],
+)
+def test_bad_arguments_get_one_line(
+    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
+) -> None:
+    assert main(words([figures_set, figures_set], tmp_path / "run", *more)) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1

@@ -17,7 +17,6 @@ from bodyseg_data.core.errors import BadConfig, BadShard, check_int
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import Split
 from bodyseg_data.loading.batch_order import BatchOrder
 from bodyseg_data.loading.image_set import Request, Requests
 from bodyseg_data.loading.mixtures.set_stream import SetStream
@@ -81,7 +80,7 @@ class Mixture(Dataset[dict[str, Any]]):
         return ", ".join(dict.fromkeys(images.variant for images in self.sets))
 
     @property
-    def split(self) -> Split | None:
+    def split(self) -> str | None:
         """The split of all sets; None if they have several."""
         splits = {images.split for images in self.sets}
         return splits.pop() if len(splits) == 1 else None
