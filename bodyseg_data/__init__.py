@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bodyseg_data.core.rig import Rig, load_rig
     from bodyseg_data.core.sample import Sample
     from bodyseg_data.loading.loader import Loader, loader
+    from bodyseg_data.loading.mixtures.mixture import Mixture
     from bodyseg_data.loading.range_images import Batch, RangeImages
 
     __version__: str
@@ -33,6 +34,7 @@ _HOME: Final = {
     "Loader": "loading.loader",
     "RangeImages": "loading.range_images",
     "loader": "loading.loader",
+    "Mixture": "loading.mixtures.mixture",
     "VARIANTS": "artifacts.variants",
     "SensorModel": "artifacts.sensor_model",
     "load_sensor_model": "artifacts.sensor_model",
@@ -47,6 +49,7 @@ __all__ = [
     "Batch",
     "BodysegError",
     "Loader",
+    "Mixture",
     "RangeImages",
     "Rig",
     "Sample",

@@ -11,6 +11,13 @@ from types import TracebackType
 from tqdm import tqdm
 
 
+def rate_text(per_second: float, unit: str) -> str:
+    """Return a rate with two digits or more: "12 images/s", "1.4 images/s", "0.035 images/s"."""
+    if per_second < 0.995:
+        return f"{per_second:.2g} {unit}/s"
+    return f"{per_second:.{int(per_second < 9.95)}f} {unit}/s"
+
+
 class Progress:
     """Shows the share of a known amount that is done, on standard error, also between updates.
 

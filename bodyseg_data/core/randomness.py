@@ -100,7 +100,7 @@ class Draws:
         return generator(self.seed, self.epoch, self.key, purpose)
 
 
-def permutation(count: int, seed: int, epoch: int) -> NDArray[np.int64]:
-    """The order of `count` samples in an epoch, int64 [count]: sorts raw Philox words, whose bits NumPy guarantees."""
-    words = np.random.Philox(key=stream(seed, epoch, "", "order")).random_raw(count)
+def permutation(count: int, seed: int, epoch: int, purpose: str = "order") -> NDArray[np.int64]:
+    """An order of `count` things in an epoch, int64 [count]: sorts raw Philox words, whose bits NumPy guarantees."""
+    words = np.random.Philox(key=stream(seed, epoch, "", purpose)).random_raw(count)
     return np.argsort(words, kind="stable")

@@ -10,26 +10,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import torch.distributed
-from numpy.typing import NDArray
 from torch.utils.data import Sampler
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.randomness import check_epoch
-
-if TYPE_CHECKING:
-    from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.image_set import ImageSet, Request, Requests
 
 STATE_FORMAT: Final = "bodyseg loader 1"
 
 _PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
 """Fields of a state besides its identity."""
-
-Request = tuple[int, int]
-"""(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
 
 
 def check_bool(name: str, value: Any) -> bool:
@@ -93,10 +87,10 @@ def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, dro
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass over an epoch, or the rest of one. order: int64 [samples]; bounds: see `batch_bounds`."""
+    """One pass over an epoch, or the rest of one. order: of the epoch's samples; bounds: see `batch_bounds`."""
 
     epoch: int
-    order: NDArray[np.int64]
+    order: Requests
     bounds: list[int]
     rank: int
     world_size: int
@@ -104,18 +98,17 @@ class Pass:
     def __len__(self) -> int:
         return len(self.bounds) - 1
 
-    def batch(self, number: int) -> list[int]:
-        """The indices of this rank's part of a global batch: nearly equal parts, side by side."""
+    def batch(self, number: int) -> list[Request]:
+        """Requests of this rank's part of a global batch: nearly equal parts, side by side."""
         first, end = self.bounds[number], self.bounds[number + 1]
-        share = [first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1)]
-        indices: list[int] = self.order[slice(*share)].tolist()
-        return indices
+        own, after = (first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1))
+        return self.order.part(own, after)
 
 
 class BatchOrder(Sampler[list[Request]]):
-    """Batch sampler that yields lists of (epoch, index); every pass is the next epoch.
+    """Batch sampler that yields lists of (epoch of the draws, index); every pass is the next epoch.
 
-    `Loader` uses it, and torch's DataLoader and torchdata's StatefulDataLoader over `RangeImages` can:
+    `Loader` uses it, and torch's DataLoader and torchdata's StatefulDataLoader over `RangeImages` or a `Mixture` can:
 
         DataLoader(images, batch_sampler=images.batches(20), num_workers=2, persistent_workers=True)
 
@@ -125,7 +118,7 @@ class BatchOrder(Sampler[list[Request]]):
 
     def __init__(
         self,
-        images: RangeImages,
+        images: ImageSet,
         batch_size: int,
         shuffle: bool | None = None,
         drop_last: bool = False,
@@ -188,7 +181,7 @@ class BatchOrder(Sampler[list[Request]]):
         """Start the next pass and return it."""
         self._follow_images()
         epoch, start = self._next
-        order = self.images.order(epoch, self.shuffle)
+        order = self.images.requests(epoch, self.shuffle)
         self._pass = Pass(epoch, order, self._bounds(start), self.rank, self.world_size)
         self._reached = self._next
         self._next = (epoch + 1, 0)
@@ -207,7 +200,7 @@ class BatchOrder(Sampler[list[Request]]):
         this = self.begin_pass()
         for number in range(len(this)):
             self.mark_delivered(number + 1)
-            yield [(this.epoch, index) for index in this.batch(number)]
+            yield this.batch(number)
         self.end_pass()
 
     def state_dict(self, batches: int | None = None) -> dict[str, Any]:
@@ -243,10 +236,20 @@ def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
     there = {field: value for field, value in state.items() if field not in _PROGRESS}
     for field in identity | there:
         if there.get(field) != identity.get(field):
-            raise BadConfig(
-                f"the state belongs to another run: {field} {there.get(field)!r}, here {identity.get(field)!r}"
-            )
+            name, before, now = _first_difference(field, there.get(field), identity.get(field))
+            raise BadConfig(f"the state belongs to another run: {name} {before!r}, here {now!r}")
     epoch, position = (state.get(field) for field in ("epoch", "position"))
     if type(epoch) is not int or epoch < 0 or type(position) is not int or not 0 <= position <= identity["samples"]:
         raise BadConfig(f"a state's epoch and position must be whole numbers, found {epoch!r} and {position!r}")
     return epoch, position
+
+
+def _first_difference(name: str, there: Any, here: Any) -> tuple[str, Any, Any]:
+    """Name and values of the innermost part in which two JSON values differ, as `mixture[1].variant`."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        pairs = [(f"{name}.{field}", there.get(field), here.get(field)) for field in [*here, *there]]
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        pairs = [(f"{name}[{at}]", *both) for at, both in enumerate(zip(there, here, strict=True))]
+    else:
+        return name, there, here
+    return next(_first_difference(*pair) for pair in pairs if pair[1] != pair[2])

@@ -15,7 +15,8 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, BodysegError, check_int, with_text
 from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
-from bodyseg_data.loading.range_images import Batch, RangeImages, metres
+from bodyseg_data.loading.image_set import ImageSet, Request
+from bodyseg_data.loading.range_images import Batch, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.worker_processes import ProcessWorkers, StartMethod
@@ -80,17 +81,17 @@ class _BatchMaker:
     A sample that cannot be read leaves no gap: the next one takes its row.
     """
 
-    images: RangeImages
+    images: ImageSet
     slots: Slots
     metres: bool
     strict: bool
 
-    def __call__(self, request: tuple[int, int, list[int]]) -> list[Fault]:
-        slot, epoch, indices = request
+    def __call__(self, batch: tuple[int, list[Request]]) -> list[Fault]:
+        slot, requests = batch
         ranges, labels = self.slots.arrays(slot)
         steps = np.empty(ranges.shape[2:], np.uint16)
         faults: list[Fault] = []
-        for number, index in enumerate(indices):
+        for number, (epoch, index) in enumerate(requests):
             row = number - len(faults)
             try:
                 self.images.write(index, epoch, steps if self.metres else ranges[row, 0], labels[row])
@@ -114,7 +115,7 @@ class Loader:
     order: assignment of samples to batches; see `BatchOrder`.
     """
 
-    def __init__(self, images: RangeImages, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
+    def __init__(self, images: ImageSet, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
         self.images, self.order = images, order
         self._ledger, self._options = ledger, options
         self._workers = min(options.num_workers, len(order))
@@ -198,7 +199,8 @@ class Loader:
         options = self._options
         slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
-        self.images.augmentation.prepare()
+        for images in self.images.sets:
+            images.augmentation.prepare()
         workers = self._new_workers(maker)
         return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 
@@ -212,25 +214,27 @@ class Loader:
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
         faults: list[Fault] = state.workers.result()
         slot = state.in_flight.popleft()
-        locations = [self.images.location(index) for index in plan.batch(number)]
+        requests = plan.batch(number)
+        locations = [self.images.location(index) for _, index in requests]
         for index, error in faults:
             shard, key, offset = locations[index]
             self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
         missing = {index for index, _ in faults}
         keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
+        epochs = [epoch for index, (epoch, _) in enumerate(requests) if index not in missing]
         pin = self._options.pin_memory and torch.cuda.is_available()
         ranges, labels = state.slots.lend(slot, len(keys), pin)
-        return {"range": ranges, "labels": labels, "key": keys}
+        return {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
 
 
 def _submit(state: _WorkerState, plan: Pass, number: int) -> None:
     slot = state.slots.acquire()
     state.in_flight.append(slot)
-    state.workers.submit((slot, plan.epoch, plan.batch(number)))
+    state.workers.submit((slot, plan.batch(number)))
 
 
 def loader(
-    images: RangeImages,
+    images: ImageSet,
     batch_size: int,
     num_workers: int = 0,
     shuffle: bool | None = None,
@@ -249,7 +253,8 @@ def loader(
 ) -> Loader:
     """Return a loader of batches of `images`, made by `num_workers` workers (0: by the caller's thread); see `Batch`.
 
-    shuffle: None shuffles the train split only. drop_last: leave out the last batch if it is not full.
+    images: `RangeImages` or a `Mixture`. shuffle: None shuffles the train split only. drop_last: leave out the last
+    batch if it is not full.
 
     rank, world_size: number of this process and of all processes; each gets the same number of batches of
     `batch_size`. None takes them from torch.distributed, then from torchrun's RANK and WORLD_SIZE.
@@ -266,8 +271,8 @@ def loader(
 
     Raises BadConfig for an option out of its range.
     """
-    if not isinstance(images, RangeImages):
-        raise BadConfig(f"images must be RangeImages, found {type(images).__name__}")
+    if not isinstance(images, ImageSet):
+        raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
     order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))

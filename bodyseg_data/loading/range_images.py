@@ -28,7 +28,8 @@ from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permuta
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
-from bodyseg_data.loading.batch_order import BatchOrder, Request
+from bodyseg_data.loading.batch_order import BatchOrder
+from bodyseg_data.loading.image_set import Request, Requests
 from bodyseg_data.loading.items.item import item_tensor
 from bodyseg_data.loading.selection.selection import Selection
 from bodyseg_data.loading.transforms.camera_image import with_camera
@@ -51,12 +52,13 @@ class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
     labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
-    the B samples' keys.
+    the B samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only.
     """
 
     range: torch.Tensor
     labels: torch.Tensor
     key: list[str]
+    epoch: list[int]
 
 
 class RangeImages(Dataset[dict[str, Any]]):
@@ -136,6 +138,11 @@ class RangeImages(Dataset[dict[str, Any]]):
     def keys(self) -> list[str]:
         """Keys of all samples, in stored order."""
         return [self.manifest.shards[shard].keys[index] for shard, index in self._samples.tolist()]
+
+    @property
+    def sets(self) -> tuple[RangeImages, ...]:
+        """The one set itself; a mixture has several."""
+        return (self,)
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the draws for indexing, and of a loader's next pass."""
@@ -267,6 +274,15 @@ class RangeImages(Dataset[dict[str, Any]]):
     def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
         """Return the sample indices in the order of a pass, int64 [len(self)]: a function of seed and epoch alone."""
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
+
+    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
+        """`order` with the epoch of the draws, which is the same for all samples."""
+        order = self.order(epoch, shuffle)
+        return Requests(order, np.broadcast_to(np.int64(epoch), order.shape))
+
+    def spread(self, count: int) -> NDArray[np.int64]:
+        """Return at most `count` indices at even distances in stored order, each once, int64 [M]."""
+        return np.unique(np.linspace(0, len(self) - 1, count).astype(np.int64))
 
     def webdataset(self, epoch: int | None = None) -> Any:
         """Return a `webdataset` pipeline over the chosen shards that yields this variant's images, in stored order.

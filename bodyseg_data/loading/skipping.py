@@ -46,9 +46,9 @@ class SkipLedger:
         if self._budget is None or not isinstance(error, SKIPPABLE):
             # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
             raise with_text(error, str(error))
-        # By key: repeating an epoch loses the same samples again.
-        lost = {earlier.key for earlier in self.skipped if earlier.epoch == record.epoch}
-        if len(lost | {record.key}) > self._budget:
+        # By shard and key: repeating an epoch loses the same samples again.
+        lost = {(earlier.shard, earlier.key) for earlier in self.skipped if earlier.epoch == record.epoch}
+        if len(lost | {(record.shard, record.key)}) > self._budget:
             raise BadShard(
                 f"{record.why} (epoch {record.epoch} has lost {len(lost)} samples before, all that its skip_budget "
                 "allows)"

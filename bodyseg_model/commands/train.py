@@ -19,13 +19,14 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName, sensor_for
 from bodyseg_data.commands.options import WHERE_HELP, command_line, option
-from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
+from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
@@ -39,10 +40,12 @@ EXAMPLE = "bodyseg train --data shards --variant all --network compact --out run
 class Options:
     """Options of `bodyseg train`."""
 
-    data: str = option("folder or address of a set of shards; its train split is used", address=True)
+    data: tuple[str, ...] = option("folders or addresses of sets of shards; their train splits are used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
     network: NetworkName = option("which network", "compact")
+    weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", ())
+    samples: int | None = option("samples in an epoch of several sets (default: all of theirs together)", None)
     labels: str = option(f"classes to predict: {', '.join(label_map_names())} or a label map (.toml)", PARTS33.name)
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
@@ -86,15 +89,22 @@ def run(options: Options) -> int:
     run_options = RunOptions(
         options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
     )
-    images = RangeImages(
+    sensor = _sensor(options)
+    images = open_data(
         options.data,
-        options.variant,
-        "train",
+        options.weights,
+        options.samples,
         options.seed,
-        sensor=_sensor(options),
-        only=options.only,
-        where=options.where,
-        labels=options.labels,
+        lambda each: RangeImages(
+            each,
+            options.variant,
+            "train",
+            options.seed,
+            sensor=sensor,
+            only=options.only,
+            where=options.where,
+            labels=options.labels,
+        ),
     )
     network = _network(options, images.label_map)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
@@ -157,7 +167,7 @@ def _reporting(options: Options, steps: int) -> Iterator[Report]:
             metrics.step,
             steps,
             f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
-            f"{metrics.images_per_second:.0f} images/s, waited {metrics.data_wait:.0%}, {left:.0f} s left",
+            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}, {left:.0f} s left",
         )
         if board is not None:
             for name in ("loss", "accuracy", "pixel_accuracy", "learning_rate", "images_per_second", "data_wait"):

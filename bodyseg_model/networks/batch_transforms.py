@@ -49,6 +49,7 @@ def mirror(
     )
 
 
-def mirror_draws(seed: int, epoch: int, keys: list[str]) -> torch.Tensor:
-    """Draw the samples that are mirrored in an epoch, bool [B], each with a chance of one half."""
-    return torch.tensor([chance(seed, epoch, key, "mirror") < 0.5 for key in keys], dtype=torch.bool)
+def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:
+    """Draw the samples that are mirrored, bool [B], each with a chance of one half. epochs, keys: of the B samples."""
+    drawn = (chance(seed, epoch, key, "mirror") for epoch, key in zip(epochs, keys, strict=True))
+    return torch.tensor([each < 0.5 for each in drawn], dtype=torch.bool)

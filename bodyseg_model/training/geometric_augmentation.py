@@ -33,9 +33,9 @@ class GeometricAugmentation:
                 raise BadConfig(f"{name} must be from 0 to {most}, found {getattr(self, name)!r}")
 
     def __call__(
-        self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epoch: int, keys: list[str]
+        self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epochs: list[int], keys: list[str]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key).
+        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key) of each.
 
         Values are taken from the nearest pixel, so that none is interpolated between two surfaces.
         """
@@ -43,7 +43,7 @@ class GeometricAugmentation:
             return range_m, labels
         rows, columns = range_m.shape[2:]
         maps, kept = [], torch.ones(len(keys), 1, rows, columns, dtype=torch.bool)
-        for number, key in enumerate(keys):
+        for number, (epoch, key) in enumerate(zip(epochs, keys, strict=True)):
             roll, zoom, stretch, cut, side, share = (
                 chance(seed, epoch, key, f"placement {what}")
                 for what in ("roll", "zoom", "stretch", "cut", "side", "share")

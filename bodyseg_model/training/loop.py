@@ -17,10 +17,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from bodyseg_data import RangeImages, loader
+from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
@@ -92,7 +93,7 @@ class Training:
         self,
         network: Network,
         name: str,
-        images: RangeImages,
+        images: ImageSet,
         recipe: Recipe,
         folder: RunFolder,
         processes: ProcessGroup,
@@ -196,21 +197,22 @@ class Training:
             objective = nn.parallel.DistributedDataParallel(objective)
         return objective
 
-    def _one_step(self, objective: nn.Module, batches: Iterator[tuple[int, Batch]], window: _MetricsWindow) -> None:
+    def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: _MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
             with window.waiting():
-                epoch, batch = next(batches)
+                batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
             if recipe.crop:
                 network = self.network
                 range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
+            epochs, keys = batch["epoch"], batch["key"]
             if recipe.mirror:
-                draws = mirror_draws(self.seed, epoch, batch["key"]).to(device)
+                draws = mirror_draws(self.seed, epochs, keys).to(device)
                 range_m, labels = mirror(range_m, labels, draws, self.images.label_map)
-            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epoch, batch["key"])
+            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epochs, keys)
             name = f"pixels {index}"
             offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
             with (
@@ -276,18 +278,16 @@ class _MetricsWindow:
         )
 
 
-def _endless(data_loader: Loader) -> Iterator[tuple[int, Batch]]:
-    """Batches with their epochs, epoch after epoch."""
+def _endless(data_loader: Loader) -> Iterator[Batch]:
+    """Batches, epoch after epoch."""
     while True:
-        epoch = data_loader.epoch
-        for batch in data_loader:
-            yield epoch, batch
+        yield from data_loader
 
 
-def _class_pixels(images: RangeImages) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _class_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
     label_map = images.label_map
     counts = np.zeros(len(label_map), np.int64)
-    for index in np.unique(np.linspace(0, len(images) - 1, _SAMPLES_FOR_WEIGHTS).astype(int)).tolist():
+    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
         counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
     return counts

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.progress import Progress, rate_text
 
 
 def lines_within(capsys: pytest.CaptureFixture[str], count: int) -> list[str]:
@@ -39,3 +39,22 @@ def test_a_quick_command_says_only_that_it_is_done(capsys: pytest.CaptureFixture
         "packing: 0 of 2 views, 0 s",
         "packing: 2 of 2 views, 0 s: all there",
     ]
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"),
+    [
+        (1234.5, "1234"),
+        (10, "10"),
+        (9.96, "10"),
+        (9.94, "9.9"),
+        (1.38, "1.4"),
+        (1, "1.0"),
+        (0.996, "1.0"),
+        (0.994, "0.99"),
+        (0.035, "0.035"),
+        (0, "0"),
+    ],
+)
+def test_a_slow_rate_keeps_two_digits(rate: float, text: str) -> None:
+    assert rate_text(rate, "images") == f"{text} images/s"

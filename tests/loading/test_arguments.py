@@ -85,7 +85,7 @@ def test_text_is_no_yes_or_no(images: RangeImages, option: str) -> None:
 
 @pytest.mark.parametrize("value", [None, "shards", 3])
 def test_a_loader_needs_images(value: Any) -> None:
-    with pytest.raises(BadConfig, match=r"^images must be RangeImages, found (NoneType|str|int)$"):
+    with pytest.raises(BadConfig, match=r"^images must be RangeImages or a Mixture, found (NoneType|str|int)$"):
         loader(value, 4)
 
 

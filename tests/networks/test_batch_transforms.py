@@ -18,10 +18,13 @@ def test_chosen_images_are_mirrored() -> None:
 
 def test_draws_belong_to_samples() -> None:
     keys = [f"body-{number}" for number in range(400)]
-    drawn = mirror_draws(3, 0, keys)
-    assert torch.equal(mirror_draws(3, 0, keys[::-1]), drawn.flip(0))
+    first, second = [0] * 400, [1] * 400
+    drawn = mirror_draws(3, first, keys)
+    assert torch.equal(mirror_draws(3, first, keys[::-1]), drawn.flip(0))
+    mixed = mirror_draws(3, first[:200] + second[200:], keys)
+    assert torch.equal(mixed, torch.cat([drawn[:200], mirror_draws(3, second, keys)[200:]]))
     assert 150 < int(drawn.sum()) < 250
-    for other in (mirror_draws(4, 0, keys), mirror_draws(3, 1, keys)):
+    for other in (mirror_draws(4, first, keys), mirror_draws(3, second, keys)):
         assert 120 < int((other != drawn).sum()) < 280
 
 

@@ -18,6 +18,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import permutation
 from bodyseg_data.loading.batch_order import BatchOrder, batch_bounds, find_rank
+from bodyseg_data.loading.image_set import Requests
 
 
 class Numbers:
@@ -35,6 +36,9 @@ class Numbers:
 
     def order(self, epoch: int, shuffle: bool) -> NDArray[np.int64]:
         return permutation(self.count, self.seed, epoch) if shuffle else np.arange(self.count)
+
+    def requests(self, epoch: int, shuffle: bool) -> Requests:
+        return Requests(self.order(epoch, shuffle), np.full(self.count, epoch))
 
     def identity(self) -> dict[str, Any]:
         return {"seed": self.seed}

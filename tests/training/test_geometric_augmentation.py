@@ -11,6 +11,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 
 KEYS = [f"body-{number}" for number in range(60)]
+EPOCHS = [0] * len(KEYS)
 
 
 def bodies(rows: int = 60, columns: int = 40) -> tuple[torch.Tensor, torch.Tensor]:
@@ -25,14 +26,14 @@ def bodies(rows: int = 60, columns: int = 40) -> tuple[torch.Tensor, torch.Tenso
 
 def test_no_placement_leaves_a_batch_alone() -> None:
     range_m, labels = bodies()
-    seen, named = GeometricAugmentation()(range_m, labels, 0, 0, KEYS)
+    seen, named = GeometricAugmentation()(range_m, labels, 0, EPOCHS, KEYS)
     assert seen is range_m
     assert named is labels
 
 
 def test_range_and_label_of_a_pixel_stay_together_and_none_is_made_up() -> None:
     range_m, labels = bodies()
-    seen, named = GeometricAugmentation(roll_deg=30, zoom=0.3, stretch=0.2, cut=0.5)(range_m, labels, 1, 0, KEYS)
+    seen, named = GeometricAugmentation(roll_deg=30, zoom=0.3, stretch=0.2, cut=0.5)(range_m, labels, 1, EPOCHS, KEYS)
     assert named.dtype == torch.uint8
     assert torch.equal(named == 255, seen[:, 0] == 0)
     body = named != 255
@@ -41,7 +42,7 @@ def test_range_and_label_of_a_pixel_stay_together_and_none_is_made_up() -> None:
 
 def test_sizes_stay_within_what_was_asked_for() -> None:
     range_m, labels = bodies()
-    seen, _ = GeometricAugmentation(zoom=0.25, stretch=0.1)(range_m, labels, 2, 0, KEYS)
+    seen, _ = GeometricAugmentation(zoom=0.25, stretch=0.1)(range_m, labels, 2, EPOCHS, KEYS)
     heights = (seen[:, 0] > 0).any(2).sum(1) / 20
     widths = (seen[:, 0] > 0).any(1).sum(1) / 16
     assert heights.min() >= 1 / 1.25 - 0.06
@@ -55,7 +56,7 @@ def test_sizes_stay_within_what_was_asked_for() -> None:
 def test_a_turn_keeps_lengths() -> None:
     """In an image that is not square, too: the block stays as large, and its longest diagonal as long."""
     range_m, labels = bodies()
-    seen, _ = GeometricAugmentation(roll_deg=40)(range_m, labels, 3, 0, KEYS)
+    seen, _ = GeometricAugmentation(roll_deg=40)(range_m, labels, 3, EPOCHS, KEYS)
     areas = (seen[:, 0] > 0).sum((1, 2)) / (20 * 16)
     assert (areas - 1).abs().max() < 0.04
     for image in seen[:10, 0]:
@@ -65,7 +66,7 @@ def test_a_turn_keeps_lengths() -> None:
 
 def test_a_cut_hides_one_side_at_most_half_way() -> None:
     range_m, labels = torch.full((60, 1, 20, 20), 2.0), torch.zeros(60, 20, 20, dtype=torch.uint8)
-    seen, _ = GeometricAugmentation(cut=1.0)(range_m, labels, 4, 0, KEYS)
+    seen, _ = GeometricAugmentation(cut=1.0)(range_m, labels, 4, EPOCHS, KEYS)
     sides = set()
     for image in seen[:, 0] > 0:
         hidden = torch.nonzero(~image)
@@ -84,11 +85,11 @@ def test_a_cut_hides_one_side_at_most_half_way() -> None:
 def test_draws_belong_to_samples() -> None:
     range_m, labels = bodies()
     move = GeometricAugmentation(roll_deg=20, zoom=0.2)
-    seen, _ = move(range_m, labels, 5, 0, KEYS)
-    backwards, _ = move(range_m, labels, 5, 0, KEYS[::-1])
+    seen, _ = move(range_m, labels, 5, EPOCHS, KEYS)
+    backwards, _ = move(range_m, labels, 5, EPOCHS, KEYS[::-1])
     assert torch.equal(backwards, seen.flip(0))
-    assert not torch.equal(move(range_m, labels, 5, 1, KEYS)[0], seen)
-    assert not torch.equal(move(range_m, labels, 6, 0, KEYS)[0], seen)
+    assert not torch.equal(move(range_m, labels, 5, [1] * 60, KEYS)[0], seen)
+    assert not torch.equal(move(range_m, labels, 6, EPOCHS, KEYS)[0], seen)
 
 
 @pytest.mark.parametrize(("name", "value"), [("roll_deg", -1), ("zoom", 1.5), ("stretch", math.nan), ("cut", 2)])

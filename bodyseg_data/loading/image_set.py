@@ -1,0 +1,94 @@
+"""Protocol of the images that a loader reads: those of one set of shards, or of a mixture of several."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.labels.label_map import LabelMap
+from bodyseg_data.core.sample import Sample
+
+if TYPE_CHECKING:
+    from bodyseg_data.loading.batch_order import BatchOrder
+    from bodyseg_data.loading.range_images import RangeImages
+
+Request = tuple[int, int]
+"""(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
+
+
+@dataclass(frozen=True)
+class Requests:
+    """Samples of one epoch in the order of a pass. indices: int64 [N]. epochs: int64 [N], of each sample's draws."""
+
+    indices: NDArray[np.int64]
+    epochs: NDArray[np.int64]
+
+    def part(self, first: int, end: int) -> list[Request]:
+        """Requests of the positions from `first` to before `end`."""
+        return list(zip(self.epochs[first:end].tolist(), self.indices[first:end].tolist(), strict=True))
+
+
+@runtime_checkable
+class ImageSet(Protocol):
+    """Images that `loader` and `BatchOrder` read: `RangeImages` or a `Mixture`.
+
+    `len()` is the number of samples in an epoch. An index is that of a stored sample. epoch: of the next pass.
+    epochs_set: number of calls of `set_epoch` so far. sets: the sets of shards that are read, in their order.
+    """
+
+    @property
+    def epoch(self) -> int: ...
+    @property
+    def epochs_set(self) -> int: ...
+    @property
+    def split(self) -> str | None: ...
+    @property
+    def variant(self) -> str: ...
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def step_m(self) -> float: ...
+    @property
+    def label_map(self) -> LabelMap: ...
+    @property
+    def sets(self) -> tuple[RangeImages, ...]: ...
+
+    def __len__(self) -> int: ...
+
+    def identity(self) -> dict[str, Any]:
+        """All that batches depend on besides their order, as plain JSON."""
+        ...
+
+    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
+        """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone."""
+        ...
+
+    def location(self, index: int) -> tuple[str, str, int]:
+        """(shard name, key, byte offset in the shard) of a sample."""
+        ...
+
+    def clean(self, index: int) -> Sample:
+        """Return the stored sample, without artifacts."""
+        ...
+
+    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """Write a sample, as drawn in `epoch`, into arrays [H, W]."""
+        ...
+
+    def spread(self, count: int) -> NDArray[np.int64]:
+        """Return indices of about `count` samples that stand for the whole, int64 [M]."""
+        ...
+
+    def batches(
+        self,
+        batch_size: int,
+        shuffle: bool | None = None,
+        drop_last: bool = False,
+        rank: int | None = None,
+        world_size: int | None = None,
+    ) -> BatchOrder:
+        """Return the assignment of samples to batches; options as for `loader`."""
+        ...
