@@ -27,7 +27,8 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
-from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
+from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.metrics import Metrics, Report
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
