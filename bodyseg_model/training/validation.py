@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
@@ -13,6 +13,9 @@ from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate
 from bodyseg_model.networks.network import Network
 
 Keep = Literal["best", "last"]
+
+DEFAULT_EVERY: Final = 500
+"""Steps between two validations."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Validation:
     """
 
     images: Sequence[RangeImages]
-    every: int = 500
+    every: int = DEFAULT_EVERY
     count: int | None = None
     patience: int | None = None
     keep: Keep = "best"
