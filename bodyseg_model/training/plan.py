@@ -48,8 +48,7 @@ FLAGS: Final[dict[str, str]] = {
 """Field of a plan -> the option of `bodyseg train` that sets it and all fields below it that have no entry."""
 
 _FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
-    "--data": ("--only", "--where", "--val-share"),
-    "--data rig": ("--data",),
+    "--data": ("--data rig", "--only", "--where", "--val-share"),
     "--artifacts": ("--variant", "--sensor"),
     "--val-share": ("--data", "--only", "--where", "--variant", "--seed", "--artifacts", "--sensor", "--labels"),
 }
