@@ -35,6 +35,7 @@ FLAGS: Final[dict[str, str]] = {
     "data.artifacts": "--artifacts",
     "data.only": "--only",
     "data.where": "--where",
+    "data.weight": "--weights",
     "data.val_share": "--val-share",
     "data.labels": "--labels",
     "labels": "--labels",
@@ -91,6 +92,9 @@ def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], re
 
     reached: number of steps that it has done. The number of steps may differ, but be no smaller than that.
     """
+    sets = [_set_count(plan) for plan in (found, wanted)]
+    if sets[0] != sets[1]:
+        raise BadConfig(f"{folder} holds another training: --data was {_sets(sets[0])}, now {_sets(sets[1])}")
     told: dict[str, list[str]] = {}
     for path, was, now in differences(found, wanted):
         if path == ("recipe", "steps") and isinstance(now, int) and now >= reached:
@@ -110,6 +114,17 @@ def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], re
     if lines:
         more = f" and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
         raise BadConfig(f"{folder} holds another training: {'; '.join(lines[:_SHOWN])}{more}")
+
+
+def _set_count(plan: dict[str, Any]) -> int:
+    """Number of sets that a training reads: the identity of a mixture lists those of its sets."""
+    data = plan.get("data")
+    mixture = data.get("mixture") if isinstance(data, dict) else None
+    return len(mixture) if isinstance(mixture, list) else 1
+
+
+def _sets(count: int) -> str:
+    return f"{count} {'set' if count == 1 else 'sets'}"
 
 
 def _steps(plan: dict[str, Any]) -> Any:
@@ -137,7 +152,12 @@ def _by_name(tree: Any) -> Any:
 
 
 def option_of(path: Path) -> tuple[str, Path]:
-    """Return the option that sets a field of a plan, and the keys below those that it stands for."""
+    """Return the option that sets a field of a plan, and the keys below those that it stands for.
+
+    The fields of all sets of a mixture belong to the same options.
+    """
+    if path[:2] == ("data", "mixture"):
+        path = ("data", *path[3:])
     for length in range(len(path), 0, -1):
         flag = FLAGS.get(".".join(path[:length]))
         if flag is not None:

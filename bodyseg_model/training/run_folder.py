@@ -86,7 +86,7 @@ class RunFolder:
         check_plan(self.path, found, wanted, reached)
         if not resume:
             raise BadConfig(f"{self.path} holds this training already: --resume carries it on")
-        before = found["recipe"]["steps"]
+        before = found["recipe"].get("steps")
         if before != wanted["recipe"]["steps"]:
             write_json(file, {**wanted, "earlier_steps": [*earlier, {"steps": before, "until": reached}]})
         return checkpoint

@@ -20,7 +20,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.train import Options
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.training.loop import RunOptions
-from bodyseg_model.training.plan import FLAGS, differences, option_of
+from bodyseg_model.training.plan import FLAGS, check_plan, differences, option_of
 
 SELDOM = RunOptions(1, 100, 0)
 
@@ -165,7 +165,7 @@ def test_another_rig_is_named_by_its_fields(small_set: Path, tmp_path: Path, pac
 
 def test_options_in_refusals_are_those_of_the_command() -> None:
     known = {flag_of(field) for field in dataclasses.fields(Options)}
-    others = {"--where", "--labels"}
+    others = {"--where", "--labels", "--weights"}
     assert {flag.split()[0] for flag in FLAGS.values()} - known <= others
 
 
@@ -181,3 +181,19 @@ def test_differences_are_found_in_lists_of_objects_by_name() -> None:
     ]
     assert option_of(("recipe", "learning_rate")) == ("--lr", ())
     assert option_of(("unknown", "field")) == ("unknown", ("field",))
+
+
+def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) -> None:
+    def plan(*sets: dict[str, Any]) -> dict[str, Any]:
+        return {"recipe": {"steps": 1}, "data": {"mixture": list(sets), "seed": 0} if len(sets) > 1 else sets[0]}
+
+    one, other = {"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}
+    check_plan(tmp_path, plan(one, other), plan(one, other), 0)
+    for found, wanted, message in (
+        (plan(one, other), plan(one, {**other, "weight": 3.0}), "--weights was 2.0, now 3.0"),
+        (plan(one, other), plan({**one, "set": "c"}, other), '--data set was "a", now "c"'),
+        (plan(one), plan(one, other), "--data was 1 set, now 2 sets"),
+    ):
+        with pytest.raises(BadConfig) as caught:
+            check_plan(tmp_path, found, wanted, 0)
+        assert str(caught.value) == f"{tmp_path} holds another training: {message}"
