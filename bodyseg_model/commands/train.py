@@ -23,6 +23,7 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
+from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.distributed import joined_process_group, use_threads
@@ -107,6 +108,8 @@ def run(options: Options) -> int:
             facts["pretrained"] = options.pretrained.name
         report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
         training.run(options.resume, report, facts)
+        if validation is not None and processes.first:
+            _say_end(folder, recipe.steps)
     return 0
 
 
@@ -142,6 +145,15 @@ def _validation(options: Options) -> Validation | None:
         options.patience,
         options.keep or "best",
     )
+
+
+def _say_end(folder: RunFolder, steps: int) -> None:
+    """Say whether a validated training ended early, and which step the network's weights are of."""
+    card = read_json(folder.network.with_suffix(".json"))
+    step, last = card["step"], card["last_step"]
+    ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
+    score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
+    sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
 
 
 def _silent(metrics: Metrics) -> None:

@@ -60,7 +60,13 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
     lines = log(tmp_path)
     assert ["val_accuracy" in line for line in lines] == [False, True, True]
     shown = f"validation per class {lines[2]['val_accuracy']:.1%} (best in step {lines[2]['val_best_step']})"
-    assert shown in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert shown in said
+    best = max(lines[1:], key=lambda line: float(line["val_accuracy"]))
+    assert said.endswith(
+        f"ended after step 3; the network has the weights of step {best['step']}: "
+        f"validation per class {best['val_accuracy']:.1%}\n"
+    )
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     for name in ("val_accuracy", "val_pixel_accuracy"):
@@ -85,6 +91,7 @@ def test_two_processes_end_together(small_set: Path, tmp_path: Path) -> None:
         timeout=200,
     )
     assert done.returncode == 0, done.stderr
+    assert "ended early, after step 3 of 50; the network has the weights of step 1: validation per class" in done.stderr
     assert [line["val_best_step"] for line in log(tmp_path)] == [1, 1, 1]
     card = load_network(tmp_path).card
     assert (card["step"], card["last_step"]) == (1, 3)
