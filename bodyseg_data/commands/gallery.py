@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.artifacts.artifact import Scene
-from bodyseg_data.commands.options import option
+from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.gallery import choose_views, draw_gallery
 from bodyseg_data.drawing.style import check_picture, save_picture
@@ -28,12 +28,13 @@ class Options:
     )
     out: Path = option("write the picture to this PNG file")
     views: int | None = option("number of views, evenly over the sets' subjects and meshes (default: 48, or all)", None)
+    where: tuple[str, ...] = option(WHERE_HELP, ())
 
 
 def run(options: Options) -> int:
     """Draw and write the picture."""
     check_picture(options.out)
-    sets = [RangeImages(folder, "none") for folder in options.folders]
+    sets = [RangeImages(folder, "none", where=options.where) for folder in options.folders]
     camera = sets[0].manifest.rig.camera
     for images in sets:
         if images.manifest.rig.camera != camera:

@@ -14,12 +14,12 @@ from PIL import Image
 
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
-from bodyseg_data.commands.options import option
+from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.splits import SPLITS, ReadSplit
 from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.loading.range_images import RangeImages
@@ -34,7 +34,9 @@ class Options:
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
-    split: Split | None = option("only this split (default: both)", None)
+    split: ReadSplit | None = option("only this split (default: train and test)", None)
+    val_share: float = option("share of train that is the split val, and not train", 0.0)
+    where: tuple[str, ...] = option(WHERE_HELP, ())
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
     rows: int = option("samples on the sheet, evenly over the set", 6)
@@ -49,7 +51,15 @@ def run(options: Options) -> int:
         check_picture(options.out)
     if options.rows < 1:
         raise BadConfig(f"--rows must be at least 1, found {options.rows}")
-    images = RangeImages(options.folder, options.variant, options.split, options.seed, sensor=options.sensor)
+    images = RangeImages(
+        options.folder,
+        options.variant,
+        options.split,
+        options.seed,
+        sensor=options.sensor,
+        where=options.where,
+        val_share=options.val_share,
+    )
     if options.out is not None:
         save_picture(contact_sheet(images, options.rows), options.out)
         sys.stderr.write(f"wrote {options.out}\n")

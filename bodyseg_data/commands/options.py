@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options")
 
+WHERE_HELP: Final = "conditions that samples must all meet, like 'distance_cm<=255' 'subject=B,C'"
+"""Help of `--where`, the option of commands that read a set."""
+
 _NEGATIVE_RANGE: Final = re.compile(r"-[0-9]+\.\.[+-]?[0-9]+")
 
 

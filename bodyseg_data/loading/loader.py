@@ -125,8 +125,8 @@ class Loader:
     def __repr__(self) -> str:
         order, workers = self.order, self._options.num_workers
         return (
-            f"Loader({self.images!r}, batch_size={order.batch_size}, shuffle={order.shuffle}, num_workers={workers}, "
-            f"batches={len(self)})"
+            f"Loader({self.images!r}, batch_size={order.batch_size}, shuffle={order.shuffle}, "
+            f"batches={len(self)}, num_workers={workers}, worker_method={self._options.worker_method!r})"
         )
 
     def __len__(self) -> int:

@@ -26,9 +26,9 @@ from bodyseg_data.core.errors import BadConfig, BadSample, BadShard
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import Split
+from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.batch_order import BatchOrder, Request
-from bodyseg_data.loading.selection import Selection
+from bodyseg_data.loading.selection.selection import Selection
 from bodyseg_data.loading.transforms.transform import Transform, check_transforms, transform_image, transforms_to_json
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
@@ -55,12 +55,14 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
-    "train", "test", or None for both. seed: of all draws and of the order. epoch: the first epoch. sensor: the
-    artifacts, of which the variant takes those of its kinds: a model, the name of one that ships with the package, or a
-    TOML file (docs/sensors.md). transform: of the samples, applied in the workers, one or several in their order
-    (docs/transforms.md). labels: classes that take the place of the 33 parts: a map, the name of one that ships with
-    the package, or a TOML file (docs/label_maps.md). only: patterns as for file names ("open-A-*", "*-d255-*"); a
-    sample's key must match one of them.
+    "train", "test", "val" (with `val_share`), or None for train and test. seed: of all draws and of the order. epoch:
+    the first epoch. sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that
+    ships with the package, or a TOML file (docs/sensors.md). transform: of the samples, applied in the workers, one or
+    several in their order (docs/transforms.md). labels: classes that take the place of the 33 parts: a map, the name of
+    one that ships with the package, or a TOML file (docs/label_maps.md). only: patterns as for file names
+    ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
+    "distance_cm<=255", one or several, which a sample's description must all meet (docs/streaming.md). val_share: share
+    of train, 0 to 1, that is read as "val" and not as "train": whole people and motions (docs/splits.md).
 
     For remote sets (docs/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache
     folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -74,7 +76,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         self,
         path: str | Path,
         variant: str = "all",
-        split: Split | None = None,
+        split: ReadSplit | None = None,
         seed: int = 0,
         epoch: int = 0,
         sensor: str | Path | SensorModel = PAPER_SENSOR,
@@ -82,9 +84,11 @@ class RangeImages(Dataset[dict[str, Any]]):
         cache_bytes: int | None = None,
         storage_options: Mapping[str, Any] | None = None,
         retry_policy: RetryPolicy | None = None,
-        only: Sequence[str] = (),
+        only: str | Sequence[str] = (),
         transform: Transform | Sequence[Transform] = (),
         labels: str | Path | LabelMap = PARTS33,
+        where: str | Sequence[str] = (),
+        val_share: float = 0.0,
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
@@ -96,8 +100,8 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.transforms = check_transforms(transform)
         self.label_map = load_label_map(labels)
         self._joins_parts = self.label_map != PARTS33
-        self.only = tuple(only)
-        self._samples = Selection(pattern, split, self.only).choose(self.manifest, str(path))
+        self.selection = Selection.of(pattern, split, only, where, val_share)
+        self._samples = self.selection.choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
@@ -136,11 +140,13 @@ class RangeImages(Dataset[dict[str, Any]]):
         return len(self._samples)
 
     def __repr__(self) -> str:
-        only = f", only={list(self.only)}" if self.only else ""
-        return (
-            f"RangeImages({self.path!r}, variant={self.variant!r}, split={self.split!r}, seed={self.seed}, "
-            f"epoch={self.epoch}{only}, samples={len(self)})"
-        )
+        shown: dict[str, Any] = {"variant": self.variant, "split": self.split, "seed": self.seed, "epoch": self.epoch}
+        shown |= self.selection.filters()
+        shown |= {"transforms": list(self.transforms)} if self.transforms else {}
+        shown |= {"labels": self.label_map.name} if self._joins_parts else {}
+        shown |= {"samples": len(self), "image": "{} x {}".format(*self.shape), "rig": self.manifest.rig.name}
+        shown |= {"sensor": self.augmentation.sensor.name}
+        return f"RangeImages({self.path!r}, {', '.join(f'{name}={value!r}' for name, value in shown.items())})"
 
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""
@@ -230,7 +236,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             "variant": self.variant,
             "seed": self.seed,
             "artifacts": artifacts_to_json(self.augmentation.sensor.artifacts),
-            **({"only": list(self.only)} if self.only else {}),
+            **self.selection.filters(),
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins_parts else {}),
         }

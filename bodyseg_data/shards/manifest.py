@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,12 +16,15 @@ from bodyseg_data.core.rig import Rig, rig_from_json
 from bodyseg_data.core.sample import check_key
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.shards.codecs import CODECS
+from bodyseg_data.shards.descriptions import DESCRIPTION_FIELDS, Descriptions, descriptions_from_json
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
-MANIFEST_FORMAT: Final = "bodyseg shards 4"
+MANIFEST_FORMAT: Final = "bodyseg shards 5"
 
 _FIELDS: Final = {"format", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
+_COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
+_RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, *DESCRIPTION_FIELDS}
 _SHARD_NAME = re.compile(r"[a-z]+-[0-9]{5}\.tar")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BLOCK: Final = 512
@@ -32,11 +35,12 @@ _LARGEST_MANIFEST: Final = 1 << 28
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """Index of one shard. All tuples but `notes` have one entry a sample, in stored order.
+    """Index of one shard. keys, offsets, lengths and crc32 have one entry a sample, in stored order.
 
     size: of the file, bytes. sha256: of the file. keys: sample keys. offsets: of a sample's first tar header, bytes.
     lengths: from there to the end of the padding of its last member, bytes. crc32: of those bytes. notes: lines
-    "MESH: NOTE" on meshes whose first view is in this shard, such as repairs and changes of method.
+    "MESH: NOTE" on meshes whose first view is in this shard, such as repairs and changes of method. descriptions: of
+    the samples.
     """
 
     name: str
@@ -48,6 +52,7 @@ class ShardRecord:
     lengths: tuple[int, ...]
     crc32: tuple[int, ...]
     notes: tuple[str, ...]
+    descriptions: Descriptions
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -95,18 +100,22 @@ class Manifest:
 
 
 def _digest(tree: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(_compact(tree)).hexdigest()
+
+
+def _compact(tree: dict[str, Any]) -> bytes:
+    return json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()
 
 
 def record_to_json(record: ShardRecord) -> dict[str, Any]:
     """Convert a shard's record to a JSON object."""
-    return {"samples": len(record), **asdict(record)}
+    plain = {name: value for name, value in vars(record).items() if name != "descriptions"}
+    return {"samples": len(record), **plain, **record.descriptions.to_json()}
 
 
 def record_from_json(tree: Any, where: str) -> ShardRecord:
     """Parse and check a shard's record. Raises BadShard, naming `where` and the rule."""
-    columns = ("keys", "offsets", "lengths", "crc32")
-    if not isinstance(tree, dict) or set(tree) != {"samples", "name", "split", "size", "sha256", "notes", *columns}:
+    if not isinstance(tree, dict) or set(tree) != _RECORD_FIELDS:
         raise BadShard(f"{where}: a shard's record has not the fields of format {MANIFEST_FORMAT!r}")
     name = tree["name"]
     if not isinstance(name, str) or not _SHARD_NAME.fullmatch(name):
@@ -118,12 +127,12 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         )
     if not isinstance(tree["sha256"], str) or not _SHA256.fullmatch(tree["sha256"]):
         raise BadShard(f"{where}: 'sha256' must be 64 hexadecimal digits")
-    for column in columns:
+    for column in (*_COLUMNS, "body", "view"):
         values = tree[column]
         if not isinstance(values, list) or len(values) != tree["samples"]:
             raise BadShard(f"{where}: {column!r} must have one entry a sample")
         kind = str if column == "keys" else int
-        if not all(type(value) is kind for value in values):
+        if set(map(type, values)) - {kind}:
             raise BadShard(f"{where}: {column!r} must hold {kind.__name__} only")
     notes = tree["notes"]
     if not isinstance(notes, list) or not all(isinstance(note, str) and note.isprintable() for note in notes):
@@ -146,15 +155,19 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         end = offset + length
     if end > tree["size"]:
         raise BadShard(f"{where}: samples end at byte {end}, the shard at {tree['size']}")
-    lists = (tuple(tree[column]) for column in (*columns, "notes"))
-    return ShardRecord(name, tree["split"], tree["size"], tree["sha256"], *lists)
+    return ShardRecord(
+        name=name,
+        split=tree["split"],
+        size=tree["size"],
+        sha256=tree["sha256"],
+        descriptions=descriptions_from_json(tree, where),
+        **{column: tuple(tree[column]) for column in (*_COLUMNS, "notes")},
+    )
 
 
 def write_manifest(manifest: Manifest, folder: Path) -> None:
     """Write `folder`/manifest.json atomically."""
-    write_atomically(
-        folder / MANIFEST_NAME, json.dumps(manifest.to_json(), indent=None, sort_keys=True).encode() + b"\n"
-    )
+    write_atomically(folder / MANIFEST_NAME, _compact(manifest.to_json()) + b"\n")
 
 
 def read_manifest(where: Path | Store) -> Manifest:

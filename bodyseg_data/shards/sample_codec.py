@@ -74,12 +74,13 @@ def decode_sample(
         raise BadSample(f"{key}: {error}") from error
     second = take_second_facing(images.labels) if projectors == 2 else None
     if out is None:
-        info = _parse_info(members["json"], key)
+        info = parse_info(members["json"], key)
         return Sample(key, images.range, images.occluder, images.labels, images.facing, info, faces_second=second)
     return _IntoArrays.of(key, images, second, members["json"])
 
 
-def _parse_info(description: bytes, key: str) -> SampleInfo:
+def parse_info(description: bytes, key: str) -> SampleInfo:
+    """Parse a sample's member `json`. Raises BadSample, naming the key."""
     try:
         return info_from_json(json.loads(description), key)
     except (ValueError, RecursionError) as error:
@@ -108,4 +109,4 @@ class _IntoArrays(Sample):
 
     @cached_property
     def info(self) -> SampleInfo:
-        return _parse_info(self._description, self.key)
+        return parse_info(self._description, self.key)

@@ -16,11 +16,12 @@ from typing import IO, Final
 from bodyseg_data.core.errors import BadSample, BadShard, Unreachable, one_line
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, check_key
+from bodyseg_data.core.sample import Sample, SampleInfo, check_key
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.codecs.codec import OutputArrays
+from bodyseg_data.shards.descriptions import describe, difference
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
-from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, open_file, store_at
 
 _BLOCK: Final = 512
@@ -42,6 +43,7 @@ class ShardWriter:
         self._lengths: list[int] = []
         self._crc32: list[int] = []
         self._notes: list[str] = []
+        self._infos: list[SampleInfo] = []
         self.record: ShardRecord | None = None
 
     def __enter__(self) -> ShardWriter:
@@ -49,8 +51,12 @@ class ShardWriter:
         return self
 
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
-        """Append one sample. members: extension -> bytes. Raises BadSample for a key unfit for file names."""
+        """Append one sample. members: extension -> bytes, `json` among them.
+
+        Raises BadSample for a key unfit for file names, or a description that cannot be read.
+        """
         check_key(key)
+        self._infos.append(parse_info(members.get("json", b""), key))
         data = _sample_bytes(key, members)
         self._keys.append(key)
         self._offsets.append(self._size)
@@ -91,6 +97,7 @@ class ShardWriter:
                     lengths=tuple(self._lengths),
                     crc32=tuple(self._crc32),
                     notes=tuple(self._notes),
+                    descriptions=describe(self._infos),
                 )
         finally:
             if self.record is None:
@@ -248,7 +255,7 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
                 sha256.update(data)
                 try:
                     check_bytes(data, shard, index)
-                    _check_content(manifest, shard, key, data)
+                    _check_content(manifest, shard, index, data)
                 except (BadShard, BadSample) as error:
                     sound = False
                     problem = str(error).removeprefix(f"{sample_location(shard, index)}: ").removeprefix(f"{key}: ")
@@ -270,11 +277,15 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
         yield Fault(shard.name, "-", end, f"end of archive altered: SHA-256 {shard.sha256} expected, found {found}")
 
 
-def _check_content(manifest: Manifest, shard: ShardRecord, key: str, data: bytes) -> None:
+def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
+    key = shard.keys[index]
     sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
     sample.check()
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
+    differs = difference(sample.info, shard.descriptions.info(index, shard.split))
+    if differs is not None:
+        raise BadSample(f"{key}: the description differs from the manifest's: {differs}")
     _check_sizes(sample, *_sizes(manifest.rig))
 
 

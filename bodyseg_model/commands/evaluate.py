@@ -10,11 +10,11 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.commands.options import command_line, last_name, option
+from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.splits import Split
+from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
@@ -41,7 +41,9 @@ class Options:
         "of a run: its best or last one (default: what the training ended with)", None
     )
     variant: VariantName = option("which artifacts the images have", "all")
-    split: Split = option("which split of the sets", "test")
+    split: ReadSplit = option("which split of the sets", "test")
+    val_share: float = option("share of train that is the split val, and not train", 0.0)
+    where: tuple[str, ...] = option(WHERE_HELP, ())
     images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
@@ -128,6 +130,8 @@ def _open(options: Options) -> list[RangeImages]:
             options.missing,
             artifacts,
             sensor,
+            options.where,
+            options.val_share,
         )
         for key in images.keys:
             if key in path_of:
@@ -177,6 +181,8 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
     return facts | {
         "variant": options.variant,
         "split": options.split,
+        "val_share": options.val_share,
+        "where": list(options.where),
         "seed": options.seed,
         "sensor": options.sensor,
         "noise_mm": options.noise_mm,

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.commands.options import command_line, last_name, option
+from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
@@ -49,6 +49,7 @@ class Options:
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
     parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
+    where: tuple[str, ...] = option(WHERE_HELP, ())
     images: int = option("images of every condition", 40)
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
@@ -103,7 +104,7 @@ def _images(
     options: Options, runs: list[Run], groups: list[Group], sweeps: dict[str, Sweep], reference: Group | None
 ) -> dict[str, Any]:
     """Measure the sweeps over images."""
-    images = RangeImages(options.data, "none", "test", options.seed)
+    images = RangeImages(options.data, "none", "test", options.seed, where=options.where)
     hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
     conditions = list(
         dict.fromkeys(condition for name, sweep in sweeps.items() for condition in sweep.conditions(name))
@@ -135,7 +136,7 @@ def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
     with Progress("arithmetic", "networks") as progress:
         for done, each in enumerate(groups):
             progress.update(done, len(groups), each.label)
-            images = RangeImages(options.data, "all", "test", options.seed)
+            images = RangeImages(options.data, "all", "test", options.seed, where=options.where)
             found[each.label] = {
                 "run": each.runs[0].name,
                 **numerical(each.runs[0].trained.network, images, options.images),

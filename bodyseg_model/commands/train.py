@@ -18,10 +18,11 @@ from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName, sensor_for
-from bodyseg_data.commands.options import command_line, option
+from bodyseg_data.commands.options import WHERE_HELP, command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.network import Network
@@ -46,6 +47,7 @@ class Options:
     variant: VariantName = option("which artifacts the images have", "all")
     network: NetworkName = option("which network", "compact")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
+    where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
@@ -113,8 +115,7 @@ def run(options: Options) -> int:
     return 0
 
 
-def _images(options: Options, split: Literal["train", "val"]) -> RangeImages:
-    held_out: dict[str, Any] = {} if options.val_share is None else {"val_share": options.val_share}
+def _images(options: Options, split: ReadSplit) -> RangeImages:
     return RangeImages(
         options.data,
         options.variant,
@@ -122,13 +123,14 @@ def _images(options: Options, split: Literal["train", "val"]) -> RangeImages:
         options.seed,
         sensor=_sensor(options),
         only=options.only,
-        **held_out,
+        where=options.where,
+        val_share=options.val_share or 0.0,
     )
 
 
 def _validation(options: Options) -> Validation | None:
     """The validation that options ask for. Raises BadConfig for one of them without images held out."""
-    if options.val_share is None:
+    if not options.val_share:
         for flag, value in (
             ("--val-every", options.val_every),
             ("--val-images", options.val_images),

@@ -19,7 +19,7 @@ from bodyseg_data.artifacts.variants import sensor_for
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import Split
+from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
@@ -142,21 +142,24 @@ class Evaluation:
 def open_images(
     path: str,
     variant: str = "all",
-    split: Split = "test",
+    split: ReadSplit = "test",
     seed: int = 0,
     noise_mm: float | None = None,
     missing: float | None = None,
     artifacts: Sequence[Artifact] = (),
     sensor: str | Path | SensorModel = PAPER_SENSOR,
+    where: Sequence[str] = (),
+    val_share: float = 0.0,
 ) -> RangeImages:
-    """Open a set for evaluation.
+    """Open a set for evaluation; where, val_share: as for `RangeImages`.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
     for each image by default. artifacts: others that replace or follow the sensor's. Raises BadConfig for a strength
     that is invalid, is given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
-    return RangeImages(path, variant, split, seed, sensor=sensor_for(variant, load_sensor_model(sensor), given))
+    model = sensor_for(variant, load_sensor_model(sensor), given)
+    return RangeImages(path, variant, split, seed, sensor=model, where=where, val_share=val_share)
 
 
 def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:

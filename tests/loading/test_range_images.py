@@ -54,12 +54,15 @@ def test_the_public_classes_print_in_one_readable_line(figures_set: Path) -> Non
     images = RangeImages(figures_set, "noise", split="test", seed=3, only=["*"])
     count = len(images)
     where = f"{str(figures_set)!r}, variant='noise', split='test', seed=3"
-    shown = f"RangeImages({where}, epoch=0, only=['*'], samples={count})"
+    held = f"only=['*'], samples={count}, image='640 x 329', rig='paper', sensor='paper'"
+    shown = f"RangeImages({where}, epoch=0, {held})"
     assert repr(images) == shown
     images.set_epoch(2)
     later = shown.replace("epoch=0", "epoch=2")
     batches = loader(images, 4, num_workers=2)
-    assert repr(batches) == f"Loader({later}, batch_size=4, shuffle=False, num_workers=2, batches={-(-count // 4)})"
+    assert repr(batches) == (
+        f"Loader({later}, batch_size=4, shuffle=False, batches={-(-count // 4)}, num_workers=2, worker_method='thread')"
+    )
     assert repr(batches.order) == (
         f"BatchOrder({later}, batch_size=4, shuffle=False, drop_last=False, rank=0, world_size=1, "
         f"batches={-(-count // 4)})"
@@ -269,7 +272,7 @@ def test_a_bad_sample_stops_the_run_in_one_line(figures_set: Path, tmp_path: Pat
     ("options", "message"),
     [
         ({"variant": "everything"}, "the variant must be one of none, occ, noise, md, all"),
-        ({"split": "val"}, "the split must be one of train, test or None, found 'val'"),
+        ({"split": "dev"}, "the split must be one of train, val, test or None, found 'dev'"),
         ({"seed": -1}, "a seed must be a whole number"),
         ({"epoch": -1}, "an epoch must be a whole number of at least 0, found -1"),
     ],

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from samples import GOOD
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
 from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
 from bodyseg_data.shards.cache.store import CachedStore, with_cache
+from bodyseg_data.shards.descriptions import describe
 from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file
@@ -34,7 +36,10 @@ def record(number: int, size: int = 1024) -> ShardRecord:
     """A shard of one sample whose bytes all are `number`."""
     data = bytes([number]) * size
     sha256 = hashlib.sha256(data).hexdigest()
-    return ShardRecord(f"train-{number:05d}.tar", "train", size, sha256, (f"k-{number}",), (0,), (512,), (0,), ())
+    described = describe([GOOD.info])
+    return ShardRecord(
+        f"train-{number:05d}.tar", "train", size, sha256, (f"k-{number}",), (0,), (512,), (0,), (), described
+    )
 
 
 def fill(cache: ShardCache, shard: ShardRecord, age_s: float = 0.0) -> bool:

@@ -169,12 +169,12 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 4', found 'list'"),
+        (lambda data: b"[]", "'format' must be 'bodyseg shards 5', found 'list'"),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
-        (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 4', found 'bodyseg shards 3'"),
+        (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 5', found 'bodyseg shards 3'"),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
-        (lambda data: data.replace(b'"samples": 5', b'"samples": 6', 1), "altered after it was written"),
+        (lambda data: data.replace(b'"samples":5', b'"samples":6', 1), "altered after it was written"),
     ],
 )
 def test_a_broken_manifest_is_one_line_and_exit_status_1(
@@ -225,6 +225,29 @@ def _with(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]]
         (_with(lambda tree: tree["shards"][0].pop("notes")), "has not the fields of format"),
         (_with(lambda tree: tree["shards"][0].pop("split")), "has not the fields of format"),
         (_with(lambda tree: tree["shards"].append(tree["shards"][0])), "must be unique"),
+        (_with(lambda tree: tree["shards"][0].pop("views")), "has not the fields of format"),
+        (_with(lambda tree: tree["shards"][0]["body"].pop()), "'body' must have one entry a sample"),
+        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 0.0)), "'view' must hold int only"),
+        (_with(lambda tree: tree["shards"][0].update(bodies={})), "'bodies' must be a list of rows of 5"),
+        (_with(lambda tree: tree["shards"][0]["bodies"].__setitem__(0, "abcde")), "'bodies' must be a list of rows"),
+        (_with(lambda tree: tree["shards"][0]["views"][0].pop()), "'views' must be a list of rows of 5"),
+        (_with(lambda tree: tree["shards"][0]["bodies"][0].__setitem__(2, 3)), "'bodies' must hold str only"),
+        (_with(lambda tree: tree["shards"][0]["views"][0].__setitem__(2, True)), "'views' must hold int only"),
+        (
+            _with(lambda tree: tree["shards"][0]["views"][0].__setitem__(0, -(10**400))),
+            "'views' must hold whole numbers of at most 32767",
+        ),
+        (
+            _with(lambda tree: tree["shards"][0]["views"].append(tree["shards"][0]["views"][0])),
+            "'views' must hold each row once",
+        ),
+        (
+            _with(lambda tree: tree["shards"][0]["bodies"].append(["a", "b", "c", "d", "e"])),
+            "'body' must number the rows of 'bodies', all of them, in the order of their first use",
+        ),
+        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 1)), "'view' must number the rows of 'views'"),
+        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(1, -1)), "'view' must number the rows of 'views'"),
+        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(1, 1 << 70)), "'view' must number the rows"),
     ],
 )
 def test_a_manifest_that_lies_consistently_is_refused(
@@ -266,15 +289,21 @@ def test_notes_are_lines_whatever_was_noted(tmp_path: Path) -> None:
     assert record_from_json(json.loads(json.dumps(record_to_json(writer.record))), "here") == writer.record
 
 
+_DESCRIPTION = (
+    b'{"azimuth_deg": %d, "distance_cm": 215, "mesh": "posture-00", "pose": "standing", "source": "open", '
+    b'"split": "train", "subject": "A", "subset": "A"}'
+)
+
+
 def test_the_shard_bytes_are_pinned(tmp_path: Path) -> None:
     """Format drift is a failing test. The members here do not depend on any compressor's version."""
     with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
-        writer.write("k1", {"json": b"{}", "range.bsi": b"r" * 600})
-        writer.write("k2", {"json": b"[]"})
+        writer.write("k1", {"json": _DESCRIPTION % 40, "range.bsi": b"r" * 600})
+        writer.write("k2", {"json": _DESCRIPTION % 50})
     record = writer.record
     assert record is not None
     assert (record.keys, record.offsets, record.lengths, record.size) == (("k1", "k2"), (0, 2560), (2560, 1024), 10240)
-    assert record.sha256 == "751f0f2a129dd5df760d098618ba8346fdd2409c90461284a18538389c295a9a"
+    assert record.sha256 == "91976987675fdbf337279d7b4037e887fc7d85d54cfe8a7aa219caea32de9404"
 
 
 def _tar(*members: tuple[str, bytes, bytes]) -> bytes:
@@ -379,6 +408,51 @@ def test_a_sample_stored_in_the_wrong_split_is_a_fault(copy: Path) -> None:
     shard = manifest.shards[0]
     faults = list(find_faults(copy, manifest, replace(shard, split="test")))
     assert [fault.problem for fault in faults] == ["belongs to train, stored among test"] * len(shard)
+
+
+def test_the_manifest_describes_every_sample_as_it_describes_itself(figures_set: Path) -> None:
+    manifest = read_manifest(figures_set)
+    reader = ShardReader(figures_set, manifest)
+    for number, shard in enumerate(manifest.shards):
+        described = [shard.descriptions.info(index, shard.split) for index in range(len(shard))]
+        assert described == [reader.read(number, index).info for index in range(len(shard))]
+    first = manifest.shards[0].descriptions
+    assert repr(first) == "Descriptions(5 samples, 2 bodies, 4 views)"
+    assert (first.body, first.view) == ((0, 0, 0, 0, 1), (0, 1, 2, 3, 0))
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "value", "field"),
+    [
+        ("bodies", 4, "sitting", "'pose' is 'standing', in the manifest 'sitting'"),
+        ("views", 3, 7, "'roll_deg' is 0, in"),
+    ],
+)
+def test_a_description_that_differs_from_the_samples_own_is_a_fault(
+    copy: Path, capsys: pytest.CaptureFixture[str], table: str, column: int, value: object, field: str
+) -> None:
+    tree = json.loads((copy / MANIFEST_NAME).read_bytes())
+    del tree["digest"]
+    tree["shards"][0][table][0][column] = value
+    (copy / MANIFEST_NAME).write_text(json.dumps({**tree, "digest": _digest(tree)}))
+    shard = read_manifest(copy).shards[0]
+    row = shard.descriptions.body if table == "bodies" else shard.descriptions.view
+    assert main(["verify", str(copy)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == row.count(0) > 0
+    assert all(f": the description differs from the manifest's: {field}" in line for line in lines)
+    assert lines[0].startswith(f"train-00000.tar: {shard.keys[0]}: offset 0: the description")
+
+
+def test_a_sample_without_a_description_is_not_written(tmp_path: Path) -> None:
+    members = encode_sample(GOOD)
+    for wrong in ({"bsi": members["bsi"]}, members | {"json": b"{}"}):
+        with (
+            pytest.raises(BadSample, match=f"^{GOOD.key}: "),
+            ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer,
+        ):
+            writer.write(GOOD.key, wrong)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_members_of_a_sample_come_back(tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def test_another_rig_is_named_by_its_fields(small_set: Path, tmp_path: Path, pac
 
 def test_options_in_refusals_are_those_of_the_command() -> None:
     known = {flag_of(field) for field in dataclasses.fields(Options)}
-    others = {"--where", "--labels", "--weights"}
+    others = {"--labels", "--weights"}
     assert {flag.split()[0] for flag in FLAGS.values()} - known <= others
 
 

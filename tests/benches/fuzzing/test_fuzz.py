@@ -175,7 +175,7 @@ def test_nothing_in_a_tar_is_ever_a_path_to_write_to(tmp_path: Path, monkeypatch
 def test_brackets_nested_as_deeply_as_can_just_be_read_are_refused(tmp_path: Path) -> None:
     for depth in range(960, 1004):
         nested = "[" * depth + "]" * depth
-        (tmp_path / MANIFEST_NAME).write_text(f'{{"digest":"x","format":"bodyseg shards 4","shards":{nested}}}')
+        (tmp_path / MANIFEST_NAME).write_text(f'{{"digest":"x","format":"bodyseg shards 5","shards":{nested}}}')
         with pytest.raises(BadShard):
             read_manifest(tmp_path)
 
@@ -195,7 +195,7 @@ def test_a_rig_with_a_value_beyond_reason_is_refused_in_one_line(key: str, value
 def test_verify_says_one_line_of_a_manifest_that_holds_anything(
     digest: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / MANIFEST_NAME).write_text(json.dumps({"format": "bodyseg shards 4", "digest": digest}))
+    (tmp_path / MANIFEST_NAME).write_text(json.dumps({"format": "bodyseg shards 5", "digest": digest}))
     assert main(["verify", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert said.count("\n") == 1

@@ -19,6 +19,7 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.shards.codecs import CODECS, CodecName
+from bodyseg_data.shards.descriptions import describe
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
 from bodyseg_data.shards.sample_codec import encode_sample
 
@@ -153,9 +154,20 @@ def _sum_set(header: bytearray) -> None:
 @lru_cache(maxsize=1)
 def _manifest_tree() -> dict[str, Any]:
     keys = tuple(f"open-A-posture-0{number}-d215-a040" for number in range(3))
-    offsets, lengths = (0, 4096, 8192), (4096,) * 3
+    infos = [SampleInfo("open", "A", "A", f"posture-0{number}", "standing", 215, 40, "train") for number in range(3)]
     shards = tuple(
-        ShardRecord(f"{split}-00000.tar", split, 20480, "0" * 64, named, offsets, lengths, (1, 2, 3), ("a: noted",))
+        ShardRecord(
+            name=f"{split}-00000.tar",
+            split=split,
+            size=20480,
+            sha256="0" * 64,
+            keys=named,
+            offsets=(0, 4096, 8192),
+            lengths=(4096,) * 3,
+            crc32=(1, 2, 3),
+            notes=("a: noted",),
+            descriptions=describe(infos),
+        )
         for split, named in zip(SPLITS, (keys, tuple(key.replace("-A-", "-B-") for key in keys)), strict=True)
     )
     tree = Manifest(load_rig(), "bsi", "open", "raster", "0" * 64, shards).to_json()

@@ -1,0 +1,348 @@
+"""Which samples of a set are read: patterns, conditions on descriptions, and the part of train to validate on."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import SampleInfo
+from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.selection.conditions import FIELDS, parse_condition
+from bodyseg_data.loading.selection.sample_table import BodyRow, SampleTable
+from bodyseg_data.loading.selection.selection import Selection
+from bodyseg_data.loading.selection.validation import groups, mark_val
+from bodyseg_data.shards.descriptions import describe
+from bodyseg_data.shards.manifest import Manifest, ShardRecord
+
+
+def infos(*fields: dict[str, Any]) -> list[SampleInfo]:
+    plain = SampleInfo("open", "A", "A", "posture-00", "crouch", 215, 0, "train")
+    return [replace(plain, **each) for each in fields]
+
+
+def shard_of(described: list[SampleInfo], number: int = 0) -> ShardRecord:
+    """The record of a shard that holds samples of these descriptions and has never been written."""
+    split, count = described[0].split, len(described)
+    keys = tuple(f"open-{info.subset}-{info.mesh}-{info.view.name}" for info in described)
+    offsets = tuple(512 * index for index in range(count))
+    name = f"{split}-{number:05d}.tar"
+    return ShardRecord(
+        name, split, 512 * count, "0" * 64, keys, offsets, (512,) * count, (0,) * count, (), describe(described)
+    )
+
+
+@cache
+def planned(source: str, shard_samples: int = 1080, views: int = 2) -> Manifest:
+    """The manifest of a whole source with few views of a body, without its shards."""
+    grid = ViewGrid(count=views)
+    described: dict[str, list[SampleInfo]] = {"train": [], "test": []}
+    for body in open_source(source).bodies():
+        for view in grid:
+            info = SampleInfo(
+                source, body.subset, body.subject, body.mesh, body.pose, view.distance_cm, view.azimuth_deg, body.split
+            )
+            described[body.split].append(info)
+    shards = [
+        shard_of(split[first : first + shard_samples], number)
+        for split in described.values()
+        for number, first in enumerate(range(0, len(split), shard_samples))
+    ]
+    return Manifest(load_rig(), "bsi", source, "raster", "0" * 64, tuple(shards))
+
+
+def chosen_keys(manifest: Manifest, split: ReadSplit | None, val_share: float = 0.0, **options: Any) -> list[str]:
+    selection = Selection.of("*", split, options.get("only", ()), options.get("where", ()), val_share)
+    return [manifest.shards[number].keys[index] for number, index in selection.choose(manifest, "here").tolist()]
+
+
+def met(text: str, *described: SampleInfo) -> list[bool]:
+    found = describe(described)
+    table = SampleTable(list(found.bodies), list(found.views), np.array(found.body), np.array(found.view))
+    marks: list[bool] = parse_condition(text).marks(table).tolist()
+    return marks
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("distance_cm=255", [False, True, False]),
+        ("distance_cm != 215,295", [False, True, False]),
+        ("distance_cm<255", [True, False, False]),
+        ("distance_cm<=255", [True, True, False]),
+        ("distance_cm>255", [False, False, True]),
+        ("distance_cm>=255", [False, True, True]),
+        ("distance_cm=254.5..300", [False, True, True]),
+        ("azimuth_deg=-90..90", [True, False, True]),
+        ("azimuth_deg=-90", [False, False, True]),
+        ("azimuth_deg=-10..10,180", [True, True, False]),
+        ("azimuth_deg!=0..359", [False, False, False]),
+        ("azimuth_deg>90", [False, True, True]),
+        ("pitch_deg=-30..-10", [False, False, True]),
+        ("roll_deg=0", [True, True, False]),
+        ("height_cm=40", [False, True, False]),
+        ("source=open", [True, True, True]),
+        ("subset=B,C", [False, True, True]),
+        ("subset!=B", [True, False, True]),
+        ("subject=b", [False, False, False]),
+        ("mesh=posture-*,*-012", [True, True, False]),
+        ("pose=cr*", [True, True, False]),
+        ("pose!=cr*", [False, False, True]),
+        ("motion=cr*", [False, True, False]),
+        ("motion=*", [False, True, True]),
+        ("motion!=crane", [True, False, True]),
+    ],
+)
+def test_conditions(text: str, expected: list[bool]) -> None:
+    described = infos(
+        {},
+        {
+            "subset": "B",
+            "subject": "B",
+            "mesh": "B-crane-012",
+            "pose": "crane",
+            "distance_cm": 255,
+            "azimuth_deg": 180,
+            "height_cm": 40,
+        },
+        {
+            "subset": "C",
+            "subject": "C",
+            "mesh": "C-squat-001",
+            "pose": "squat",
+            "distance_cm": 295,
+            "azimuth_deg": 270,
+            "pitch_deg": -20,
+            "roll_deg": 5,
+        },
+    )
+    assert met(text, *described) == expected
+    assert parse_condition(parse_condition(text).text) == parse_condition(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "distance",
+            "a condition is FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255', found 'distanc",
+        ),
+        ("=3", "a condition is FIELD"),
+        ("distance=2", f"a condition is on one of {', '.join(FIELDS)}, found 'distance' in 'distance=2'"),
+        ("distance_cm==255", "distance_cm is compared with numbers, or ranges like -90..90, found 'distance_cm==255'"),
+        ("distance_cm=", "distance_cm is compared with numbers, or ranges"),
+        ("distance_cm<=255,295", "distance_cm<= takes one number, found 'distance_cm<=255,295'"),
+        ("distance_cm>1..2", "distance_cm> takes one number"),
+        ("distance_cm>2..2", "distance_cm> takes one number"),
+        ("pitch_deg=10..-10", "a range goes from the least to the greatest number, found 'pitch_deg=10..-10'"),
+        ("azimuth_deg=nan", "azimuth_deg is compared with numbers"),
+        ("subject<B", "subject is text and has no order: use = or !=, found 'subject<B'"),
+        ("subject=", "subject needs a value after = and after each comma, found 'subject='"),
+        ("motion=crane,", "motion needs a value after = and after each comma"),
+    ],
+)
+def test_bad_conditions_are_one_line(text: str, message: str, figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match=f"^{re.escape(message)}") as caught:
+        RangeImages(figures_set, where=text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ["only", "where"])
+@pytest.mark.parametrize("value", [(3,), 3, None, {"a": 1}, [None], {"a"}, b"a"])
+def test_filters_are_text(option: str, value: Any, figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match=f"^{option} must be text or a list of texts, found "):
+        RangeImages(figures_set, **{option: value})
+
+
+@pytest.mark.parametrize(("option", "value"), [("only", ""), ("only", ["*", " "]), ("where", "")])
+def test_filters_are_not_empty(option: str, value: Any, figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match=f"^{option} must hold no empty text, found "):
+        RangeImages(figures_set, **{option: value})
+
+
+def test_one_text_is_one_pattern(figures_set: Path) -> None:
+    one = RangeImages(figures_set, only="open-A-*")
+    assert one.keys == RangeImages(figures_set, only=["open-A-*"]).keys == [key for key in one.keys if "-A-" in key]
+    assert one.identity()["only"] == ["open-A-*"]
+    assert len(RangeImages(figures_set, where="subset=people")) == 24 - len(one) == 12
+
+
+def test_conditions_select_what_samples_say_of_themselves(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    where = ("azimuth_deg=-100..90", "subset=A", "distance_cm<=255")
+    chosen = RangeImages(figures_set, split="train", where=where)
+    wanted = [
+        images.keys[index]
+        for index in range(len(images))
+        for info in [images.clean(index).info]
+        if info.azimuth_deg in (260, 0, 80) and info.subset == "A" and info.distance_cm <= 255 and info.split == "train"
+    ]
+    assert chosen.keys == wanted
+    assert 0 < len(wanted) < 12
+    assert chosen.identity()["where"] == list(where)
+    assert not {"where", "val_share", "only"} & images.identity().keys()
+    assert f"where={list(where)!r}, samples={len(wanted)}, " in repr(chosen)
+    spaced = RangeImages(figures_set, split="train", where=[" distance_cm <= 255 ", *where[:2]])
+    assert spaced.identity()["where"] == ["distance_cm<=255", *where[:2]]
+
+
+def test_conditions_open_no_shard(figures_set: Path, tmp_path: Path) -> None:
+    shutil.copy(figures_set / "manifest.json", tmp_path)
+    assert len(RangeImages(tmp_path, where="subject=A", only="*-a080")) == 3
+    assert len(RangeImages(tmp_path, split="val", val_share=0.3)) == 4
+
+
+def test_conditions_that_no_sample_meets_are_named(figures_set: Path) -> None:
+    with pytest.raises(
+        BadConfig, match=r"no sample of split None that matches '\* subject=Z'; the set holds 16 train, 8 test$"
+    ):
+        RangeImages(figures_set, where="subject=Z")
+
+
+def test_a_selection_does_not_depend_on_the_cut_into_shards() -> None:
+    """Tables of bodies and views are a shard's own: joined, they number other rows."""
+    where = ("motion=march,squat", "azimuth_deg=80..170")
+    one, other = (planned("open", size) for size in (100_000, 777))
+    assert chosen_keys(one, None, where=where) == chosen_keys(other, None, where=where)
+    for split in ("train", "val"):
+        assert chosen_keys(one, split, 0.1) == chosen_keys(other, split, 0.1)  # type: ignore[arg-type]  # literals
+
+
+def subset_of(key: str) -> str:
+    return "people" if key.startswith("open-people") else key.split("-")[1]
+
+
+@pytest.mark.parametrize(("share", "tolerance"), [(0.05, 0.03), (0.1, 0.03), (0.2, 0.03), (0.3, 0.03), (0.5, 0.04)])
+def test_val_is_a_share_of_train_in_whole_groups(share: float, tolerance: float) -> None:
+    manifest = planned("open")
+    train, val, rest = (
+        chosen_keys(manifest, *each)  # type: ignore[arg-type]  # literals in tuples
+        for each in (("train",), ("val", share), ("train", share))
+    )
+    assert set(val) | set(rest) == set(train)
+    assert len(val) + len(rest) == len(train)
+    assert abs(len(val) / len(train) - share) <= tolerance
+    assert {"A", "people"} <= {subset_of(key) for key in val}
+    assert {subset_of(key) for key in rest} == {"A", "B", "C", "people"}
+    origin = {
+        key: shard.descriptions.info(index, shard.split)
+        for shard in manifest.shards
+        for index, key in enumerate(shard.keys)
+    }
+    meshes = [{origin[key].mesh for key in part} for part in (val, rest)]
+    assert not meshes[0] & meshes[1]
+    motions = [
+        {(origin[key].subject, origin[key].pose) for key in part if subset_of(key) in "BC"} for part in (val, rest)
+    ]
+    assert not motions[0] & motions[1]
+    assert chosen_keys(manifest, "test", share) == chosen_keys(manifest, "test")
+    assert chosen_keys(manifest, None, share) == chosen_keys(manifest, None)
+
+
+def test_val_of_the_open_bodies_is_pinned() -> None:
+    """Another rule would put bodies of an earlier training into val."""
+    val = chosen_keys(planned("open", views=1), "val", 0.1)
+    bodies = [key.rpartition("-d")[0].removeprefix("open-") for key in val]
+    assert Counter(body.rpartition("-")[0] for body in bodies) == {
+        "C-C-bouncing": 175,
+        "people-person": 23,
+        "A-posture": 3,
+    }
+    assert [body for body in bodies if body.startswith("A-")] == ["A-posture-01", "A-posture-26", "A-posture-37"]
+
+
+def test_val_does_not_depend_on_other_choices() -> None:
+    manifest = planned("open")
+    val = set(chosen_keys(manifest, "val", 0.1))
+    some = chosen_keys(manifest, "val", 0.1, where=("subset=A,people", "distance_cm=255"))
+    assert some == [
+        key for key in chosen_keys(manifest, "train", where=("subset=A,people", "distance_cm=255")) if key in val
+    ]
+    shards = replace(manifest, shards=manifest.shards[::-1])
+    assert set(chosen_keys(shards, "val", 0.1)) == val
+
+
+def test_val_of_a_set_with_more_subsets_is_in_the_same_order() -> None:
+    """The open bodies are in `wide`, too: a body of one val should be in no other's rest as far as shares allow."""
+    names = [
+        [key.partition("-")[2] for key in chosen_keys(planned(source, views=1), "val", 0.1)]
+        for source in ("open", "wide")
+    ]
+    assert {key for key in names[1] if not key.startswith("wide")} == set(names[0])
+
+
+def rows(subset: str, people: int, poses: int, frames: int = 1) -> list[BodyRow]:
+    return [
+        ("s", subset, f"p{who}", f"m{who}-{pose}-{frame}", f"pose{pose}")
+        for who in range(people)
+        for pose in range(poses)
+        for frame in range(frames)
+    ]
+
+
+def test_groups_are_people_where_there_are_enough() -> None:
+    many, few = rows("X", 10, 2, 3), rows("Y", 9, 2, 3)
+    found = groups([*many, *few], 0.1)
+    assert found[many[0]] == ("X", "p0")
+    assert len({found[row] for row in many}) == 10
+    assert found[few[0]] == ("Y", "p0", "pose0")
+    assert len({found[row] for row in few}) == 18
+    assert len({groups(few, 0.2)[row] for row in few}) == 9
+    postures = rows("A", 1, 1, 5)
+    assert len({groups(postures, 0.1)[row] for row in postures}) == 5
+
+
+def table_of(bodies: list[BodyRow]) -> SampleTable:
+    numbers = np.arange(len(bodies), dtype=np.int32)
+    return SampleTable(bodies, [(215, 0, 0, 0, 0)], numbers, np.zeros_like(numbers))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.4, 0.6, 0.9, 0.99])
+def test_neither_part_is_ever_empty(share: float) -> None:
+    table = table_of(rows("X", 1, 3, 40))
+    val = mark_val(table, np.ones(120, np.bool_), share)
+    assert val.sum() == {0.01: 40, 0.1: 40, 0.4: 40, 0.6: 80, 0.9: 80, 0.99: 80}[share]
+
+
+def test_one_group_cannot_be_divided() -> None:
+    with pytest.raises(BadConfig, match=r"^val_share=0\.1 divides train by people and motions, found 1 group of them$"):
+        mark_val(table_of(rows("X", 1, 1, 40)), np.ones(40, np.bool_), 0.1)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1, 1.5, float("nan"), "0.1", None, True])
+def test_a_share_is_a_number_below_1(share: Any, figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match="^val_share must be a number of at least 0 and below 1, found "):
+        RangeImages(figures_set, split="val", val_share=share)
+
+
+def test_val_needs_a_share(figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match=r"^the split 'val' is a share of train: give val_share, like 0\.1$"):
+        RangeImages(figures_set, split="val")
+
+
+def test_val_and_the_rest_stream(figures_set: Path) -> None:
+    val = RangeImages(figures_set, split="val", val_share=0.3)
+    rest = RangeImages(figures_set, split="train", val_share=0.3)
+    assert sorted([*val.keys, *rest.keys]) == sorted(RangeImages(figures_set, split="train").keys)
+    assert not {key.rpartition("-d")[0] for key in val.keys} & {key.rpartition("-d")[0] for key in rest.keys}
+    assert [key for batch in loader(val, 4) for key in batch["key"]] == val.keys
+    assert (val.identity()["split"], val.identity()["val_share"]) == ("val", 0.3)
+    assert rest.identity()["val_share"] == 0.3
+    assert "split='val', seed=0, epoch=0, val_share=0.3, " in repr(val)
+    state = loader(rest, 4).state_dict()
+    with pytest.raises(BadConfig, match="the state belongs to another run: samples"):
+        loader(RangeImages(figures_set, split="train"), 4).load_state_dict(state)
+    some = RangeImages(figures_set / "train-*.tar", split="val", val_share=0.3)
+    assert some.keys == val.keys
