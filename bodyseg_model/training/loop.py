@@ -8,7 +8,6 @@ the loader's state, and no state of a random generator.
 from __future__ import annotations
 
 import contextlib
-import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -26,7 +25,7 @@ from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
-from bodyseg_model.networks.checkpoints import AVERAGED, TRAINED, Checkpoint, fill, read_tensors, save_network
+from bodyseg_model.networks.checkpoints import AVERAGED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
@@ -212,8 +211,7 @@ class Training:
     def _save(self, facts: dict[str, Any]) -> None:
         step, network = self.step, self._result()
         if self.validation is not None and self.validation.keep == "best" and self._best is not None:
-            step, network = self._best.step, copy.deepcopy(network)
-            fill(network, read_tensors(self.folder.best_network), self.folder.best_network)
+            step, network = self._best.step, load_network(self.folder.path, "best").network
         save_network(self.folder.network, network, self.name, self._card(facts, step))
 
     def _card(self, facts: dict[str, Any], step: int) -> dict[str, Any]:
