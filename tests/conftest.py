@@ -22,6 +22,7 @@ _LONG_FILES: Final = (
     "packing/test_pack.py",
     "packing/test_engines.py",
     "training/test_loop.py",
+    "training/test_train_command.py",
     "bodies/test_landmark_fitting.py",
     "commands/test_cli.py",
     "loading/test_loader_faults.py",

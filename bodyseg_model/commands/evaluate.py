@@ -23,7 +23,7 @@ from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_image
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, shipped_network
 from bodyseg_model.training.distributed import find_device, use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
@@ -38,6 +38,9 @@ class Options:
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
     run: Path | None = option("folder of a training run, or a .safetensors file (default: the network shipped)", None)
+    checkpoint: CheckpointName | None = option(
+        "of a run: its best or last one (default: what the training ended with)", None
+    )
     variant: VariantName = option("which artifacts the images have", "all")
     split: ReadSplit = option("which split of the sets", "test")
     val_share: float = option("share of train that is the split val, and not train", 0.0)
@@ -61,7 +64,8 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained = shipped_network() if options.run is None else load_network(options.run, options.checkpoint)
+    _say_step(trained)
     trained.network.to(find_device(options.device))
     label_map = trained.label_map if options.labels is None else load_label_map(options.labels)
     sets = _open(options, label_map)
@@ -89,7 +93,17 @@ def run(options: Options) -> int:
     return 0
 
 
+def _say_step(trained: Trained) -> None:
+    """Say which step of its training a network's weights are of, unless it is the last."""
+    step, recipe = trained.card.get("step"), trained.card.get("recipe")
+    steps = recipe.get("steps") if isinstance(recipe, dict) else None
+    if isinstance(step, int) and step != steps:
+        sys.stderr.write(f"the network's weights are those after step {step} of {steps}\n")
+
+
 def _check(options: Options) -> None:
+    if options.checkpoint is not None and options.run is None:
+        raise BadConfig("--checkpoint is one of a training run: give its folder by --run")
     for name, value, least in (("images", options.images, 1), ("frames", options.frames, 0)):
         if value is not None and value < least:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")

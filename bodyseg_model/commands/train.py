@@ -23,15 +23,19 @@ from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
+from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
+from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
-from bodyseg_model.training.loop import Metrics, Report, RunOptions, Training
+from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.metrics import Metrics, Report
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
+from bodyseg_model.training.validation import DEFAULT_EVERY, Keep, Validation
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 
@@ -55,11 +59,19 @@ class Options:
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
-    steps: int | None = option("how often weights change (default: the network's recipe)", None)
+    steps: int | None = option("how often weights change (default: the network's recipe); may differ on --resume", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
+    ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
+    val_share: float | None = option(
+        "share of the train split to hold out, by subject and motion, to validate on", None
+    )
+    val_every: int | None = option("steps between validations (default: 500)", None)
+    val_images: int | None = option("images to validate on, evenly over those held out (default: all)", None)
+    patience: int | None = option("end after so many validations without a better one (default: never)", None)
+    keep: Keep | None = option("weights of the run's network (default: the best, if validated)", None)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
     pretrained: Path | None = option("weights to start from; fcn_alexnet reads AlexNet's, .onnx or .caffemodel", None)
@@ -83,39 +95,75 @@ def run(options: Options) -> int:
         batch_size=options.batch_size,
         accumulate=options.accumulate,
         learning_rate=options.learning_rate,
+        ema=options.ema,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
     run_options = RunOptions(
         options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
     )
-    sensor = _sensor(options)
+    validation = _validation(options)
     images = open_data(
-        options.data,
-        options.weights,
-        options.samples,
-        options.seed,
-        lambda each: RangeImages(
-            each,
-            options.variant,
-            "train",
-            options.seed,
-            sensor=sensor,
-            only=options.only,
-            where=options.where,
-            labels=options.labels,
-        ),
+        options.data, options.weights, options.samples, options.seed, lambda address: _open(options, address, "train")
     )
     network = _network(options, images.label_map)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
-        training = Training(network, options.network, images, recipe, folder, processes, options.seed, run_options)
+        training = Training(
+            network, options.network, images, recipe, folder, processes, options.seed, run_options, validation
+        )
         facts = {**provenance(command_line("bodyseg train", options)), "pretrained": None}
         if options.pretrained is not None:
             facts["pretrained"] = options.pretrained.name
         report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
         training.run(options.resume, report, facts)
+        if validation is not None and processes.first:
+            _say_end(folder, recipe.steps)
     return 0
+
+
+def _open(options: Options, address: str, split: ReadSplit) -> RangeImages:
+    return RangeImages(
+        address,
+        options.variant,
+        split,
+        options.seed,
+        sensor=_sensor(options),
+        only=options.only,
+        where=options.where,
+        val_share=options.val_share or 0.0,
+        labels=options.labels,
+    )
+
+
+def _validation(options: Options) -> Validation | None:
+    """The validation that options ask for. Raises BadConfig for one of them without images held out."""
+    if not options.val_share:
+        for flag, value in (
+            ("--val-every", options.val_every),
+            ("--val-images", options.val_images),
+            ("--patience", options.patience),
+            ("--keep", options.keep),
+        ):
+            if value is not None:
+                raise BadConfig(f"{flag} is for a training with images to validate on: give --val-share, like 0.1")
+        return None
+    return Validation(
+        [_open(options, address, "val") for address in options.data],
+        DEFAULT_EVERY if options.val_every is None else options.val_every,
+        options.val_images,
+        options.patience,
+        options.keep or "best",
+    )
+
+
+def _say_end(folder: RunFolder, steps: int) -> None:
+    """Say whether a validated training ended early, and which step the network's weights are of."""
+    card = read_json(folder.network.with_suffix(".json"))
+    step, last = card["step"], card["last_step"]
+    ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
+    score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
+    sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
 
 
 def _silent(metrics: Metrics) -> None:
@@ -167,11 +215,13 @@ def _reporting(options: Options, steps: int) -> Iterator[Report]:
             metrics.step,
             steps,
             f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
-            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}, {left:.0f} s left",
+            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}{_validated(metrics)}, "
+            f"{left:.0f} s left",
         )
         if board is not None:
-            for name in ("loss", "accuracy", "pixel_accuracy", "learning_rate", "images_per_second", "data_wait"):
-                board.add_scalar(name, getattr(metrics, name), metrics.step)
+            for name, value in metrics.to_json().items():
+                if name != "step":
+                    board.add_scalar(name, value, metrics.step)
 
     try:
         with Progress("training", "steps") as progress:
@@ -179,6 +229,12 @@ def _reporting(options: Options, steps: int) -> Iterator[Report]:
     finally:
         if board is not None:
             board.close()
+
+
+def _validated(metrics: Metrics) -> str:
+    if metrics.val_accuracy is None:
+        return ""
+    return f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
 
 
 def _board(path: Path) -> Any:

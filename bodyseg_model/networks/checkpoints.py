@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import torch
 from safetensors import SafetensorError
@@ -23,6 +23,19 @@ from bodyseg_model.networks.registry import build
 FORMAT: Final = "bodyseg network 1"
 NETWORK: Final = "network.safetensors"
 """The trained network in a run's folder; its card is the .json beside it."""
+
+BEST: Final = "best.safetensors"
+"""The weights of a run's best validation, in the form of `NETWORK`."""
+
+PLAN: Final = "run.json"
+CHECKPOINT: Final = "checkpoint.json"
+"""A run's plan, and the step, loader state and tensors' name of its last checkpoint."""
+
+AVERAGED: Final = "average."
+"""Prefix of the averaged weights among a checkpoint's tensors; `TRAINED` is that of the weights themselves."""
+TRAINED: Final = "network."
+
+CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
@@ -45,6 +58,23 @@ class Trained:
         return f"Trained({', '.join(f'{name}={value!r}' for name, value in facts.items())})"
 
 
+@dataclass(frozen=True)
+class Checkpoint:
+    """State of a training after `step` steps. loader_state: `Loader.state_dict`.
+
+    tensors: the network's weights as "network.NAME", their averages, if there are any, as "average.NAME", and the
+    optimiser's state as "optimiser.NAME".
+    """
+
+    step: int
+    loader_state: dict[str, Any]
+    tensors: dict[str, torch.Tensor]
+
+    def part(self, prefix: str) -> dict[str, torch.Tensor]:
+        """The tensors whose names begin with `prefix`, without it."""
+        return {name.removeprefix(prefix): t for name, t in self.tensors.items() if name.startswith(prefix)}
+
+
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
     """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
 
@@ -56,12 +86,22 @@ def save_network(path: Path, network: Network, name: str, facts: Mapping[str, An
     write_json(path.with_suffix(".json"), card)
 
 
-def load_network(path: Path) -> Trained:
+def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
+
+    checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
+    checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
+    The card's `step` says which step the weights are of.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card.
     """
-    file = path / NETWORK if path.is_dir() else path
+    if checkpoint is not None and not path.is_dir():
+        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
+    if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
+        return _last_weights(path)
+    file = path / (BEST if checkpoint == "best" else NETWORK) if path.is_dir() else path
+    if checkpoint == "best" and not file.exists():
+        raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
     if file.suffix != ".safetensors":
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_json(file.with_suffix(".json"))
@@ -110,6 +150,60 @@ def fill(network: Network, tensors: Mapping[str, torch.Tensor], file: Path) -> N
     network.load_state_dict(dict(tensors))
 
 
+def checkpoint_file(step: int) -> str:
+    """Name of the file that holds the tensors of the checkpoint of `step`."""
+    return f"checkpoint-{step:08d}.safetensors"
+
+
+def read_checkpoint(folder: Path) -> Checkpoint | None:
+    """Read the last checkpoint of a run's folder, also while its training goes on; None if there is none yet.
+
+    Raises BadConfig if it is damaged.
+    """
+    file = folder / CHECKPOINT
+    if not file.exists():
+        return None
+    note = read_json(file)
+    name, digest, step, state = (note.get(key) for key in ("tensors", "sha256", "step", "loader_state"))
+    if not isinstance(step, int) or not isinstance(state, dict) or name != checkpoint_file(step):
+        raise BadConfig(f"{file} must hold the step, loader_state and tensors of a checkpoint")
+    try:
+        data = read_bytes(folder / name)
+    except BadConfig:
+        if read_json(file) == note:
+            raise
+        return read_checkpoint(folder)  # the training has replaced it meanwhile
+    found = hashlib.sha256(data).hexdigest()
+    if found != digest:
+        raise BadConfig(f"{folder / name} is damaged: SHA-256 {found}, expected {digest}")
+    return Checkpoint(step, state, _parsed(data, folder / name))
+
+
+def _unfinished(folder: Path) -> bool:
+    """True if a run's folder has a checkpoint, and no network of that step or a later one."""
+    if not (folder / CHECKPOINT).exists():
+        return False
+    card = (folder / NETWORK).with_suffix(".json")
+    if not card.exists():
+        return True
+    reached, step = read_json(card).get("last_step"), read_json(folder / CHECKPOINT).get("step")
+    return isinstance(reached, int) and isinstance(step, int) and reached < step
+
+
+def _last_weights(folder: Path) -> Trained:
+    """Load the weights of a run's last checkpoint, averaged where the training averages them, with its plan as card."""
+    checkpoint = read_checkpoint(folder)
+    if checkpoint is None:
+        raise BadConfig(f"{folder} has no checkpoint yet")
+    plan = read_json(folder / PLAN)
+    name, settings = plan.get("network"), plan.get("settings")
+    if not isinstance(name, str) or not isinstance(settings, dict):
+        raise BadConfig(f"{folder / PLAN} must name the network and its settings")
+    network = build(name, settings)
+    fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
+    return Trained(network.eval(), {**plan, "format": FORMAT, "step": checkpoint.step, "last_step": checkpoint.step})
+
+
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     """Write tensors as safetensors, at once or not at all; returns the SHA-256 of the file. Raises BadConfig."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -120,8 +214,12 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
+    return _parsed(read_bytes(path), path)
+
+
+def _parsed(data: bytes, path: Path) -> dict[str, torch.Tensor]:
     try:
-        return parse_tensors(read_bytes(path))
+        return parse_tensors(data)
     except SafetensorError as error:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
 

@@ -33,6 +33,14 @@ class ProcessGroup:
             torch.distributed.all_reduce(values)
         return values
 
+    def from_first(self, flag: bool) -> bool:
+        """Return the first process's `flag` in every process; each waits for it."""
+        if self.world_size == 1:
+            return flag
+        shared = torch.tensor([flag], device=self.device)
+        torch.distributed.broadcast(shared, 0)
+        return bool(shared.item())
+
 
 @contextlib.contextmanager
 def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:

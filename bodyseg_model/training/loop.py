@@ -8,9 +8,9 @@ the loader's state, and no state of a random generator.
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -25,38 +25,22 @@ from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
-from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
-from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.checkpoints import AVERAGED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.ema import AveragedNetwork
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
+from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
+from bodyseg_model.training.plan import training_plan
 from bodyseg_model.training.recipes import Recipe
-from bodyseg_model.training.run_folder import Checkpoint, RunFolder
+from bodyseg_model.training.run_folder import Best, RunFolder
+from bodyseg_model.training.validation import Validation
 
 _SAMPLES_FOR_WEIGHTS: Final = 128
-
-
-@dataclass(frozen=True)
-class Metrics:
-    """Metrics of the steps since the last line of the log, on the images trained on.
-
-    step: number of steps done. loss: mean over the steps. accuracy: average per class; pixel_accuracy: share of the
-    selected pixels that are right. learning_rate: of the last layer, in the last step. images_per_second: over all
-    processes. data_wait: share of the time spent waiting for data.
-    """
-
-    step: int
-    loss: float
-    accuracy: float
-    pixel_accuracy: float
-    learning_rate: float
-    images_per_second: float
-    data_wait: float
-
-
-Report = Callable[[Metrics], None]
+_OPTIMISER: Final = "optimiser."
+"""Prefix of the optimiser's tensors in a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +69,9 @@ class Training:
     """One training, from its first step or its last checkpoint to its end.
 
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
-    dropout and the pixels that the loss selects; order and artifacts have the images' own. Raises BadConfig for batches
-    that cannot be divided evenly between the processes, or a network with another number of classes than the images.
+    dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
+    out, by the first process alone while the others wait. Raises BadConfig for batches that cannot be divided evenly
+    between the processes, or a network with another number of classes than the images.
     """
 
     def __init__(
@@ -99,6 +84,7 @@ class Training:
         processes: ProcessGroup,
         seed: int = 0,
         run_options: RunOptions | None = None,
+        validation: Validation | None = None,
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
@@ -109,28 +95,24 @@ class Training:
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = make_optimiser(self.network, recipe)
+        self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
+        self.validation = validation
         self.step = 0
+        self._best: Best | None = None
+        self._ended = False
 
     def __repr__(self) -> str:
         return f"Training({self.name!r}, {self.folder!r}, step {self.step} of {self.recipe.steps})"
 
     def plan(self) -> dict[str, Any]:
-        """Network, settings, variant, seed, recipe and data as plain JSON: the same plan gives the same result."""
-        return {
-            "network": self.name,
-            "settings": self.network.settings,
-            "variant": self.images.variant,
-            "seed": self.seed,
-            "recipe": asdict(self.recipe),
-            "data": self.images.identity(),
-            **({} if self.images.label_map == PARTS33 else {"labels": self.images.label_map.to_json()}),
-        }
+        """Everything that the result depends on, as plain JSON; see `training_plan`."""
+        return training_plan(self.name, self.network, self.images, self.recipe, self.seed, self.validation)
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
-        report: called with metrics every `log_every` steps, in the first process only. Raises BadConfig for a folder of
-        another plan, Diverged for a loss that is not finite, and as the loader.
+        report: called with metrics every `log_every` steps and after each validation, in the first process only. Raises
+        BadConfig for a folder of another plan, Diverged for a loss that is not finite, and as the loader.
         """
         loader_state = self._begin(resume)
         batch = self.recipe.batch_size // self.processes.world_size
@@ -141,9 +123,9 @@ class Training:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()
         self.network.train()
-        window = _MetricsWindow(self.processes, self.network.classes)
+        window = MetricsWindow(self.processes, self.network.classes)
         batches = _endless(data_loader)
-        while self.step < self.recipe.steps:
+        while self.step < self.recipe.steps and not self._ended:
             set_learning_rate(self.optimiser, self.recipe.learning_rate_at(self.step))
             torch.manual_seed(
                 int(generator(self.seed, self.step, "", f"dropout {self.processes.rank}").integers(2**62))
@@ -151,38 +133,95 @@ class Training:
             self._one_step(objective, batches, window)
             self.step += 1
             last = self.step == self.recipe.steps
-            if self.step % self.run_options.log_every == 0 or last:
+            if self.step == 1 and self.processes.first:
+                self.folder.start(self.plan())  # not earlier: a first try that fails leaves the folder usable
+            due = self.validation is not None and self.validation.due(self.step, self.recipe.steps)
+            if self.step % self.run_options.log_every == 0 or last or due:
                 metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
+                if due:
+                    metrics = self._validated(metrics, facts)
                 if self.processes.first:
-                    self.folder.log(asdict(metrics))
+                    self.folder.log(metrics.to_json())
                     report(metrics)
-                window = _MetricsWindow(self.processes, self.network.classes)
+                window = MetricsWindow(self.processes, self.network.classes)
+            last = last or self._ended
             if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
                 self.folder.keep(self._checkpoint(data_loader))
         if self.processes.first:
-            save_network(self.folder.network, self.network, self.name, {**self.plan(), **facts})
+            self._save(facts)
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         """Open the folder and restore its last checkpoint; returns the loader's state, None at the beginning."""
         checkpoint = self.folder.begin(self.plan(), resume) if self.processes.first else self.folder.last()
+        if self.processes.first:
+            self.folder.forget_after(0 if checkpoint is None else checkpoint.step)
         if checkpoint is None:
             return None
-        weights = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("network.")}
-        state = {name.partition(".")[2]: t for name, t in checkpoint.tensors.items() if name.startswith("optimiser.")}
         try:
-            self.network.load_state_dict(weights)
+            self.network.load_state_dict(checkpoint.part(TRAINED))
+            if self.averaged is not None:
+                self.averaged.network.load_state_dict(checkpoint.part(AVERAGED))
         except RuntimeError as error:
             raise BadConfig(f"{self.folder.path}: the checkpoint must be of this network: {error}") from error
-        fill_optimiser(self.optimiser, state)
+        fill_optimiser(self.optimiser, checkpoint.part(_OPTIMISER))
         self.step = checkpoint.step
-        if self.processes.first:
-            self.folder.forget_after(self.step)
+        if self.validation is not None:
+            self._best = self.folder.best() if self.processes.first else None
+            self._end_by(self.validation)
         return checkpoint.loader_state
 
     def _checkpoint(self, data_loader: Loader) -> Checkpoint:
-        weights = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        state = {f"optimiser.{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
-        return Checkpoint(self.step, data_loader.state_dict(), weights | state)
+        tensors = {f"{TRAINED}{name}": tensor for name, tensor in self.network.state_dict().items()}
+        if self.averaged is not None:
+            tensors |= {f"{AVERAGED}{name}": tensor for name, tensor in self.averaged.network.state_dict().items()}
+        tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
+        return Checkpoint(self.step, data_loader.state_dict(), tensors)
+
+    def _result(self) -> Network:
+        """The network that is validated and saved: the averaged one where there is one."""
+        return self.network if self.averaged is None else self.averaged.network
+
+    def _validated(self, metrics: Metrics, facts: dict[str, Any]) -> Metrics:
+        """Validate; returns the metrics with those of the validation, and keeps the weights if they are the best."""
+        validation = self.validation
+        if validation is None:
+            return metrics
+        if self.processes.first:
+            scores = validation.scores(
+                self._result().eval(), self.run_options.num_workers, self.run_options.worker_method
+            )
+            self.network.train()
+            accuracy = scores.confusion.average_per_class_accuracy()
+            if not math.isnan(accuracy):  # NaN if these images show no body
+                if self._best is None or accuracy > self._best.accuracy:
+                    self._best = Best(self.step, accuracy)
+                    save_network(self.folder.best_network, self._result(), self.name, self._card(facts, self.step))
+                metrics = replace(
+                    metrics,
+                    val_accuracy=round(accuracy, 5),
+                    val_pixel_accuracy=round(scores.confusion.pixel_accuracy(), 5),
+                    val_best_step=self._best.step,
+                )
+        self._end_by(validation)
+        return metrics
+
+    def _end_by(self, validation: Validation) -> None:
+        """End the training, in all processes, if the validations have not become better for too long."""
+        best_step = 0 if self._best is None else self._best.step
+        self._ended = self.processes.from_first(validation.exhausted(self.step, best_step))
+
+    def _save(self, facts: dict[str, Any]) -> None:
+        step, network = self.step, self._result()
+        if self.validation is not None and self.validation.keep == "best" and self._best is not None:
+            step, network = self._best.step, load_network(self.folder.path, "best").network
+        save_network(self.folder.network, network, self.name, self._card(facts, step))
+
+    def _card(self, facts: dict[str, Any], step: int) -> dict[str, Any]:
+        """Facts of the card of the weights of `step`."""
+        card = {**self.folder.plan(), **facts, "step": step, "last_step": self.step}
+        if self._best is not None and self._best.step == step:
+            card["val_accuracy"] = self._best.accuracy
+        return card
 
     def _objective(self) -> nn.Module:
         weights = torch.ones(self.network.classes)
@@ -197,7 +236,7 @@ class Training:
             objective = nn.parallel.DistributedDataParallel(objective)
         return objective
 
-    def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: _MetricsWindow) -> None:
+    def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
@@ -229,6 +268,8 @@ class Training:
         if recipe.clip:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.clip)
         self.optimiser.step()
+        if self.averaged is not None:
+            self.averaged.update(self.network, self.step)
 
     def _gradient_sync(self, objective: nn.Module, index: int) -> contextlib.AbstractContextManager[None]:
         """Context in which gradients are exchanged between processes in the last batch of a step only."""
@@ -236,46 +277,6 @@ class Training:
             quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
             return quiet
         return contextlib.nullcontext()
-
-
-class _MetricsWindow:
-    """Sums over the steps between two lines of the log."""
-
-    def __init__(self, processes: ProcessGroup, classes: int) -> None:
-        self._processes, self._classes = processes, classes
-        self._loss = torch.zeros((), device=processes.device)
-        self._counts = torch.zeros(classes, classes, dtype=torch.int64, device=processes.device)
-        self._turns = self._images = 0
-        self._waited = 0.0
-        self._start = time.perf_counter()
-
-    @contextlib.contextmanager
-    def waiting(self) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self._waited += time.perf_counter() - start
-
-    def add(self, loss: torch.Tensor, counts: torch.Tensor, images: int) -> None:
-        self._loss += loss.detach()
-        self._counts += counts
-        self._turns += 1
-        self._images += images
-
-    def metrics(self, step: int, rate: float) -> Metrics:
-        loss = self._processes.add_up(self._loss).item() / (self._turns * self._processes.world_size)
-        matrix = ConfusionMatrix(self._classes)
-        matrix.counts += self._processes.add_up(self._counts).cpu().numpy()
-        seconds = time.perf_counter() - self._start
-        right = matrix.counts.trace() / max(1, matrix.counts.sum())
-        return Metrics(
-            step,
-            round(loss, 5),
-            round(matrix.average_per_class_accuracy(), 5),
-            round(float(right), 5),
-            rate,
-            round(self._images * self._processes.world_size / seconds, 2),
-            round(self._waited / seconds, 4),
-        )
 
 
 def _endless(data_loader: Loader) -> Iterator[Batch]:

@@ -32,6 +32,9 @@ class Recipe:
     loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
     where that is larger. bf16: whether layers compute in bfloat16.
 
+    ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
+    (`ema.AveragedNetwork`); 0 for none.
+
     Raises BadConfig for a value out of range.
     """
 
@@ -52,6 +55,7 @@ class Recipe:
     bf16: bool
     loss_stride: int
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
+    ema: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch_size", "accumulate", "loss_stride"):
@@ -63,9 +67,13 @@ class Recipe:
             if not least <= getattr(self, name) <= most:  # also refuses NaN
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
 
+    def to_json(self) -> dict[str, Any]:
+        """The recipe as a JSON object; `ema` only where there is one."""
+        return {name: value for name, value in dataclasses.asdict(self).items() if name != "ema" or value}
+
     @staticmethod
     def from_json(content: Mapping[str, Any]) -> Recipe:
-        """Rebuild a recipe from what `dataclasses.asdict` gave. Raises TypeError or KeyError for anything else."""
+        """Rebuild a recipe from what `to_json` gave. Raises TypeError or KeyError for anything else."""
         return Recipe(
             **{**content, "geometric_augmentation": GeometricAugmentation(**content["geometric_augmentation"])}
         )
@@ -92,6 +100,7 @@ _BOUNDS: Final = (
     ("warmup", 0, 1),
     ("clip", 0, 1e6),
     ("balance", 0, 1),
+    ("ema", 0, 0.999999),
 )
 
 PRESETS: Final[dict[str, Recipe]] = {

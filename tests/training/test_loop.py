@@ -29,7 +29,8 @@ from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.training import loop as training
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
-from bodyseg_model.training.loop import Metrics, RunOptions, Training
+from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.metrics import Metrics
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
@@ -248,7 +249,7 @@ def test_another_training_is_not_overwritten(figures_set: Path, tmp_path: Path) 
     before = files(tmp_path / "run")
     with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
         train(figures_set, tmp_path / "run")
-    with pytest.raises(BadConfig, match="holds another training: seed was 0, now 1"):
+    with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
         train(figures_set, tmp_path / "run", resume=True, seed=1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")

@@ -93,7 +93,8 @@ def train(pipe: Connection, packed: Path, setup: Setup, steps: int, batch: int) 
     """
     from bodyseg_model.networks.registry import build
     from bodyseg_model.training.distributed import ProcessGroup
-    from bodyseg_model.training.loop import Metrics, RunOptions, Training
+    from bodyseg_model.training.loop import RunOptions, Training
+    from bodyseg_model.training.metrics import Metrics
     from bodyseg_model.training.recipes import recipe_for
     from bodyseg_model.training.run_folder import RunFolder
 

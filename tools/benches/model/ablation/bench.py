@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,7 +95,7 @@ def bench_ablation(
         },
         "network": NETWORK,
         "settings": plan.settings,
-        "recipe": asdict(plan.recipe),
+        "recipe": plan.recipe.to_json(),
         "data": {"source": first.manifest.source, "train": trained_on[BASE]["data"]["set"]},
         "rule": RULE,
         "conditions": [{"name": condition.label, "title": condition.title} for condition in conditions],

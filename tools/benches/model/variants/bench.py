@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
 from bodyseg_model.training.distributed import ProcessGroup, find_device
-from bodyseg_model.training.loop import Metrics
+from bodyseg_model.training.metrics import Metrics
 
 _PASSES: Final = 3
 """Forward passes that take as long as training on one image: one forward, and a backward of about two."""
@@ -90,7 +90,7 @@ def bench_variants(
         "network": NETWORK,
         "parameters": parameters(build(NETWORK, plan.settings)),
         "settings": plan.settings,
-        "recipe": asdict(plan.recipe),
+        "recipe": plan.recipe.to_json(),
         "data": {"source": manifest.source, "renderer": manifest.renderer, "train": plan.data["set"]},
         "device": str(device),
         "threads": torch.get_num_threads(),

@@ -6,7 +6,7 @@ variant. So two of them differ by the artifacts alone.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +18,8 @@ from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import Report, RunOptions, Training
+from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.metrics import Report
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
@@ -65,7 +66,7 @@ class Plan:
         return {
             "network": NETWORK,
             "settings": self.settings,
-            "recipe": asdict(self.recipe),
+            "recipe": self.recipe.to_json(),
             "variant": run.variant,
             "data": {**self.data, "variant": run.variant, "seed": run.seed},
             "seed": run.seed,

@@ -1,0 +1,124 @@
+"""Networks of trainings that have not ended, and their best and last checkpoints."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from small_rig import SMALL
+from small_training import CutError, GivenScores, cut_at, train
+
+from bodyseg_data import RangeImages
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import rig_from_json
+from bodyseg_model.commands.cli import main
+from bodyseg_model.networks import checkpoints
+from bodyseg_model.networks.checkpoints import load_network, read_tensors
+from bodyseg_model.training.loop import RunOptions
+from bodyseg_model.training.run_folder import RunFolder
+
+
+@pytest.fixture(scope="module")
+def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL)
+
+
+@pytest.fixture(scope="module")
+def unfinished(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training of four steps that ended after its third checkpoint; the best validation was that of step 1."""
+    out = tmp_path_factory.mktemp("runs") / "unfinished"
+    validation = GivenScores([RangeImages(small_set, "all", "test")], 1, accuracies=(0.5, 0.4, 0.3, 0.2))
+    with pytest.raises(CutError):
+        train(small_set, out, ema=0.9, validation=validation, report=cut_at(4))
+    return out
+
+
+def test_a_training_that_has_not_ended_gives_its_last_checkpoint(unfinished: Path) -> None:
+    stored = read_tensors(unfinished / "checkpoint-00000003.safetensors")
+    for checkpoint in (None, "last"):
+        trained = load_network(unfinished, checkpoint)  # type: ignore[arg-type]
+        assert (trained.card["step"], trained.card["recipe"]["steps"]) == (3, 4)
+        assert rig_from_json(trained.card["rig"]) == SMALL
+        assert not trained.network.training
+        for name, weight in trained.network.state_dict().items():
+            assert torch.equal(weight, stored[f"average.{name}"])
+    best = load_network(unfinished, "best")
+    assert best.card["step"] == 1
+    assert best.card["sensor"]["name"] == "paper"
+
+
+def test_the_end_comes_before_the_last_checkpoint_until_the_training_goes_on(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=2)
+    assert load_network(tmp_path).card["commit"] == "none"
+    with pytest.raises(CutError):
+        train(small_set, tmp_path, steps=5, report=cut_at(4), resume=True)
+    assert load_network(tmp_path).card["step"] == 3
+    assert load_network(tmp_path, "last").card["step"] == 3
+
+
+def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = RunOptions(1, 1, 0)
+    with pytest.raises(CutError):
+        train(small_set, tmp_path, report=cut_at(3), options=options)
+    read, waiting = checkpoints.read_bytes, [True]
+
+    def slow_read(path: Path) -> bytes:
+        if path.suffix == ".safetensors" and waiting.pop():
+            with monkeypatch.context() as patch, pytest.raises(CutError):
+                patch.setattr(checkpoints, "read_bytes", read)
+                train(small_set, tmp_path, resume=True, report=cut_at(4), options=options)
+            waiting.append(False)
+        return read(path)
+
+    monkeypatch.setattr(checkpoints, "read_bytes", slow_read)
+    assert load_network(tmp_path).card["step"] == 3
+
+
+def test_checkpoints_that_are_not_there_are_refused(unfinished: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text("{}")
+    for path, checkpoint, message in (
+        (tmp_path, "last", "has no checkpoint yet"),
+        (tmp_path, "best", "has no best checkpoint: it is kept by a training that is validated (--val-share)"),
+        (unfinished / "best.safetensors", "best", "checkpoint 'best' is one of a run's folder, found"),
+    ):
+        with pytest.raises(BadConfig) as caught:
+            load_network(path, checkpoint)  # type: ignore[arg-type]
+        assert message in str(caught.value)
+
+
+def test_a_run_that_names_no_network_is_refused(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=1)
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(BadConfig, match=r"run.json must name the network and its settings"):
+        load_network(tmp_path, "last")
+    (file,) = tmp_path.glob("checkpoint-*.safetensors")
+    file.unlink()
+    with pytest.raises(BadConfig, match="cannot read .*checkpoint-00000001.safetensors"):
+        RunFolder(tmp_path).last()
+
+
+@pytest.mark.parametrize("checkpoint", ["best", "last", None])
+def test_evaluate_says_which_step_it_scores(
+    unfinished: Path, small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], checkpoint: str | None
+) -> None:
+    words = ["--run", str(unfinished), "--data", str(small_set), "--json", str(tmp_path / "scores.json")]
+    words += ["--images", "2", "--num-workers", "0", "--frames", "0"]
+    if checkpoint is not None:
+        words += ["--checkpoint", checkpoint]
+    assert main(["evaluate", *words]) == 0
+    step = 1 if checkpoint == "best" else 3
+    assert f"the network's weights are those after step {step} of 4\n" in capsys.readouterr().err
+    assert json.loads((tmp_path / "scores.json").read_text())["card"]["step"] == step
+
+
+def test_evaluate_refuses_a_checkpoint_without_a_run(
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--data", str(small_set), "--json", str(tmp_path / "scores.json"), "--checkpoint", "best"]
+    assert main(["evaluate", *words]) == 2
+    assert capsys.readouterr().err.endswith("--checkpoint is one of a training run: give its folder by --run\n")

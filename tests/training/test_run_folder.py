@@ -1,0 +1,199 @@
+"""The folder of a training: what may begin in it, what may go on, and what a refusal names."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_rig import SMALL
+from small_training import RECIPE, TINY, CutError, GivenScores, cut_at, log, train, written
+
+from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.commands.options import flag_of
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.commands.train import Options
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.training.loop import RunOptions
+from bodyseg_model.training.plan import FLAGS, check_plan, differences, option_of
+
+SELDOM = RunOptions(1, 100, 0)
+
+
+@pytest.fixture(scope="module")
+def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, shard_samples=8)
+
+
+def test_a_try_that_fails_before_its_first_step_leaves_the_folder_usable(small_set: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(BadConfig, match="they do not fill one batch of 64"):
+        train(small_set, out, batch_size=64)
+    assert list(out.iterdir()) == []
+    train(small_set, out, batch_size=4, steps=1)
+    assert json.loads((out / "run.json").read_text())["recipe"]["batch_size"] == 4
+
+
+def test_a_folder_with_a_plan_alone_is_begun_anew(small_set: Path, tmp_path: Path) -> None:
+    """As a training leaves it that ends after its first step and before its first line of the log."""
+    train(small_set, tmp_path / "whole", seed=1)
+    train(small_set, tmp_path / "run", steps=1)
+    for file in (tmp_path / "run").iterdir():
+        if file.name != "run.json":
+            file.unlink()
+    train(small_set, tmp_path / "run", seed=1)
+    assert written(tmp_path / "run") == written(tmp_path / "whole")
+    assert json.loads((tmp_path / "run/run.json").read_text()) == json.loads((tmp_path / "whole/run.json").read_text())
+
+
+def test_a_training_without_a_checkpoint_repeats_its_log(small_set: Path, tmp_path: Path) -> None:
+    with pytest.raises(CutError):
+        train(small_set, tmp_path, options=SELDOM, report=cut_at(2))
+    with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
+        train(small_set, tmp_path, options=SELDOM)
+    train(small_set, tmp_path, options=SELDOM, resume=True)
+    assert [line["step"] for line in log(tmp_path)] == [1, 2, 3, 4]
+
+
+def test_steps_may_grow_and_the_rate_follows_the_new_schedule(small_set: Path, tmp_path: Path) -> None:
+    first = train(small_set, tmp_path, steps=2)
+    more = train(small_set, tmp_path, steps=5, resume=True)
+    rates = [metrics.learning_rate for metrics in (*first, *more)]
+    schedules = [dataclasses.replace(RECIPE, steps=steps).learning_rate_at for steps in (2, 5)]
+    assert rates == pytest.approx([*map(schedules[0], range(2)), *map(schedules[1], range(2, 5))])
+    train(small_set, tmp_path, steps=7, resume=True)
+    for file in ("run.json", "network.json"):
+        plan = json.loads((tmp_path / file).read_text())
+        assert plan["recipe"]["steps"] == 7
+        assert plan["earlier_steps"] == [{"steps": 2, "until": 2}, {"steps": 5, "until": 5}]
+    assert [line["step"] for line in log(tmp_path)] == [1, 2, 3, 4, 5, 6, 7]
+    assert load_network(tmp_path).card["last_step"] == 7
+
+
+def test_steps_may_shrink_to_those_done(small_set: Path, tmp_path: Path) -> None:
+    with pytest.raises(CutError):
+        train(small_set, tmp_path, steps=9, report=cut_at(4))
+    with pytest.raises(BadConfig, match=r"has reached step 3: --steps must be at least that, found 2"):
+        train(small_set, tmp_path, steps=2, resume=True)
+    assert train(small_set, tmp_path, steps=3, resume=True) == []
+    assert load_network(tmp_path).card["step"] == 3
+
+
+def test_a_growing_training_keeps_its_best_weights(small_set: Path, tmp_path: Path) -> None:
+    held_out = RangeImages(small_set, "all", "test")
+    train(small_set, tmp_path, steps=2, validation=GivenScores([held_out], 1, accuracies=(0.7, 0.3)))
+    best = (tmp_path / "best.safetensors").read_bytes()
+    said = train(small_set, tmp_path, steps=3, resume=True, validation=GivenScores([held_out], 1, accuracies=(0.6,)))
+    assert [metrics.val_best_step for metrics in said] == [1]
+    assert (tmp_path / "network.safetensors").read_bytes() == (tmp_path / "best.safetensors").read_bytes() == best
+
+
+def held_out(data: Path, count: int | None = None, every: int = 1) -> GivenScores:
+    return GivenScores([RangeImages(data, "all", "test")], every, count, accuracies=(0.1,) * 9)
+
+
+def with_noise(data: Path, most: float) -> RangeImages:
+    return RangeImages(data, "all", "train", sensor=load_sensor_model().with_artifacts(Noise(0.0, most)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (lambda data: {"learning_rate": 0.02}, "--lr was 0.01, now 0.02"),
+        (lambda data: {"seed": 1}, "--seed was 0, now 1"),
+        (lambda data: {"seed": 1, "steps": 9}, "--seed was 0, now 1"),
+        (lambda data: {"settings": {**TINY, "patch": 8}}, "--settings patch was 16, now 8"),
+        (lambda data: {"bf16": True}, "--precision was float32, now bfloat16"),
+        (lambda data: {"ema": 0.9}, "--ema was not given, now 0.9"),
+        (lambda data: {"momentum": 0.5}, "--recipe momentum was 0.9, now 0.5"),
+        (
+            lambda data: {"geometric_augmentation": dataclasses.replace(RECIPE.geometric_augmentation, zoom=0.5)},
+            "--no-geometric-augmentation zoom was 0.0, now 0.5",
+        ),
+        (lambda data: {"batch_size": 4, "accumulate": 2}, "--batch-size was 2, now 4; --accumulate was 1, now 2"),
+        (
+            lambda data: {"batch_size": 4, "accumulate": 2, "learning_rate": 0.02, "balance": 0, "clip": 0},
+            "--batch-size was 2, now 4; --accumulate was 1, now 2; --lr was 0.01, now 0.02 and 2 more",
+        ),
+        (lambda data: {"images": RangeImages(data, "noise", "train")}, '--variant was "all", now "noise"'),
+        (lambda data: {"images": with_noise(data, 50.0)}, "--artifacts noise high_mm was 100.0, now 50.0"),
+        (lambda data: {"images": RangeImages(data, "all", "train", only=("*",))}, '--only was not given, now ["*"]'),
+        (
+            lambda data: {"images": RangeImages(data, "all", "train", labels="limbs14")},
+            "--labels was not given, now given",
+        ),
+        (lambda data: {"images": RangeImages(data, "all", "train", sensor="kinect_v1")}, "--sensor name was "),
+        (lambda data: {"images": RangeImages(data / "train-*0.tar", "all", "train")}, '--data set was "'),
+        (lambda data: {"validation": held_out(data)}, "--val-share was not given, now given"),
+    ],
+)
+def test_a_refusal_names_the_option_that_differs(
+    small_set: Path, tmp_path: Path, changes: Callable[[Path], dict[str, Any]], message: str
+) -> None:
+    train(small_set, tmp_path, steps=1)
+    with pytest.raises(BadConfig) as caught:
+        train(small_set, tmp_path, resume=True, **{"steps": 1, **changes(small_set)})
+    said = str(caught.value)
+    assert f"{tmp_path} holds another training: {message}" in said
+    if message[-1] not in ' "':
+        assert said.endswith(message)
+
+
+def test_a_refusal_names_the_option_of_validation_that_differs(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=1, validation=held_out(small_set, 3))
+    for validation, message in (
+        (held_out(small_set, 4), "--val-images was 3, now 4"),
+        (held_out(small_set, 3, 2), "--val-every was 1, now 2"),
+        (None, "--val-share was given, now not given"),
+    ):
+        with pytest.raises(BadConfig, match=message):
+            train(small_set, tmp_path, steps=1, validation=validation, resume=True)
+
+
+def test_another_rig_is_named_by_its_fields(small_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]) -> None:
+    farther = pack_figures(tmp_path / "shards", rig=dataclasses.replace(SMALL, stand_off_m=3.0))
+    train(small_set, tmp_path / "run", steps=1)
+    with pytest.raises(BadConfig) as caught:
+        train(farther, tmp_path / "run", steps=1, resume=True)
+    assert str(caught.value).endswith("holds another training: --data rig stand_off_m was 2.5, now 3.0")
+
+
+def test_options_in_refusals_are_those_of_the_command() -> None:
+    known = {flag_of(field) for field in dataclasses.fields(Options)}
+    others = {"--labels", "--weights"}
+    assert {flag.split()[0] for flag in FLAGS.values()} - known <= others
+
+
+def test_differences_are_found_in_lists_of_objects_by_name() -> None:
+    was = {"artifacts": [{"artifact": "occlusion"}, {"artifact": "noise", "high_mm": 5}], "sets": [{"set": "a"}]}
+    now = {"artifacts": [{"artifact": "noise", "high_mm": 6}], "sets": [{"set": "a"}, {"set": "b"}], "new": [1, 2]}
+    found = [(path, was is not None, now) for path, was, now in differences(was, now)]
+    assert [path for path, _, _ in found] == [
+        ("artifacts", "noise", "high_mm"),
+        ("artifacts", "occlusion"),
+        ("sets", "1"),
+        ("new",),
+    ]
+    assert option_of(("recipe", "learning_rate")) == ("--lr", ())
+    assert option_of(("unknown", "field")) == ("unknown", ("field",))
+
+
+def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) -> None:
+    def plan(*sets: dict[str, Any]) -> dict[str, Any]:
+        return {"recipe": {"steps": 1}, "data": {"mixture": list(sets), "seed": 0} if len(sets) > 1 else sets[0]}
+
+    one, other = {"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}
+    check_plan(tmp_path, plan(one, other), plan(one, other), 0)
+    for found, wanted, message in (
+        (plan(one, other), plan(one, {**other, "weight": 3.0}), "--weights was 2.0, now 3.0"),
+        (plan(one, other), plan({**one, "set": "c"}, other), '--data set was "a", now "c"'),
+        (plan(one), plan(one, other), "--data was 1 set, now 2 sets"),
+    ):
+        with pytest.raises(BadConfig) as caught:
+            check_plan(tmp_path, found, wanted, 0)
+        assert str(caught.value) == f"{tmp_path} holds another training: {message}"

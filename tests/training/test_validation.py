@@ -1,0 +1,164 @@
+"""Validation while training: its scores, the best weights, the early end, and that all of it resumes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from small_rig import SMALL
+from small_training import CutError, GivenScores, cut_at, log, train, written
+
+from bodyseg_data import RangeImages
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.evaluation.evaluation import evaluate
+from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.training.loop import RunOptions
+from bodyseg_model.training.validation import Validation
+
+NAN = float("nan")
+
+
+@pytest.fixture(scope="module")
+def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL)
+
+
+@pytest.fixture
+def held_out(small_set: Path) -> RangeImages:
+    return RangeImages(small_set, "all", "test")
+
+
+@pytest.mark.parametrize("ema", [0.0, 0.9])
+def test_scores_are_those_of_evaluate(small_set: Path, held_out: RangeImages, tmp_path: Path, ema: float) -> None:
+    said = train(small_set, tmp_path, validation=Validation([held_out], 2, 5, keep="last"), ema=ema)
+    assert [metrics.val_accuracy is not None for metrics in said] == [False, True, False, True]
+    scores = evaluate(load_network(tmp_path).network, held_out, 5, extras=()).total().confusion
+    last = log(tmp_path)[-1]
+    assert last["val_accuracy"] == said[-1].val_accuracy == round(scores.average_per_class_accuracy(), 5)
+    assert last["val_pixel_accuracy"] == round(scores.pixel_accuracy(), 5)
+    assert "val_accuracy" not in log(tmp_path)[0]
+
+
+def test_several_sets_are_scored_together(held_out: RangeImages, small_set: Path, tmp_path: Path) -> None:
+    other = RangeImages(small_set, "none", "test", only=("*A-*",))
+    train(small_set, tmp_path, steps=1)
+    network = load_network(tmp_path).network
+    each = [evaluate(network, images, 3, extras=()).total().confusion.counts for images in (held_out, other)]
+    found = Validation([held_out, other], count=3).scores(network)
+    assert found.images == 6
+    assert (found.confusion.counts == each[0] + each[1]).all()
+
+
+def test_validating_changes_no_weights(small_set: Path, held_out: RangeImages, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "without")
+    train(small_set, tmp_path / "with", validation=Validation([held_out], 1, keep="last"))
+    name = "network.safetensors"
+    assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+
+
+@pytest.mark.parametrize("keep", ["best", "last"])
+def test_the_best_weights_are_kept(small_set: Path, held_out: RangeImages, tmp_path: Path, keep: Any) -> None:
+    """The first of the best ones; equal ones later do not take its place."""
+    validation = GivenScores([held_out], 1, keep=keep, accuracies=(0.2, 0.6, NAN, 0.6))
+    said = train(small_set, tmp_path / "run", validation=validation)
+    assert [metrics.val_best_step for metrics in said] == [1, 2, None, 2]
+    best, network = load_network(tmp_path / "run", "best"), load_network(tmp_path / "run")
+    assert (best.card["step"], best.card["val_accuracy"]) == (2, 0.6)
+    assert network.card["step"] == (2 if keep == "best" else 4)
+    assert network.card["last_step"] == 4
+    with pytest.raises(CutError):
+        train(small_set, tmp_path / "two", report=cut_at(3))
+    after_two = load_network(tmp_path / "two")
+    assert after_two.card["step"] == 2
+    for name, weight in after_two.network.state_dict().items():
+        assert torch.equal(weight, best.network.state_dict()[name])
+        assert torch.equal(weight, network.network.state_dict()[name]) or keep == "last"
+
+
+def test_a_network_that_never_had_a_score_is_the_last(small_set: Path, held_out: RangeImages, tmp_path: Path) -> None:
+    said = train(small_set, tmp_path, steps=2, validation=GivenScores([held_out], 1, accuracies=(NAN, NAN)))
+    assert [metrics.val_accuracy for metrics in said] == [None, None]
+    assert load_network(tmp_path).card["step"] == 2
+    assert not (tmp_path / "best.json").exists()
+
+
+def test_a_training_ends_where_it_gets_no_better(small_set: Path, held_out: RangeImages, tmp_path: Path) -> None:
+    def validation(patience: int, *accuracies: float) -> GivenScores:
+        return GivenScores([held_out], 1, patience=patience, accuracies=accuracies)
+
+    quiet = RunOptions(100, 100, 0)
+    said = train(small_set, tmp_path, steps=9, validation=validation(2, 0.2, 0.6, 0.4, 0.5), options=quiet)
+    assert [metrics.step for metrics in said] == [1, 2, 3, 4]
+    card = load_network(tmp_path).card
+    assert (card["step"], card["last_step"], card["recipe"]["steps"]) == (2, 4, 9)
+    before = written(tmp_path)
+    assert train(small_set, tmp_path, steps=9, validation=validation(2), options=quiet, resume=True) == []
+    assert written(tmp_path) == before
+    more = train(small_set, tmp_path, steps=9, validation=validation(3, 0.7, 0.1, 0.1, 0.1), options=quiet, resume=True)
+    assert [metrics.step for metrics in more] == [5, 6, 7, 8]
+    assert load_network(tmp_path).card["step"] == 5
+
+
+def test_validations_between_which_a_training_ends() -> None:
+    images = [object.__new__(RangeImages)]
+    validation = Validation(images, 100, patience=2)
+    assert [step for step in (50, 100, 150, 200, 250) if validation.due(step, 250)] == [100, 200, 250]
+    assert [step for step in (100, 200, 300, 400) if validation.exhausted(step, 0)] == [200, 300, 400]
+    assert [step for step in (200, 300, 400) if validation.exhausted(step, 200)] == [400]
+    assert not validation.exhausted(100, 300), "a step that a resumed training repeats"
+    assert not Validation(images, 100).exhausted(10**6, 0)
+
+
+@pytest.mark.parametrize("cut", [2, 3])
+def test_a_validated_averaged_training_carries_on_with_the_same_bits(
+    small_set: Path, held_out: RangeImages, tmp_path: Path, cut: int
+) -> None:
+    """Cut after a validation's weights are written and before its checkpoint, or between two validations."""
+    options = RunOptions(1, 1, 0)
+
+    def go(name: str, **more: Any) -> None:
+        validation = Validation([held_out], 2, 4)
+        train(small_set, tmp_path / name, ema=0.9, validation=validation, options=options, **more)
+
+    go("whole")
+    with pytest.raises(CutError):
+        go("cut", report=cut_at(cut))
+    assert json.loads((tmp_path / "cut" / "checkpoint.json").read_text())["step"] == cut - 1
+    go("cut", resume=True)
+    assert written(tmp_path / "cut") == written(tmp_path / "whole")
+    timed = {"images_per_second", "data_wait"}
+    logs = [
+        [{name: line[name] for name in line.keys() - timed} for line in log(tmp_path / name)]
+        for name in ("cut", "whole")
+    ]
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"every": 0}, "val_every must be a whole number of at least 1, found 0"),
+        ({"count": 0}, "val_images must be a whole number of at least 1, found 0"),
+        ({"patience": 0}, "patience must be a whole number of at least 1, found 0"),
+        ({"keep": "worst"}, "keep must be best or last, found 'worst'"),
+        ({"images": []}, "a validation needs at least one set of images"),
+    ],
+)
+def test_bad_validations_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig) as caught:
+        Validation(**{"images": [object.__new__(RangeImages)], **options})
+    assert message in str(caught.value)
+
+
+def test_a_damaged_card_of_the_best_is_refused(small_set: Path, held_out: RangeImages, tmp_path: Path) -> None:
+    def validation() -> GivenScores:
+        return GivenScores([held_out], 1, accuracies=(0.2, 0.6))
+
+    train(small_set, tmp_path, steps=1, validation=validation())
+    (tmp_path / "best.json").write_text('{"step": 1}')
+    with pytest.raises(BadConfig, match="best.json must hold the step and the val_accuracy of a validation"):
+        train(small_set, tmp_path, steps=2, validation=validation(), resume=True)
