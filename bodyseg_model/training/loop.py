@@ -19,7 +19,6 @@ from torch import nn
 
 from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
-from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.loader import Loader

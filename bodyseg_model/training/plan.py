@@ -65,8 +65,8 @@ def training_plan(
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
     name: of the network in `registry.NETWORKS`. Keys: network, settings, variant, seed, recipe, data (identity of the
-    images), rig (`Rig.to_json`) and sensor (name and artifacts) of the images, of a mixture its first set's, labels (`LabelMap.to_json`) where they are not the 33
-    parts, validation where there is one.
+    images), rig (`Rig.to_json`) and sensor (name and artifacts) of the images, of a mixture those of its first set,
+    labels (`LabelMap.to_json`) where they are not the 33 parts, validation where there is one.
     """
     first = images.sets[0]
     sensor = first.augmentation.sensor.to_json()
