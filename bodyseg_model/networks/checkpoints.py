@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +15,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
+from bodyseg_data.core.rig import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build
 
@@ -25,15 +28,34 @@ NETWORK: Final = "network.safetensors"
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
+WEIGHTS_SHA256: Final = "weights_sha256"
+"""Entry of a card: the SHA-256 of the .safetensors file beside it, in hexadecimal."""
+
 _LARGEST_FILE: Final = 1 << 31
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained."""
+    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained.
+
+    rig: camera, projector and stand-off of the images that it was trained on. sensor: the artifacts of these images,
+    before the variant took those of its kinds. Both are the paper's where the card does not name them.
+    """
 
     network: Network
     card: dict[str, Any]
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The card's rig. Raises BadConfig for an entry that is none."""
+        return rig_from_json(self.card["rig"]) if "rig" in self.card else load_rig()
+
+    @cached_property
+    def sensor(self) -> SensorModel:
+        """The card's sensor model. Raises BadConfig for an entry that is none, or an artifact that is not installed."""
+        if "sensor" not in self.card:
+            return load_sensor_model()
+        return sensor_model_from_json(self.card["sensor"], "a network's card, sensor")
 
     def __repr__(self) -> str:
         facts = {name: self.card.get(name) for name in ("network", "settings", "variant", "seed")}
@@ -43,18 +65,21 @@ class Trained:
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
     """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
 
-    half: filters in 16 bits, for half the bytes; scales, biases and statistics stay in 32.
+    facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
+    bytes; scales, biases and statistics stay in 32.
     """
     card = {"format": FORMAT, "network": name, "settings": network.settings, **facts}
     weights = network.state_dict()
-    write_tensors(path, {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()})
+    half_weights = {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()}
+    card[WEIGHTS_SHA256] = write_tensors(path, half_weights)
     write_json(path.with_suffix(".json"), card)
 
 
 def load_network(path: Path) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
-    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card.
+    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
+    SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
     file = path / NETWORK if path.is_dir() else path
     if file.suffix != ".safetensors":
@@ -66,8 +91,13 @@ def load_network(path: Path) -> Trained:
     if not isinstance(card.get("network"), str) or not isinstance(settings, dict):
         raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
     network = build(card["network"], settings)
-    fill(network, read_tensors(file), file)
-    return Trained(network.eval(), card)
+    fill(network, _parse(_read_weights(file, card.get(WEIGHTS_SHA256)), file), file)
+    trained = Trained(network.eval(), card)
+    try:
+        _ = trained.rig  # here, where the file is known
+    except BadConfig as error:
+        raise BadConfig(f"{file.with_suffix('.json')}: {error}") from error
+    return trained
 
 
 def shipped_network() -> Trained:
@@ -102,10 +132,22 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
+    return _parse(read_bytes(path), path)
+
+
+def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
     try:
-        return parse_tensors(read_bytes(path))
+        return parse_tensors(data)
     except SafetensorError as error:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
+
+
+def _read_weights(path: Path, expected: Any) -> bytes:
+    """All of a file. Raises BadConfig if its SHA-256 is not the expected one, which None leaves unchecked."""
+    data = read_bytes(path)
+    if expected is not None and (found := hashlib.sha256(data).hexdigest()) != expected:
+        raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
+    return data
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
