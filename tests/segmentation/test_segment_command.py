@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -111,6 +112,8 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
         facts["camera"]["focal_px"] == 100 and facts["camera"]["origin"] == "given" and not facts["camera"]["mirrored"]
     )
     assert facts["unit_m"] == 0.001 and facts["background"]["mode"] == "people"
+    assert facts["peak_mb"] > 50, "this process alone takes more"
+    assert facts["resampling"]["rig"] == "paper"
     assert facts["resampling"]["distance_m"] == 2.5 and facts["preview"] == {"frames": 5, "frames_per_second": 5.0}
     assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
     assert [frame["name"] for frame in facts["each"]] == names
@@ -150,7 +153,13 @@ def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
     save_network(tmp_path / "network.safetensors", build("compact", settings), "compact", {"seed": 9, "secret": 1})
     out = tmp_path / "out"
     assert run(recording / "7.png", "--focal", "100", "--run", tmp_path, "--out", out, "--device", "cpu") == 0
-    assert report(out)["network"] == {"file": str(tmp_path), "network": "compact", "seed": 9}
+    digest = hashlib.sha256((tmp_path / "network.safetensors").read_bytes()).hexdigest()
+    assert report(out)["network"] == {
+        "file": str(tmp_path),
+        "network": "compact",
+        "seed": 9,
+        "weights_sha256": digest,
+    }
     labels = pixels(out / "labels" / "7.png")
     np.testing.assert_array_equal(labels != BACKGROUND, pixels(recording / "7.png") == 2000)
 
@@ -281,7 +290,9 @@ def test_an_out_that_cannot_be_written_is_named(
     assert f"cannot write {tmp_path / 'file'}" in refused(
         capsys, recording, "--focal", "100", "--out", tmp_path / "file"
     )
-    (tmp_path / "out" / "labels" / "9.png").mkdir(parents=True)
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
+    (tmp_path / "out" / "labels" / "9.png").unlink()
+    (tmp_path / "out" / "labels" / "9.png").mkdir()
     said = refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out")
     assert said == f"cannot write {tmp_path / 'out' / 'labels' / '9.png'}: Is a directory"
 
@@ -322,5 +333,5 @@ def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "probably" not in capsys.readouterr().err
     with Image.open(file) as picture:
         save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
-    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "out") == 0
+    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "turned") == 0
     assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err
