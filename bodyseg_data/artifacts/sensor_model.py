@@ -163,12 +163,13 @@ def parse_sensor_model(text: str, where: str) -> SensorModel:
 
 
 def sensor_model_from_json(tree: Any, where: str) -> SensorModel:
-    """Rebuild a sensor model from what `SensorModel.to_json` gave; `where` names its origin in messages.
+    """Rebuild a sensor model from what `SensorModel.to_json` gave, or its name and artifacts alone.
 
-    Raises BadConfig as `load_sensor_model`, also for an artifact that is not installed or of another version.
+    where: names its origin in messages. Raises BadConfig as `load_sensor_model`, also for an artifact that is not
+    installed or of another version.
     """
-    if not isinstance(tree, dict) or tree.get("format") != SENSOR_FORMAT:
-        raise BadConfig(f"{where}: a stored sensor's 'format' must be {SENSOR_FORMAT!r}")
+    if not isinstance(tree, dict) or tree.get("format", SENSOR_FORMAT) != SENSOR_FORMAT:
+        raise BadConfig(f"{where}: a stored sensor must be an object with name and artifacts, of {SENSOR_FORMAT!r}")
     return _model({key: value for key, value in tree.items() if key != "format"}, where)
 
 

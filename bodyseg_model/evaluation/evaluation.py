@@ -106,13 +106,15 @@ class Evaluation:
     """Scores of every subset: the paper's A, B, C and people, or those that a source names.
 
     milliseconds: time of the network, of scores, and of waiting for images to be loaded. worst: average per-class
-    accuracy and key of the ten images of lowest accuracy, the lowest first.
+    accuracy and key of the ten images of lowest accuracy, the lowest first. worker_peaks_mb: the most memory of each
+    worker process that loaded images, MB; see `Loader.worker_peaks_mb`.
     """
 
     extras: frozenset[Extra] = field(default=frozenset(EXTRAS), repr=False)
     subsets: dict[str, Scores] = field(default_factory=dict)
     milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_STAGES, 0.0), repr=False)
     worst: list[tuple[float, str]] = field(default_factory=list, repr=False)
+    worker_peaks_mb: list[float | None] = field(default_factory=list, repr=False)
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
         """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
@@ -137,6 +139,7 @@ class Evaluation:
         for stage, milliseconds in other.milliseconds.items():
             self.milliseconds[stage] += milliseconds
         self.worst = sorted([*self.worst, *other.worst])[:_WORST]
+        self.worker_peaks_mb += other.worker_peaks_mb
 
 
 def open_images(
@@ -222,6 +225,7 @@ def evaluate(
                     watch(image, accuracy)
         if progress is not None:
             progress(done + len(keys), total)
+    found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
 
 

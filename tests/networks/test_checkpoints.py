@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -144,12 +145,17 @@ def test_rig_and_sensor_are_those_of_the_card(file: Path) -> None:
     rewrite_card(file, rig=SMALL.to_json(), sensor=sensor.to_json())
     trained = load_network(file)
     assert (trained.rig, trained.sensor) == (SMALL, sensor)
+    tree = sensor.to_json()
+    rewrite_card(file, sensor={name: tree[name] for name in ("name", "artifacts")})
+    assert load_network(file).sensor == replace(sensor, title="")
 
 
 @pytest.mark.parametrize(
     ("sensor", "message"),
     [
-        (None, "^a network's card, sensor: a stored sensor's 'format' must be 'bodyseg sensor 1'$"),
+        (None, "^a network's card, sensor: a stored sensor must be an object with name and artifacts, of 'bodyseg s"),
+        ({"format": "x", "name": "x"}, "a stored sensor must be an object with name and artifacts, of 'bodyseg sensor"),
+        ({"artifacts": []}, "a network's card, sensor: text 'name' is missing"),
         ({"format": "bodyseg sensor 1", "name": "x", "artifacts": 3}, "'artifacts' must be tables"),
         ({"format": "bodyseg sensor 1", "name": "x", "artifacts": [{"artifact": "rust"}]}, "rust"),
     ],
