@@ -233,6 +233,9 @@ def _intrinsics(tree: Any, where: str) -> Intrinsics:
         given = tree["distortion"]
         count = 4 if isinstance(given, list) and len(given) == 4 else 5
         coefficients = dict(zip(_COEFFICIENTS, table.numbers("distortion", count), strict=False))
-        distortion = Distortion(**coefficients) if any(coefficients.values()) else None
+        try:
+            distortion = Distortion(**coefficients) if any(coefficients.values()) else None
+        except BadConfig as error:
+            raise BadConfig(f"{where}: {error}") from None
     table.finish()
     return Intrinsics(fx, fy, cx, cy, distortion, size, where)
