@@ -17,7 +17,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.rig import rig_names
+from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
@@ -39,6 +39,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
 _UNDISTORTED: Final = IMAGES[2]
+_NEAR: Final = 0.7  # of the stand-off; docs/segment.md has the accuracy by distance
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -105,7 +106,8 @@ def run(options: Options) -> int:
         "peak_mb": peak_mb(),
     }
     out.finish({**facts, **summary.to_json()})
-    sys.stderr.write("".join(f"{line}\n" for line in _remarks(options, cameras, summary, shadows)))
+    lines = _remarks(options, cameras, summary, shadows) + _too_near(summary, trained.rig)
+    sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
 
 
@@ -196,3 +198,14 @@ def _remarks(options: Options, cameras: FrameCameras, summary: SequenceSummary, 
             f"frames are probably {shown} --mirrored"
         )
     return lines
+
+
+def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:
+    """A line where most bodies are much nearer than those trained on: their perspective cannot be resampled."""
+    range_m = summary.median_range_m
+    if range_m is None or range_m >= _NEAR * rig.stand_off_m:
+        return []
+    return [
+        f"bodies are {range_m:.2g} m away, the network was trained for {rig.stand_off_m:.2g} m (rig {rig.name}): "
+        "so near, labels are less accurate"
+    ]

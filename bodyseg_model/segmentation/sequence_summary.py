@@ -67,6 +67,12 @@ class SequenceSummary:
         return sum(frame["people"] for frame in self._frames)
 
     @property
+    def median_range_m(self) -> float | None:
+        """Median over all bodies of their ranges, metres; None if there is no body."""
+        ranges = [body["range_m"] for frame in self._frames for body in frame["bodies"]]
+        return float(np.median(ranges)) if ranges else None
+
+    @property
     def mean_confidence(self) -> float | None:
         """Mean over all pixels that show a body; None if none does."""
         with_people = [frame for frame in self._frames if frame["pixels"]]

@@ -212,7 +212,7 @@ def test_frames_may_have_cameras_of_their_own(recording: Path, tmp_path: Path, n
     facts = report(out)
     assert facts["camera"] == {"origin": "a file beside each frame", "frames_with_their_own": 5, "mirrored": False}
     assert [frame["camera"]["focal_px"] for frame in facts["each"]] == [100, 100, 150, 100, 100]
-    assert [frame["bodies"][0]["scale"] for frame in facts["each"][::2]] == pytest.approx([6.06, 4.04, 6.06], abs=0.1)
+    assert [frame["bodies"][0]["scale"] for frame in facts["each"][::2]] == pytest.approx([6.06, 4.04, 6.06], rel=0.03)
     assert facts["preview"]["frames"] == 4, "those of one size"
     assert facts["each"][1]["flicker"] is None and facts["each"][3]["flicker"] is not None
     lens = cameras_beside(find_frames([recording / "8.png"]))[0]

@@ -15,7 +15,7 @@ from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.rig import load_rig, rig_from_json
-from bodyseg_model.commands import cli
+from bodyseg_model.commands import cli, segment
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
 from bodyseg_model.networks.registry import build
@@ -34,11 +34,11 @@ LENS = frame_camera((60, 80), "a frame", focal_px=100.0).camera
 
 def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
     places = Places(axis=0, step=1)
-    _, segment = Segmenters(Trained(places, {"rig": SMALL.to_json()}), KEEP).of(LENS)
+    _, labels_of = Segmenters(Trained(places, {"rig": SMALL.to_json()}), KEEP).of(LENS)
     frame = np.zeros((60, 80), np.float32)
     frame[10:50, 34:46] = 2.0
-    (body,) = segment(frame).bodies
-    assert segment.rig == SMALL
+    (body,) = labels_of(frame).bodies
+    assert labels_of.rig == SMALL
     assert body.scale == pytest.approx(SMALL.camera.focal_px / 2.5 / (100 / 2.0))
     assert body.scale == pytest.approx(757.5757 / 4 / 2.5 / (100 / 2.0), rel=1e-6)
     (seen,) = places.seen
@@ -48,10 +48,10 @@ def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
 
 def test_options_and_cameras_are_kept_by_camera() -> None:
     segmenters = Segmenters(Trained(Places(0, 10), {"network": "places"}), KEEP, True, 0.5)
-    lens, segment = segmenters.of(LENS)
-    assert lens is None and segmenters.of(LENS)[1] is segment
-    assert (segment.mirrored, segment.least_confidence, segment.background) == (True, 0.5, KEEP)
-    assert segment.rig == load_rig()
+    lens, labels_of = segmenters.of(LENS)
+    assert lens is None and segmenters.of(LENS)[1] is labels_of
+    assert (labels_of.mirrored, labels_of.least_confidence, labels_of.background) == (True, 0.5, KEEP)
+    assert labels_of.rig == load_rig()
     assert repr(segmenters).startswith("Segmenters(Trained(network='places', ")
     assert repr(segmenters).endswith(", for rig paper)")
 
@@ -86,6 +86,20 @@ def test_the_command_labels_frames_of_the_rig_that_the_run_is_of(
     assert facts["each"][0]["bodies"][0]["scale"] == pytest.approx(1)
 
 
+@pytest.mark.parametrize(("steps", "told"), [(1700, True), (1800, False), (4000, False)])
+def test_bodies_nearer_than_those_trained_on_are_told(
+    steps: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(Places(0, 10), {"rig": SMALL.to_json()}))
+    frame = np.zeros((160, 82), np.uint16)
+    frame[20:140, 20:60] = steps
+    Image.fromarray(frame).save(tmp_path / "a.png")
+    words = ["segment", tmp_path / "a.png", "--background", "keep", "--out", tmp_path / "out"]
+    assert cli.main(list(map(str, words))) == 0
+    line = "bodies are 1.7 m away, the network was trained for 2.5 m (rig small): so near, labels are less accurate"
+    assert (line in capsys.readouterr().err.splitlines()) == told
+
+
 def test_a_network_of_another_rig_labels_frames_as_well_as_its_images(
     pack_figures: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -109,11 +123,11 @@ def test_a_network_of_another_rig_labels_frames_as_well_as_its_images(
     card = load_network(tmp_path / "run").card
     scores = []
     for rig in (SMALL, load_rig()):
-        _, segment = Segmenters(Trained(network.eval(), {**card, "rig": rig.to_json()}), KEEP).of(SMALL.camera)
+        _, labels_of = Segmenters(Trained(network.eval(), {**card, "rig": rig.to_json()}), KEEP).of(SMALL.camera)
         matrix = ConfusionMatrix()
         for index in range(0, len(images), 5):
             image = images[index]
-            matrix.add(image["labels"].numpy(), segment(image["range"][0].numpy()).labels)
+            matrix.add(image["labels"].numpy(), labels_of(image["range"][0].numpy()).labels)
         scores.append(matrix.pixel_accuracy())
     own, papers = scores
     assert own > 0.5 and papers < own - 0.3
