@@ -53,7 +53,7 @@ class RigFit:
             return None
         rigs = f"{path} is of rig {self.images.name}, the network was trained for rig {self.trained.name}"
         if self.factor > FAR_OFF and not other_rig:
-            raise BadConfig(f"{rigs}: {self._difference()}, so nearly all labels would be wrong; --other-rig goes on")
+            raise BadConfig(f"{rigs}: {self._difference()}, too far off for a score of it; --other-rig goes on")
         if self.factor > SIMILAR:
             return f"{rigs}: {self._difference()}, which costs much accuracy"
         if self.factor > _SAME:

@@ -43,6 +43,10 @@ class FrameFile:
 
     def read(self) -> NDArray[np.uint16]:
         """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
+        return parse_frame(self.read_bytes(), self.where)
+
+    def read_bytes(self) -> bytes:
+        """Read the frame's bytes. Raises BadConfig, naming the frame."""
         try:
             with self.path.open("rb") as file:
                 file.seek(self.offset)
@@ -51,7 +55,7 @@ class FrameFile:
             raise BadConfig(f"cannot read {self.where}: {error.strerror or error}") from error
         if len(data) != self.size:
             raise BadConfig(f"{self.where} must still have the {self.size} bytes it had, found {len(data)}")
-        return parse_frame(data, self.where)
+        return data
 
 
 def find_frames(paths: Sequence[Path]) -> list[FrameFile]:

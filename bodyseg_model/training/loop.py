@@ -21,6 +21,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
@@ -151,7 +152,8 @@ class Training:
             if self.step % self.run_options.log_every == 0 or last:
                 metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
                 if self.processes.first:
-                    self.folder.log(asdict(metrics))
+                    peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
+                    self.folder.log({**asdict(metrics), "peak_mb": peaks})
                     report(metrics)
                 window = _MetricsWindow(self.processes)
             if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):

@@ -88,7 +88,7 @@ def test_a_rig_far_off_is_refused_unless_it_is_asked_for(factor: float) -> None:
     with pytest.raises(BadConfig) as caught:
         fit.check("set", False)
     told = f"{RIGS}bodies have {factor:.2g} times as many pixels a metre"
-    assert str(caught.value) == f"{told}, so nearly all labels would be wrong; --other-rig goes on"
+    assert str(caught.value) == f"{told}, too far off for a score of it; --other-rig goes on"
     assert fit.check("set", True) == f"{told}, which costs much accuracy"
 
 
@@ -131,7 +131,7 @@ def test_evaluate_tells_refuses_and_goes_on(
     assert cli.main(list(map(str, words))) == 2
     told = "shards is of rig paper, the network was trained for rig small: bodies have 4 times as many pixels a metre"
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"bodyseg evaluate: {told}, so nearly all labels would be wrong; --other-rig goes on"
+    assert line == f"bodyseg evaluate: {told}, too far off for a score of it; --other-rig goes on"
     assert not (tmp_path / "x.json").exists()
     assert cli.main([*map(str, words), "--other-rig"]) == 0
     lines = capsys.readouterr().err.splitlines()

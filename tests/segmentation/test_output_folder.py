@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -158,8 +159,12 @@ def test_an_out_among_the_frames_is_refused(recording: Path, tmp_path: Path) -> 
 def test_an_out_that_cannot_be_made_is_named(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     assert refusal(tmp_path / "file", recording) == f"cannot write {tmp_path / 'file'}: Not a directory"
-    with pytest.raises(BadConfig, match=r"cannot write .*out: Not a directory"):
-        opened(tmp_path / "file" / "out", recording).begin()
+    assert refusal(tmp_path / "file" / "out", recording) == f"cannot write {tmp_path / 'file' / 'out'}: Not a directory"
+    filled(tmp_path / "old", recording)
+    shutil.rmtree(tmp_path / "old" / "labels")
+    (tmp_path / "old" / "labels").write_text("")
+    with pytest.raises(BadConfig, match=r"^cannot write .*old: File exists$"):
+        opened(tmp_path / "old", recording).begin()
     place = opened(tmp_path / "out", recording)
     place.begin()
 

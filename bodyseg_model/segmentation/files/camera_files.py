@@ -210,12 +210,7 @@ class _Tar(_Home):
         if member is None:
             return None
         self._check_size(member.size, name)
-        try:
-            with self._path.open("rb") as file:
-                file.seek(member.offset)
-                return file.read(member.size)
-        except OSError as error:
-            raise BadConfig(f"cannot read {self._where(name)}: {error.strerror or error}") from error
+        return FrameFile(name, self._where(name), self._path, member.offset, member.size).read_bytes()
 
 
 def _intrinsics(tree: Any, where: str) -> Intrinsics:
