@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,11 @@ class FrameFile:
     size: int
     member: str | None = None
     sequence: int = 0
+
+    @property
+    def path_id(self) -> str:
+        """Short hash of the frame's place on this machine: the same from any working directory."""
+        return hashlib.sha256(f"{self.path.resolve()}\0{self.member or ''}".encode()).hexdigest()[:16]
 
     def read(self) -> NDArray[np.uint16]:
         """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""

@@ -63,7 +63,9 @@ def test_nothing_is_made_before_it_begins(recording: Path, tmp_path: Path) -> No
     assert not (tmp_path / "new").exists()
     out.begin()
     assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "unfinished.json"]
-    out.finish({"each": []})
+    out.finish({"each": [{"people": 1}, {"people": 0}]})
+    each = json.loads((out.path / "summary.json").read_text())["each"]
+    assert [(frame["name"], frame["people"]) for frame in each] == [("1", 1), ("2", 0)]
     assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "summary.json"]
 
 
@@ -74,7 +76,22 @@ def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path
     place.begin()
     left = ["labels/1.png", "labels/2.png", "overlay/1.png", "overlay/2.png", "unfinished.json"]
     assert files(out) == left, "what this call does not write is gone, and so is the old summary"
-    place.finish({"each": []})
+    place.finish({"each": [{}, {}]})
+
+
+def test_frames_are_the_same_from_any_folder_and_others_of_their_path_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    for day in ("monday", "tuesday"):
+        recorded(tmp_path / day / "recording", "1")
+    monkeypatch.chdir(tmp_path / "monday")
+    filled(out, Path("recording"))
+    filled(out, tmp_path / "monday" / "recording")
+    filled(out, Path("recording"))
+    monkeypatch.chdir(tmp_path / "tuesday")
+    assert "must not hold results of other frames, found those of recording/1.png in" in refusal(out, Path("recording"))
+    filled(out, Path("..") / "monday" / "recording")
 
 
 def test_more_frames_may_come_and_names_may_change(recording: Path, tmp_path: Path) -> None:
@@ -114,10 +131,14 @@ def test_a_call_that_was_cut_short_is_carried_on_without_its_bad_frame(recording
             lambda out: (out / "summary.json").write_text('{"format": "bodyseg train 1", "each": []}'),
             "is not of format",
         ),
-        (lambda out: (out / "summary.json").write_text('{"format": "bodyseg segment 1"}'), "is not of format"),
+        (lambda out: (out / "summary.json").write_text('{"format": "bodyseg segment 2"}'), "is not of format"),
+        (
+            lambda out: (out / "summary.json").write_text('{"format": "bodyseg segment 2", "each": [{"name": "x"}]}'),
+            "is not of format",
+        ),
         (
             lambda out: (out / "summary.json").write_text(
-                json.dumps({"format": "bodyseg segment 1", "each": [{"name": "../../x", "file": "x"}]})
+                json.dumps({"format": "bodyseg segment 2", "each": [{"name": "../../x", "file": "x", "path_id": "x"}]})
             ),
             "is not of format",
         ),
@@ -173,4 +194,4 @@ def test_an_out_that_cannot_be_made_is_named(recording: Path, tmp_path: Path, mo
 
     monkeypatch.setattr(Path, "unlink", refuse)
     with pytest.raises(BadConfig, match=r"cannot write .*out: Permission denied"):
-        place.finish({"each": []})
+        place.finish({"each": [{}, {}]})

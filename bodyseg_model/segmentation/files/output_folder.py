@@ -10,7 +10,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.segmentation.frames import FrameFile
 
-FORMAT: Final = "bodyseg segment 1"
+FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""
 
 SUMMARY: Final = "summary.json"
@@ -35,15 +35,15 @@ class OutputFolder:
         self, path: Path, inputs: Sequence[Path], frames: Sequence[FrameFile], folders: Sequence[str] = IMAGES[:2]
     ) -> None:
         self.path, self.folders = path, tuple(folders)
-        self._frames = [{"name": frame.name, "file": frame.where} for frame in frames]
+        self._frames = [{"name": frame.name, "file": frame.where, "path_id": frame.path_id} for frame in frames]
         self._earlier: list[dict[str, Any]] = []
         _check_apart(path, inputs)
         held = _entries(path)
         if held:
             self._earlier = _earlier_frames(path, held)
-            files = {frame["file"] for frame in self._frames}
+            same = {frame["path_id"] for frame in self._frames}
             for frame in self._earlier:
-                if frame["file"] not in files and any(image.exists() for image in self._images(frame["name"])):
+                if frame["path_id"] not in same and any(image.exists() for image in self._images(frame["name"])):
                     raise BadConfig(
                         f"--out must not hold results of other frames, found those of {frame['file']} in {path}: "
                         "give a new folder, or delete this one"
@@ -80,8 +80,9 @@ class OutputFolder:
         return self.path / folder / f"{name}.png"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary, whose `each` names all frames. Raises BadConfig."""
-        write_json(self.path / SUMMARY, {"format": FORMAT, **summary})
+        """Write the summary, whose `each` has an entry for every frame, in order. Raises BadConfig."""
+        each = [{**frame, **entry} for frame, entry in zip(self._frames, summary["each"], strict=True)]
+        write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
         try:
             (self.path / UNFINISHED).unlink(missing_ok=True)
         except OSError as error:
@@ -129,6 +130,6 @@ def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def _is_frame(entry: Any) -> bool:
-    """True for an entry that names a frame's results within the folder, and its file."""
-    name, file = (entry.get(key) for key in ("name", "file")) if isinstance(entry, dict) else (None, None)
-    return isinstance(name, str) and isinstance(file, str) and not {"", ".", ".."} & set(name.split("/"))
+    """True for an entry that names a frame's results within the folder, and the frame."""
+    texts = [entry.get(key) for key in ("name", "file", "path_id")] if isinstance(entry, dict) else [None]
+    return all(isinstance(text, str) for text in texts) and not {"", ".", ".."} & set(entry["name"].split("/"))
