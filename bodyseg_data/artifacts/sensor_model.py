@@ -159,15 +159,18 @@ _shipped = cache(_read)  # the default is read for every set; a user's file may 
 
 def parse_sensor_model(text: str, where: str) -> SensorModel:
     """Parse a sensor file's text; `where` names its origin in messages. Raises BadConfig as `load_sensor_model`."""
-    tree = toml_tree(text, f"sensor {where}", SENSOR_FORMAT)
-    artifacts = tree.pop("artifacts", [])
-    table = Table(tree, f"sensor {where}")
-    name = table.text("name")
-    title = table.text("title") if table.has("title") else ""
-    table.finish()
-    if not isinstance(artifacts, list) or not all(isinstance(entry, dict) for entry in artifacts):
-        raise BadConfig(f"sensor {where}: 'artifacts' must be tables [[artifacts]]")
-    return SensorModel(name, tuple(_entry(entry, f"sensor {where}") for entry in artifacts), title)
+    return _model(toml_tree(text, f"sensor {where}", SENSOR_FORMAT), f"sensor {where}")
+
+
+def sensor_model_from_json(tree: Any, where: str) -> SensorModel:
+    """Rebuild a sensor model from what `SensorModel.to_json` gave, or its name and artifacts alone.
+
+    where: names its origin in messages. Raises BadConfig as `load_sensor_model`, also for an artifact that is not
+    installed or of another version.
+    """
+    if not isinstance(tree, dict) or tree.get("format", SENSOR_FORMAT) != SENSOR_FORMAT:
+        raise BadConfig(f"{where}: a stored sensor must be an object with name and artifacts, of {SENSOR_FORMAT!r}")
+    return _model({key: value for key, value in tree.items() if key != "format"}, where)
 
 
 def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
@@ -189,6 +192,18 @@ def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifac
     except (ValueError, RecursionError) as error:
         raise BadConfig(f"{where} must be JSON, found {text!r}: {error}") from error
     return artifacts_from_json(tree, where, sensor)
+
+
+def _model(tree: dict[str, Any], where: str) -> SensorModel:
+    """A model from a tree without its `format`."""
+    artifacts = tree.pop("artifacts", [])
+    table = Table(tree, where)
+    name = table.text("name")
+    title = table.text("title") if table.has("title") else ""
+    table.finish()
+    if not isinstance(artifacts, list) or not all(isinstance(entry, dict) for entry in artifacts):
+        raise BadConfig(f"{where}: 'artifacts' must be tables [[artifacts]]")
+    return SensorModel(name, tuple(_entry(entry, where) for entry in artifacts), title)
 
 
 def _entry(entry: Mapping[str, Any], where: str) -> Artifact:

@@ -20,9 +20,11 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.core.views import ViewGrid, parse_choice
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
+from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.shards.codecs import CodecName
@@ -105,11 +107,12 @@ def run(options: Options) -> int:
     _warn_about_missing(packing)
     origin = {} if options.report is None else provenance(command_line("tools/shard", options))
     start = time.perf_counter()
+    workers_mb: dict[str, float | None] = {}
     with Progress("packing", "views") as progress:
-        manifest = pack_on(options.engine, options.workers, packing, options.out, progress)
+        manifest = pack_on(options.engine, options.workers, packing, options.out, progress, workers_mb)
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
-        figures = _figures(options, manifest, made, time.perf_counter() - start)
+        figures = _figures(options, manifest, made, time.perf_counter() - start, list(workers_mb.values()))
         write_figures(options.report, origin | figures)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
@@ -119,8 +122,13 @@ def run(options: Options) -> int:
     return 0
 
 
-def _figures(options: Options, manifest: Manifest, made: int, seconds: float) -> dict[str, Any]:
-    """Return size, time and memory of a packing that made `made` samples; workers' only if they are local."""
+def _figures(
+    options: Options, manifest: Manifest, made: int, seconds: float, workers_mb: list[float | None]
+) -> dict[str, Any]:
+    """Return size, time and memory of a packing that made `made` samples; workers' time only if they are local.
+
+    workers_mb: the most memory of each worker that rendered.
+    """
     here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     local = options.engine == PROCESSES
     size = sum(shard.size for shard in manifest.shards)
@@ -138,7 +146,7 @@ def _figures(options: Options, manifest: Manifest, made: int, seconds: float) ->
             "writer": round(here.ru_utime + here.ru_stime, 1),
             "workers": round(workers.ru_utime + workers.ru_stime, 1) if local else None,
         },
-        "peak_mb": {"writer": here.ru_maxrss // 1024, "largest_worker": workers.ru_maxrss // 1024 if local else None},
+        "peak_mb": {"writer": peak_mb(), "workers": workers_mb},
         "notes": sum(len(shard.notes) for shard in manifest.shards),
     }
 
@@ -154,9 +162,24 @@ def _warn_about_missing(packing: Packing) -> None:
         )
 
 
-def pack_on(engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress) -> Manifest:
-    """Pack on an engine, showing progress; see `open_engine` and `pack`."""
+def pack_on(
+    engine: str,
+    workers: int | None,
+    packing: Packing,
+    out: Path,
+    progress: Progress,
+    workers_mb: dict[str, float | None] | None = None,
+) -> Manifest:
+    """Pack on an engine, showing progress; see `open_engine` and `pack`.
+
+    workers_mb: gets the most memory of each worker that rendered, MB; see `MeasuringExecutor`.
+    """
     with open_engine(engine, workers, packing) as engine_context:
         if engine_context.note is not None:
             sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
-        return pack(packing, out, engine_context.executor, engine_context.workers, progress.update)
+        executor = MeasuringExecutor(engine_context.executor)
+        try:
+            return pack(packing, out, executor, engine_context.workers, progress.update)
+        finally:
+            if workers_mb is not None:
+                workers_mb |= executor.workers_mb

@@ -144,6 +144,13 @@ class Loader:
         """Samples left out so far, in the order of their batches."""
         return self._ledger.skipped
 
+    def worker_peaks_mb(self) -> list[float | None]:
+        """The most memory that each worker process has had so far, MB; None where the system does not tell.
+
+        Empty for threads, which are in this process, and while no workers run.
+        """
+        return [] if self._state is None else self._state.workers.peaks_mb()
+
     def state_dict(self) -> dict[str, Any]:
         """Progress so far as plain JSON: epoch, position, skipped samples, and the identity of the images."""
         return {**self.order.state_dict(), "skipped": self._ledger.state()}

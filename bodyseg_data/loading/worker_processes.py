@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 import torch
 
 from bodyseg_data.core.errors import BadConfig, WorkerLost
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.loading.workers import END_TIMEOUT_S, checked_result, handle
 
 StartMethod = Literal["fork", "spawn", "forkserver"]
@@ -93,6 +94,10 @@ class ProcessWorkers:
     def discard(self) -> None:
         """See `Workers.discard`."""
         self.result()
+
+    def peaks_mb(self) -> list[float | None]:
+        """See `Workers.peaks_mb`."""
+        return [peak_mb(process.pid) for process in self._processes]
 
     def _name(self, worker: int) -> str:
         return f"worker {worker} of {len(self._pipes)} (process {self._processes[worker].pid})"

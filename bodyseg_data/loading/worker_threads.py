@@ -63,6 +63,10 @@ class ThreadWorkers:
         """See `Workers.discard`."""
         self.result()
 
+    def peaks_mb(self) -> list[float | None]:
+        """See `Workers.peaks_mb`."""
+        return []
+
     def close(self) -> None:
         """See `Workers.close`: threads end after their current request, which is waited for unless it takes long."""
         if os.getpid() != self._owner:

@@ -41,6 +41,9 @@ class Workers(Protocol):
     def discard(self) -> None:
         """Remove the oldest request, waiting for its result if it may have begun. Raises as `result`."""
 
+    def peaks_mb(self) -> list[float | None]:
+        """The most memory that each worker process has had, MB, as `peak_mb`; none for workers in this process."""
+
     def close(self) -> None:
         """End the workers and remove all requests."""
 
@@ -63,6 +66,10 @@ class InlineWorkers:
     def discard(self) -> None:
         """See `Workers.discard`."""
         self._requests.popleft()
+
+    def peaks_mb(self) -> list[float | None]:
+        """See `Workers.peaks_mb`."""
+        return []
 
     def close(self) -> None:
         """See `Workers.close`."""

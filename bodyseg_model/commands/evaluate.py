@@ -16,6 +16,7 @@ from bodyseg_data.commands.provenance import check_target, provenance, write_fig
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import LabelMap, load_label_map
 from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
@@ -23,6 +24,7 @@ from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_image
 from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, shipped_network
 from bodyseg_model.training.distributed import find_device, use_threads
 
@@ -59,6 +61,9 @@ class Options:
     worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
+    other_rig: bool = option(
+        "also score images of a rig that is far from the one that the network was trained for", False
+    )
 
 
 def run(options: Options) -> int:
@@ -69,16 +74,24 @@ def run(options: Options) -> int:
     trained.network.to(find_device(options.device))
     label_map = trained.label_map if options.labels is None else load_label_map(options.labels)
     sets = _open(options, label_map)
+    _check_fit(options, trained, sets)
     facts = _facts(options, trained)  # first, as files may change meanwhile
     picture = None if options.figures is None else SamplePicture(label_map)
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
     scores = report(found)
     seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
-    described = [_describe(images, options.images) for images in sets]
+    described = [_describe(images, options.images, trained) for images in sets]
     write_figures(
         options.json,
-        {**facts, "data": described, **scores, "milliseconds_per_frame": times, "seconds": seconds},
+        {
+            **facts,
+            "data": described,
+            **scores,
+            "milliseconds_per_frame": times,
+            "seconds": seconds,
+            "peak_mb": {"process": peak_mb(), "workers": found.worker_peaks_mb},
+        },
     )
     written = [options.json]
     if options.figures is not None:
@@ -145,6 +158,16 @@ def _open(options: Options, label_map: LabelMap) -> list[RangeImages]:
     return sets
 
 
+def _check_fit(options: Options, trained: Trained, sets: list[RangeImages]) -> None:
+    """Warn of images of another rig or with other artifacts; raises BadConfig for a rig that is far off."""
+    for images in sets:
+        name = last_name(images.path)
+        fit = RigFit(trained.rig, images.manifest.rig)
+        for line in (fit.check(name, options.other_rig), sensor_warning(trained, images.augmentation, name)):
+            if line is not None:
+                sys.stderr.write(f"bodyseg evaluate: warning: {line}\n")
+
+
 def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
     total = sum(_count(images, options.images) for images in sets)
     found, before = Evaluation(label_map=sets[0].label_map), 0
@@ -195,13 +218,14 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
     }
 
 
-def _describe(images: RangeImages, count: int | None) -> dict[str, Any]:
+def _describe(images: RangeImages, count: int | None, trained: Trained) -> dict[str, Any]:
     manifest, identity = images.manifest, images.identity()
     return {
         "name": last_name(images.path),
         "source": manifest.source,
         "renderer": manifest.renderer,
         "rig": manifest.rig.name,
+        "pixels_a_metre_of_trained": round(RigFit(trained.rig, manifest.rig).pixels_a_metre, 4),
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "samples_of_split": len(images),
         "evaluated": _count(images, count),

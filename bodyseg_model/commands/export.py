@@ -8,11 +8,11 @@ from pathlib import Path
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import load_network, read_json, save_network
+from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, load_network, read_json, save_network
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
-_OF_THE_FILE = ("format", "network", "settings")
+_OF_THE_FILE = ("format", "network", "settings", WEIGHTS_SHA256)
 
 
 @dataclass(frozen=True)

@@ -18,28 +18,29 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import LabelMap
-from bodyseg_data.core.rig import rig_names
+from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network, write_json
+from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.networks.registry import device_of
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
+from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
-from bodyseg_model.segmentation.undistortion import Undistortion
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
-_FORMAT: Final = "bodyseg segment 1"
-_SUMMARY: Final = "summary.json"
-_PREVIEW: Final = "preview.gif"
-_RESULTS: Final = ("labels", "overlay")
-_UNDISTORTED: Final = "undistorted"
+_OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
+_UNDISTORTED: Final = IMAGES[2]
+_NEAR: Final = 0.7  # of the stand-off; docs/segment.md has the accuracy by distance
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -71,61 +72,65 @@ def run(options: Options) -> int:
     """Label every frame, then write the summary."""
     step_m, background = metres_a_step(options.units), _background(options)
     frames = find_frames(options.frames)
-    first = frames[0].read()
-    camera = frame_camera((first.shape[0], first.shape[1]), frames[0].where, options.rig, options.focal, options.centre)
     trained = shipped_network() if options.run is None else load_network(options.run)
     label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
     trained.network.to(find_device(options.device))
-    lens = None if camera.camera.distortion is None else Undistortion(camera.camera)
-    ideal = camera.camera if lens is None else lens.camera
-    segmenter = Segmenter(trained.network, ideal, background, options.mirrored, options.confidence)
-    folders = _RESULTS if lens is None else (*_RESULTS, _UNDISTORTED)
-    _make_folders(options.out, folders)
+    cameras = _cameras(options, frames, trained)
+    segmenters = Segmenters(trained, background, options.mirrored, options.confidence)
+    segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
+    out = OutputFolder(options.out, options.frames, frames, IMAGES if cameras.bent else IMAGES[:2])
+    out.begin()
 
     summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            range_m, bodies = _segment(frame, lens, step_m, segmenter, options.out, summary, preview, label_map)
-            shadows.add(number, frame.name, range_m, bodies)
+            range_m, bodies = _segment(frame, cameras, step_m, segmenters, out, summary, preview, label_map)
+            if not cameras.is_own(frame):
+                shadows.add(number, frame.name, range_m, bodies)
             progress.update(number + 1, len(frames))
-    save_picture(draw_parts_legend(label_map), options.out / "legend.png")
-    write_result(options.out / _PREVIEW, preview.to_gif())
+    save_picture(draw_parts_legend(label_map), options.out / LEGEND)
+    write_result(options.out / PREVIEW, preview.to_gif())
     facts = {
-        "format": _FORMAT,
         "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
         "labels": {"name": label_map.name, "classes": [*label_map.names]},
-        "camera": {**camera.to_json(), "mirrored": options.mirrored},
+        "camera": {**cameras.to_json(), "mirrored": options.mirrored},
         "unit_m": step_m,
         "background": background.to_json(),
         "resampling": {
-            "focal_px": segmenter.rig.camera.focal_px,
-            "distance_m": segmenter.rig.stand_off_m,
+            "rig": trained.rig.name,
+            "focal_px": trained.rig.camera.focal_px,
+            "distance_m": trained.rig.stand_off_m,
             "rule": "each body is scaled so that its median range gets the pixel size of that camera at that distance",
         },
         "least_confidence": options.confidence,
         "preview": {"frames": len(preview), "frames_per_second": round(preview.frames_per_second, 2)},
         "hardware": hardware(),
-        "device": str(segmenter.device),
+        "device": str(device_of(trained.network)),
+        "peak_mb": peak_mb(),
     }
-    write_json(options.out / _SUMMARY, {**facts, **summary.to_json()})
-    sys.stderr.write("".join(f"{line}\n" for line in _remarks(options, camera, summary, shadows)))
+    out.finish({**facts, **summary.to_json()})
+    lines = _remarks(options, cameras, summary, shadows) + _too_near(summary, trained.rig)
+    sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
 
 
-def _read(frame: FrameFile, lens: Undistortion | None) -> NDArray[np.uint16]:
-    pixels = frame.read()
-    try:
-        return pixels if lens is None else lens(pixels)
-    except BadConfig as error:
-        raise BadConfig(f"{frame.where}: {error}") from error
+def _cameras(options: Options, frames: Sequence[FrameFile], trained: Trained) -> FrameCameras:
+    """Cameras of all frames: the one that options give, or those in files beside frames and one for all others."""
+    given = options.rig is not None or options.focal is not None or bool(options.centre)
+    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
+
+    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
+        return frame_camera(shape, where, options.rig, options.focal, options.centre, trained.rig)
+
+    return FrameCameras(frames, beside, choose)
 
 
 def _segment(
     frame: FrameFile,
-    lens: Undistortion | None,
+    cameras: FrameCameras,
     step_m: float,
-    segmenter: Segmenter,
-    out: Path,
+    segmenters: Segmenters,
+    out: OutputFolder,
     summary: SequenceSummary,
     preview: Preview,
     label_map: LabelMap,
@@ -136,8 +141,15 @@ def _segment(
     """
     watch = Stopwatch(STAGES)
     with watch("read"):
-        pixels = _read(frame, lens)
-        range_m = to_metres(pixels, step_m)
+        pixels = frame.read()
+        camera = cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
+        try:
+            lens, segmenter = segmenters.of(camera.camera)
+            if lens is not None:
+                pixels = lens(pixels)
+            range_m = to_metres(pixels, step_m)
+        except BadConfig as error:
+            raise BadConfig(f"{frame.where}: {error}") from error
     try:
         result = segmenter(range_m)
     except BadConfig as error:
@@ -145,14 +157,17 @@ def _segment(
     with watch("write"):
         overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies], label_map)
         images: dict[str, NDArray[Any]] = {"labels": result.labels, "overlay": overlay}
-        if lens is not None:
+        if _UNDISTORTED in out.folders:
             images[_UNDISTORTED] = pixels
         for folder, image in images.items():
             buffer = io.BytesIO()
             Image.fromarray(image).save(buffer, "PNG", compress_level=3)  # a third of the time, a tenth more bytes
-            write_result(out / folder / f"{frame.name}.png", buffer.getvalue())
-    preview.add(overlay)
-    summary.add(frame.name, frame.where, range_m, result, {**watch.milliseconds, **result.milliseconds})
+            write_result(out.image(folder, frame.name), buffer.getvalue())
+    if overlay.shape[:2] == (cameras.first.camera.rows, cameras.first.camera.columns):
+        preview.add(overlay)  # an animation has frames of one size
+    own = camera.to_json() if cameras.is_own(frame) else None
+    times = {**watch.milliseconds, **result.milliseconds}
+    summary.add(frame.name, frame.where, range_m, result, times, frame.sequence, own)
     return range_m, [body.pixels for body in result.bodies]
 
 
@@ -164,26 +179,14 @@ def _background(options: Options) -> Background:
     return Background(options.background, **given)
 
 
-def _make_folders(out: Path, folders: Sequence[str]) -> None:
-    """Make the folders of results. An earlier summary is deleted first, so that a summary is always of all results."""
-    try:
-        for folder in folders:
-            (out / folder).mkdir(parents=True, exist_ok=True)
-        (out / _SUMMARY).unlink(missing_ok=True)
-    except OSError as error:
-        raise BadConfig(f"cannot write {out}: {error.strerror or error}") from error
-
-
 def _facts(trained: Trained) -> dict[str, Any]:
-    """Entries of the network's card that identify it."""
-    return {
-        name: trained.card[name] for name in ("network", "variant", "seed", "steps", "data") if name in trained.card
-    }
+    """Entries of the network's card that identify it, and how it was trained."""
+    return {name: trained.card[name] for name in _OF_THE_CARD if name in trained.card}
 
 
-def _remarks(options: Options, camera: FrameCamera, summary: SequenceSummary, shadows: ShadowFrames) -> list[str]:
+def _remarks(options: Options, cameras: FrameCameras, summary: SequenceSummary, shadows: ShadowFrames) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
-    frames = shadows.frames
+    frames, camera = shadows.frames, cameras.common or cameras.first
     lines = [f"wrote {frames} frames to {options.out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
@@ -199,3 +202,14 @@ def _remarks(options: Options, camera: FrameCamera, summary: SequenceSummary, sh
             f"frames are probably {shown} --mirrored"
         )
     return lines
+
+
+def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:
+    """A line where most bodies are much nearer than those trained on: their perspective cannot be resampled."""
+    range_m = summary.median_range_m
+    if range_m is None or range_m >= _NEAR * rig.stand_off_m:
+        return []
+    return [
+        f"bodies are {range_m:.2g} m away, the network was trained for {rig.stand_off_m:.2g} m (rig {rig.name}): "
+        "so near, labels are less accurate"
+    ]

@@ -118,6 +118,7 @@ class Evaluation:
 
     label_map: the classes that are scored. milliseconds: time of the network, of scores, and of waiting for images to
     be loaded. worst: average per-class accuracy and key of the ten images of lowest accuracy, the lowest first.
+    worker_peaks_mb: the most memory of each worker process that loaded images, MB; see `Loader.worker_peaks_mb`.
     """
 
     extras: frozenset[Extra] = field(default=frozenset(EXTRAS), repr=False)
@@ -125,6 +126,7 @@ class Evaluation:
     milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_STAGES, 0.0), repr=False)
     worst: list[tuple[float, str]] = field(default_factory=list, repr=False)
     label_map: LabelMap = field(default=PARTS33, repr=False)
+    worker_peaks_mb: list[float | None] = field(default_factory=list, repr=False)
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
         """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
@@ -149,6 +151,7 @@ class Evaluation:
         for stage, milliseconds in other.milliseconds.items():
             self.milliseconds[stage] += milliseconds
         self.worst = sorted([*self.worst, *other.worst])[:_WORST]
+        self.worker_peaks_mb += other.worker_peaks_mb
 
 
 def open_images(
@@ -247,6 +250,7 @@ def evaluate(
                     watch(image, accuracy)
         if progress is not None:
             progress(done + len(keys), total)
+    found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
 
 

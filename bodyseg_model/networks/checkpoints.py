@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -14,9 +15,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
+from bodyseg_data.core.rig import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import build
 
@@ -39,6 +42,9 @@ CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
+WEIGHTS_SHA256: Final = "weights_sha256"
+"""Entry of a card: the SHA-256 of the .safetensors file beside it, in hexadecimal."""
+
 _LARGEST_FILE: Final = 1 << 31
 
 
@@ -46,12 +52,26 @@ _LARGEST_FILE: Final = 1 << 31
 class Trained:
     """A network in evaluation mode, and its card: name, settings, and how and on what it was trained.
 
-    label_map: the classes that it predicts.
+    label_map: the classes that it predicts. rig: camera, projector and stand-off of the images that it was trained on.
+    sensor: the artifacts of these images, before the variant took those of its kinds. Rig and sensor are the paper's
+    where the card does not name them.
     """
 
     network: Network
     card: dict[str, Any]
     label_map: LabelMap = PARTS33
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The card's rig. Raises BadConfig for an entry that is none."""
+        return rig_from_json(self.card["rig"]) if "rig" in self.card else load_rig()
+
+    @cached_property
+    def sensor(self) -> SensorModel:
+        """The card's sensor model. Raises BadConfig for an entry that is none, or an artifact that is not installed."""
+        if "sensor" not in self.card:
+            return load_sensor_model()
+        return sensor_model_from_json(self.card["sensor"], "a network's card, sensor")
 
     def __repr__(self) -> str:
         facts = {name: self.card.get(name) for name in ("network", "settings", "variant", "seed")}
@@ -78,11 +98,13 @@ class Checkpoint:
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
     """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
 
-    half: filters in 16 bits, for half the bytes; scales, biases and statistics stay in 32.
+    facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
+    bytes; scales, biases and statistics stay in 32.
     """
     card = {"format": FORMAT, "network": name, "settings": network.settings, **facts}
     weights = network.state_dict()
-    write_tensors(path, {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()})
+    half_weights = {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()}
+    card[WEIGHTS_SHA256] = write_tensors(path, half_weights)
     write_json(path.with_suffix(".json"), card)
 
 
@@ -93,7 +115,8 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
     The card's `step` says which step the weights are of.
 
-    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card.
+    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
+    SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
@@ -111,21 +134,20 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
     if not isinstance(card.get("network"), str) or not isinstance(settings, dict):
         raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
     network = build(card["network"], settings)
-    fill(network, read_tensors(file), file)
-    return Trained(network.eval(), card, label_map_of_card(card, network, str(file.with_suffix(".json"))))
+    fill(network, _parse(_read_weights(file, card.get(WEIGHTS_SHA256)), file), file)
+    return _trained(network, card, file.with_suffix(".json"))
 
 
-def label_map_of_card(card: Mapping[str, Any], network: Network, where: str) -> LabelMap:
-    """Read the classes that a network predicts from its card; the 33 parts where the card names none.
-
-    Raises BadConfig, naming `where`, for classes that are damaged or another number of them than the network's.
-    """
-    label_map = label_map_from_json(card["labels"], f"{where}, labels") if "labels" in card else PARTS33
+def _trained(network: Network, card: dict[str, Any], where: Path) -> Trained:
+    """A network with its card, whose classes and rig are checked. Raises BadConfig, naming the card's file."""
     try:
+        label_map = label_map_from_json(card["labels"], "labels") if "labels" in card else PARTS33
         check_label_map(network, label_map)
+        trained = Trained(network.eval(), card, label_map)
+        _ = trained.rig  # here, where the file is known
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
-    return label_map
+    return trained
 
 
 def shipped_network() -> Trained:
@@ -176,7 +198,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
     found = hashlib.sha256(data).hexdigest()
     if found != digest:
         raise BadConfig(f"{folder / name} is damaged: SHA-256 {found}, expected {digest}")
-    return Checkpoint(step, state, _parsed(data, folder / name))
+    return Checkpoint(step, state, _parse(data, folder / name))
 
 
 def _unfinished(folder: Path) -> bool:
@@ -201,7 +223,8 @@ def _last_weights(folder: Path) -> Trained:
         raise BadConfig(f"{folder / PLAN} must name the network and its settings")
     network = build(name, settings)
     fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
-    return Trained(network.eval(), {**plan, "format": FORMAT, "step": checkpoint.step, "last_step": checkpoint.step})
+    card = {**plan, "format": FORMAT, "step": checkpoint.step, "last_step": checkpoint.step}
+    return _trained(network, card, folder / PLAN)
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
@@ -214,14 +237,22 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
-    return _parsed(read_bytes(path), path)
+    return _parse(read_bytes(path), path)
 
 
-def _parsed(data: bytes, path: Path) -> dict[str, torch.Tensor]:
+def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
     try:
         return parse_tensors(data)
     except SafetensorError as error:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
+
+
+def _read_weights(path: Path, expected: Any) -> bytes:
+    """All of a file. Raises BadConfig if its SHA-256 is not the expected one, which None leaves unchecked."""
+    data = read_bytes(path)
+    if expected is not None and (found := hashlib.sha256(data).hexdigest()) != expected:
+        raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
+    return data
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

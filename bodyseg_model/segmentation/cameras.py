@@ -66,9 +66,11 @@ def frame_camera(
     rig: str | None = None,
     focal_px: float | None = None,
     centre_px: tuple[float, ...] = (),
+    trained: Rig | None = None,
 ) -> FrameCamera:
     """The camera of frames of `shape` (rows, columns): that of a rig file (one of `rig_names`, or a path), or one of
-    given focal length and principal point (x, y; the middle if left out), or that of the sensor assumed for the size.
+    given focal length and principal point (x, y; the middle if left out), or else one assumed for the size: of the rig
+    that a network was `trained` for, where it has the size, or a sensor's.
 
     where: a frame, for messages. Raises BadConfig for a rig of another image size, a size that no sensor is assumed
     for, or options that contradict each other.
@@ -91,7 +93,12 @@ def frame_camera(
         return FrameCamera(_camera(shape, focal_px, centre_px), "given")
     if centre_px:
         raise BadConfig("--centre needs --focal")
-    for sensor in assumed_sensors():
+    sensors = assumed_sensors()
+    named = trained is None or trained.camera in [sensor.camera for sensor in sensors]
+    if trained is not None and not named and (trained.camera.rows, trained.camera.columns) == shape:
+        origin = f"assumed: rig {trained.name}, which the network was trained for, by the frames' size"
+        return FrameCamera(trained.camera, origin, True, trained)
+    for sensor in sensors:
         if (sensor.camera.rows, sensor.camera.columns) == shape:
             return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True, sensor.rig)
     raise BadConfig(f"no sensor is assumed for frames of {rows} x {columns} pixels: give --focal or --rig ({where})")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import refuse_special
-from bodyseg_model.segmentation.frame_png import parse_frame
-from bodyseg_model.segmentation.frame_tars import Member, list_tar
+from bodyseg_model.segmentation.files.frame_names import result_names
+from bodyseg_model.segmentation.files.frame_png import parse_frame
+from bodyseg_model.segmentation.files.frame_tars import Member, list_tar
 
 _LARGEST_FILE: Final = 1 << 28
-_NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 _UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
 _METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _STEPS_M: Final = (1e-6, 0.1)
@@ -28,7 +29,9 @@ _SATURATED: Final = 65535
 class FrameFile:
     """Location of one frame: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
 
-    name: of its result files. where: its name in messages.
+    name: of its result files, without suffix; it may name a folder for them ("left/1"). where: its name in messages.
+    member: its name in the tar, None for a PNG. sequence: number of the input that it is from; single files are
+    input 0. Frames of other inputs were not taken directly before or after it.
     """
 
     name: str
@@ -36,9 +39,20 @@ class FrameFile:
     path: Path
     offset: int
     size: int
+    member: str | None = None
+    sequence: int = 0
+
+    @property
+    def path_id(self) -> str:
+        """Short hash of the frame's place on this machine: the same from any working directory."""
+        return hashlib.sha256(f"{self.path.resolve()}\0{self.member or ''}".encode()).hexdigest()[:16]
 
     def read(self) -> NDArray[np.uint16]:
         """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
+        return parse_frame(self.read_bytes(), self.where)
+
+    def read_bytes(self) -> bytes:
+        """Read the frame's bytes. Raises BadConfig, naming the frame."""
         try:
             with self.path.open("rb") as file:
                 file.seek(self.offset)
@@ -47,30 +61,27 @@ class FrameFile:
             raise BadConfig(f"cannot read {self.where}: {error.strerror or error}") from error
         if len(data) != self.size:
             raise BadConfig(f"{self.where} must still have the {self.size} bytes it had, found {len(data)}")
-        return parse_frame(data, self.where)
+        return data
 
 
 def find_frames(paths: Sequence[Path]) -> list[FrameFile]:
     """List the frames at `paths`: PNG files, folders of PNGs and tars (.tar) of PNGs.
 
     Single files come first, then folders and tars one after another; each is in natural order (2 before 10). In folders
-    and tars, hidden files and names that do not end in .png are skipped. Raises BadConfig for a path that cannot be
-    read or contains no frame, a name unfit for a result file, or two frames of one name.
+    and tars, hidden files and names that do not end in .png are skipped. A frame is named after its file; where two
+    frames would have one name, all are named with their folders or tars (`result_names`). Raises BadConfig for a path
+    that cannot be read or contains no frame, a name unfit for a result file, or one frame given twice.
     """
     files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar"]
     groups = [[_file(path) for path in files]]
     groups += [_folder(path) if path.is_dir() else _tar(path) for path in paths if path not in files]
-    frames = [frame for group in groups for frame in sorted(group, key=lambda frame: _natural(frame.name))]
-    by_name: dict[str, FrameFile] = {}
-    for frame in frames:
-        if not _NAME.fullmatch(frame.name):
-            raise BadConfig(
-                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
-                f"begin with a dot or space, found {frame.where}"
-            )
-        if (other := by_name.setdefault(frame.name, frame)) is not frame:
-            raise BadConfig(f"two frames must not have one name, as their results would: {other.where}, {frame.where}")
-    return frames
+    frames = [
+        replace(frame, sequence=number)
+        for number, group in enumerate(groups)
+        for frame in sorted(group, key=lambda frame: _natural(frame.name))
+    ]
+    names = result_names([(frame.path, frame.member, frame.where) for frame in frames])
+    return [replace(frame, name=name) for frame, name in zip(frames, names, strict=True)]
 
 
 def metres_a_step(unit: str) -> float:
@@ -120,7 +131,8 @@ def _member(path: Path, member: Member) -> FrameFile:
     if not member.plain:
         raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
     # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
-    return _checked(FrameFile(PurePosixPath(member.name).stem, where, path, member.offset, member.size))
+    name = PurePosixPath(member.name).stem
+    return _checked(FrameFile(name, where, path, member.offset, member.size, member.name))
 
 
 def _checked(frame: FrameFile) -> FrameFile:

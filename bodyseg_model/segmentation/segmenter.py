@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -13,10 +14,14 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.resampling import view_body
+from bodyseg_model.segmentation.undistortion import Undistortion
+
+_KEPT: Final = 4
 
 STAGES: Final = ("background", "resample", "network", "back")
 
@@ -118,3 +123,30 @@ class Segmenter:
                 labels.ravel()[pixels] = found
                 bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence))
         return Segmentation(labels, tuple(bodies), watch.milliseconds)
+
+
+class Segmenters:
+    """The segmenter of every camera of a recording, for the rig that a network was trained for.
+
+    Options as for `Segmenter`. A few are kept, as an undistortion takes as much memory as several frames.
+    """
+
+    def __init__(
+        self,
+        trained: Trained,
+        background: Background | None = None,
+        mirrored: bool = False,
+        least_confidence: float = 0.0,
+    ) -> None:
+        self._trained = trained
+        self._options = background, mirrored, least_confidence
+        self.of = lru_cache(maxsize=_KEPT)(self._new)
+
+    def __repr__(self) -> str:
+        return f"Segmenters({self._trained!r}, for rig {self._trained.rig.name})"
+
+    def _new(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
+        """Undistortion, where the camera needs one, and segmenter of its frames. Raises BadConfig as `Segmenter`."""
+        lens = None if camera.distortion is None else Undistortion(camera)
+        ideal = camera if lens is None else lens.camera
+        return lens, Segmenter(self._trained.network, ideal, *self._options, self._trained.rig)

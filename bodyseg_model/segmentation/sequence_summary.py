@@ -23,7 +23,7 @@ class SequenceSummary:
     def __init__(self) -> None:
         self._frames: list[dict[str, Any]] = []
         self._flicker = Flicker()
-        self._last: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None
+        self._last: tuple[int, NDArray[np.uint8], NDArray[np.float32]] | None = None
 
     def add(
         self,
@@ -32,18 +32,25 @@ class SequenceSummary:
         range_m: NDArray[np.float32],
         segmentation: Segmentation,
         milliseconds: Mapping[str, float],
+        sequence: int = 0,
+        camera: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add one frame, float32 [H, W], metres. milliseconds: of all `STAGES`."""
+        """Add one frame, float32 [H, W], metres.
+
+        milliseconds: of all `STAGES`. sequence: number of its recording; flicker is counted within one, between frames
+        of one size. camera: of this frame alone, where it has one.
+        """
         labels, bodies = segmentation.labels, segmentation.bodies
         change = None
-        if self._last is not None:
-            change = flicker(self._last[0], labels, self._last[1], range_m)
+        if self._last is not None and (self._last[0], self._last[1].shape) == (sequence, labels.shape):
+            change = flicker(self._last[1], labels, self._last[2], range_m)
             self._flicker += change
-        self._last = labels, range_m
+        self._last = sequence, labels, range_m
         self._frames.append(
             {
                 "name": name,
                 "file": where,
+                **({} if camera is None else {"camera": dict(camera)}),
                 "people": len(bodies),
                 "pixels": segmentation.pixels,
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
@@ -58,6 +65,12 @@ class SequenceSummary:
     def people(self) -> int:
         """Bodies in all frames together."""
         return sum(frame["people"] for frame in self._frames)
+
+    @property
+    def median_range_m(self) -> float | None:
+        """Median over all bodies of their ranges, metres; None if there is no body."""
+        ranges = [body["range_m"] for frame in self._frames for body in frame["bodies"]]
+        return float(np.median(ranges)) if ranges else None
 
     @property
     def mean_confidence(self) -> float | None:

@@ -20,6 +20,7 @@ from torch import nn
 from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.range_images import Batch
@@ -140,7 +141,8 @@ class Training:
                 if due:
                     metrics = self._validated(metrics, facts)
                 if self.processes.first:
-                    self.folder.log(metrics.to_json())
+                    peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
+                    self.folder.log({**metrics.to_json(), "peak_mb": peaks})
                     report(metrics)
                 window = MetricsWindow(self.processes, self.network.classes)
             last = last or self._ended

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from small_rig import SMALL
 
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import load_network, read_json, read_tensors, save_network, write_tensors
+from bodyseg_data.core.rig import load_rig
+from bodyseg_model.networks.checkpoints import (
+    load_network,
+    read_json,
+    read_tensors,
+    save_network,
+    write_json,
+    write_tensors,
+)
 from bodyseg_model.networks.registry import build
 
 TINY = {"patch": 16, "widths": [4], "blocks": [1]}
@@ -68,6 +82,13 @@ def drop_weights(file: Path) -> None:
     write_tensors(file, tensors)
 
 
+def forget_digest(file: Path) -> None:
+    """Make the card one without the weights' SHA-256."""
+    card = read_json(file.with_suffix(".json"))
+    del card["weights_sha256"]
+    write_json(file.with_suffix(".json"), card)
+
+
 def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -> None:
     tensors = read_tensors(file)
     tensors["head.bias"] = change(tensors["head.bias"])
@@ -84,6 +105,7 @@ def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -
         (lambda file: file.with_suffix(".json").write_text("{"), "is not JSON"),
         (lambda file: file.with_suffix(".json").write_text("[]"), "must hold a JSON object, found list"),
         (lambda file: rewrite_card(file, format="x"), "the format must be 'bodyseg network 1', found 'x'"),
+        (lambda file: rewrite_card(file, rig="paper"), "network.json: a stored rig's 'format' must be"),
         (lambda file: rewrite_card(file, network=3), "must name the network and its settings"),
         (lambda file: rewrite_card(file, network="unet"), "the network must be one of"),
         (lambda file: rewrite_card(file, settings={"widths": [8]}), "blocks must be numbers"),
@@ -98,9 +120,51 @@ def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -
     ],
 )
 def test_damage_is_named(file: Path, damage: Callable[[Path], Any], message: str) -> None:
+    forget_digest(file)
     damage(file)
     with pytest.raises(BadConfig, match=message):
         load_network(file)
+
+
+def test_weights_that_are_not_those_of_the_card_are_refused_with_both_digests(file: Path) -> None:
+    expected = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert read_json(file.with_suffix(".json"))["weights_sha256"] == expected
+    load_network(file)
+    change_weights(file, lambda bias: bias + 1)
+    found = hashlib.sha256(file.read_bytes()).hexdigest()
+    with pytest.raises(BadConfig) as caught:
+        load_network(file.parent)
+    assert str(caught.value) == (f"{file} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
+    forget_digest(file)
+    load_network(file)  # a card need not hold it
+
+
+def test_rig_and_sensor_are_those_of_the_card(file: Path) -> None:
+    assert (load_network(file).rig, load_network(file).sensor) == (load_rig(), load_sensor_model())
+    sensor = SensorModel("mine", (Noise(0.0, 5.0), MissingData((0.1,))), "My sensor")
+    rewrite_card(file, rig=SMALL.to_json(), sensor=sensor.to_json())
+    trained = load_network(file)
+    assert (trained.rig, trained.sensor) == (SMALL, sensor)
+    tree = sensor.to_json()
+    rewrite_card(file, sensor={name: tree[name] for name in ("name", "artifacts")})
+    assert load_network(file).sensor == replace(sensor, title="")
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        (None, "^a network's card, sensor: a stored sensor must be an object with name and artifacts, of 'bodyseg s"),
+        ({"format": "x", "name": "x"}, "a stored sensor must be an object with name and artifacts, of 'bodyseg sensor"),
+        ({"artifacts": []}, "a network's card, sensor: text 'name' is missing"),
+        ({"format": "bodyseg sensor 1", "name": "x", "artifacts": 3}, "'artifacts' must be tables"),
+        ({"format": "bodyseg sensor 1", "name": "x", "artifacts": [{"artifact": "rust"}]}, "rust"),
+    ],
+)
+def test_a_sensor_that_cannot_be_used_is_named_when_it_is_asked_for(file: Path, sensor: Any, message: str) -> None:
+    rewrite_card(file, sensor=sensor)
+    trained = load_network(file)
+    with pytest.raises(BadConfig, match=message):
+        _ = trained.sensor
 
 
 def test_only_networks_are_loaded(tmp_path: Path) -> None:

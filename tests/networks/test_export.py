@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -28,7 +29,8 @@ def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path:
     out = tmp_path / "given.safetensors"
     assert main(["export", "--run", str(run), "--out", str(out), "--scores", str(scores)]) == 0
     given, kept = load_network(out), load_network(run)
-    assert given.card == {**kept.card, "scores": {"accuracy": 0.5}}
+    digest = hashlib.sha256(out.read_bytes()).hexdigest()
+    assert given.card == {**kept.card, "scores": {"accuracy": 0.5}, "weights_sha256": digest}
     assert out.stat().st_size < 0.7 * (run / "network.safetensors").stat().st_size
     with torch.no_grad():
         range_m = torch.full((1, 1, 40, 40), 2.0)

@@ -6,6 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_model.evaluation.evaluation import evaluate
@@ -14,7 +16,10 @@ from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     assert SHIPPED.stat().st_size <= 5_000_000
-    card = shipped_network().card
+    trained = shipped_network()
+    card = trained.card
+    assert (trained.rig, trained.sensor) == (load_rig(), load_sensor_model())
+    assert {"rig", "sensor", "weights_sha256"} <= card.keys()
     assert card["network"] == "compact"
     assert card["variant"] == "all"
     for name in ("command", "commit", "hardware", "recipe", "data", "scores"):

@@ -12,7 +12,7 @@ import pytest
 from pngs import RAMP, png
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.frame_tars import list_tar
+from bodyseg_model.segmentation.files.frame_tars import list_tar
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 
 
@@ -102,10 +102,41 @@ def test_a_folder_that_cannot_be_listed_is_named(tmp_path: Path, monkeypatch: py
     assert refusal(tmp_path) == f"cannot read {tmp_path}: Permission denied"
 
 
-def test_two_frames_of_one_name_are_refused(tmp_path: Path) -> None:
-    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("right/1.png", png()))
-    assert "two frames must not have one name, as their results would" in refusal(tar)
-    assert f"{tar}: left/1.png, {tar}: right/1.png" in refusal(tar)
+def frames_in(folder: Path, *stems: str) -> Path:
+    folder.mkdir(parents=True)
+    for stem in stems:
+        (folder / f"{stem}.png").write_bytes(png())
+    return folder
+
+
+def test_frames_of_one_name_get_the_names_of_their_folders(tmp_path: Path) -> None:
+    left, right = frames_in(tmp_path / "left", "1", "2"), frames_in(tmp_path / "right", "1")
+    found = find_frames([left, right])
+    assert names(found) == ["left/1", "left/2", "right/1"]
+    assert [frame.sequence for frame in found] == [1, 1, 2]
+    assert names(find_frames([left / "1.png", right / "1.png"])) == ["left/1", "right/1"]
+    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("../right/1.png", png()))
+    assert names(find_frames([tar])) == ["left/1", "right/1"]
+    assert names(find_frames([tar, left])) == [
+        "a/left/1",
+        "a/right/1",
+        f"{tmp_path.name}/left/1",
+        f"{tmp_path.name}/left/2",
+    ]
+    assert names(find_frames([left, frames_in(tmp_path / "other", "3")])) == ["1", "2", "3"]
+
+
+def test_as_many_folders_as_needed_tell_frames_apart(tmp_path: Path) -> None:
+    folders = [frames_in(tmp_path / day / "left", "1") for day in ("monday", "tuesday")]
+    assert names(find_frames(folders)) == ["monday/left/1", "tuesday/left/1"]
+
+
+def test_one_frame_given_twice_is_refused(tmp_path: Path) -> None:
+    left = frames_in(tmp_path / "left", "1")
+    message = refusal(left, left / "1.png")
+    assert message == f"two frames must not have one name, as their results would: {left / '1.png'}, {left / '1.png'}"
+    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("../left/1.png", png()))
+    assert f"as their results would: {tar}: left/1.png, {tar}: ../left/1.png" in refusal(tar)
 
 
 @pytest.mark.parametrize("name", [" a.png", "a*b.png", "a\nb.png", "x" * 101 + ".png"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -25,6 +26,8 @@ from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
+from bodyseg_model.segmentation.files.camera_files import cameras_beside
+from bodyseg_model.segmentation.frames import find_frames
 from bodyseg_model.segmentation.undistortion import Undistortion
 
 Frame = NDArray[np.uint16]
@@ -113,6 +116,8 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
     )
     assert facts["labels"] == {"name": "parts33", "classes": list(PARTS33.names)}
     assert facts["unit_m"] == 0.001 and facts["background"]["mode"] == "people"
+    assert facts["peak_mb"] > 50, "this process alone takes more"
+    assert facts["resampling"]["rig"] == "paper"
     assert facts["resampling"]["distance_m"] == 2.5 and facts["preview"] == {"frames": 5, "frames_per_second": 5.0}
     assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
     assert [frame["name"] for frame in facts["each"]] == names
@@ -152,7 +157,13 @@ def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
     save_network(tmp_path / "network.safetensors", build("compact", settings), "compact", {"seed": 9, "secret": 1})
     out = tmp_path / "out"
     assert run(recording / "7.png", "--focal", "100", "--run", tmp_path, "--out", out, "--device", "cpu") == 0
-    assert report(out)["network"] == {"file": str(tmp_path), "network": "compact", "seed": 9}
+    digest = hashlib.sha256((tmp_path / "network.safetensors").read_bytes()).hexdigest()
+    assert report(out)["network"] == {
+        "file": str(tmp_path),
+        "network": "compact",
+        "seed": 9,
+        "weights_sha256": digest,
+    }
     labels = pixels(out / "labels" / "7.png")
     np.testing.assert_array_equal(labels != BACKGROUND, pixels(recording / "7.png") == 2000)
 
@@ -189,6 +200,66 @@ def test_frames_of_a_camera_with_lens_distortion_are_undistorted(recording: Path
     assert report(out)["camera"]["distortion"] == distortion
     assert run(recording, "--focal", "100", "--out", tmp_path / "plain") == 0
     assert not (tmp_path / "plain" / "undistorted").exists()
+
+
+def test_frames_may_have_cameras_of_their_own(recording: Path, tmp_path: Path, network: Places) -> None:
+    """A frame of another size and lens, and one whose camera has 1.5 times the focal length: its body is smaller."""
+    save(recording / "8.png", standing(5, 2000, (90, 120)))
+    own = {"fx": 100.0, "fy": 100.0, "cx": 59.5, "cy": 44.5, "distortion": [0.1, 0, 0, 0]}
+    (recording / "8.json").write_text(json.dumps(own))
+    (recording / "9.json").write_text(json.dumps({"fx": 150.0, "fy": 150.0, "cx": 39.5, "cy": 29.5}))
+    (recording / "cameras.json").write_text(json.dumps({"default": {"fx": 100.0, "fy": 100.0, "cx": 39.5, "cy": 29.5}}))
+    out = tmp_path / "out"
+    assert run(recording, "--out", out) == 0
+    facts = report(out)
+    assert facts["camera"] == {"origin": "a file beside each frame", "frames_with_their_own": 5, "mirrored": False}
+    assert [frame["camera"]["focal_px"] for frame in facts["each"]] == [100, 100, 150, 100, 100]
+    assert [frame["bodies"][0]["scale"] for frame in facts["each"][::2]] == pytest.approx([6.06, 4.04, 6.06], rel=0.03)
+    assert facts["preview"]["frames"] == 4, "those of one size"
+    assert facts["each"][1]["flicker"] is None and facts["each"][3]["flicker"] is not None
+    lens = cameras_beside(find_frames([recording / "8.png"]))[0]
+    assert lens is not None
+    expected = Undistortion(lens.frame_camera((90, 120)).camera)(pixels(recording / "8.png"))
+    np.testing.assert_array_equal(pixels(out / "undistorted" / "8.png"), expected)
+    np.testing.assert_array_equal(pixels(out / "undistorted" / "7.png"), pixels(recording / "7.png"))
+
+
+def test_a_camera_that_is_given_is_that_of_all_frames(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (recording / "8.json").write_text("{")
+    out = tmp_path / "out"
+    assert "8.json is not JSON" in refused(capsys, recording, "--out", out)
+    assert not out.exists()
+    assert run(recording, "--focal", "100", "--out", out) == 0
+    assert all("camera" not in frame for frame in report(out)["each"])
+
+
+def test_frames_of_one_name_go_to_folders_of_their_own(recording: Path, tmp_path: Path) -> None:
+    other = shutil.copytree(recording, tmp_path / "other")
+    save(other / "7.png", standing(60, 2000))
+    assert run(recording, other, "--focal", "100", "--out", tmp_path / "out") == 0
+    for folder in (recording, other):
+        labels = pixels(tmp_path / "out" / "labels" / folder.name / "7.png")
+        np.testing.assert_array_equal(labels != BACKGROUND, pixels(folder / "7.png") == 2000)
+    each = report(tmp_path / "out")["each"]
+    assert [frame["name"] for frame in each][::5] == ["recording/7", "other/7"]
+    assert each[5]["flicker"] is None, "another recording begins"
+
+
+def test_an_out_that_is_not_segments_is_refused_and_kept(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in recording.iterdir()}
+    for out in (recording, tmp_path, recording / "labelled"):
+        assert "--out must lie outside the frames' folders" in refused(
+            capsys, recording, "--focal", "100", "--out", out
+        )
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "network.json").write_text("{}")
+    assert "holds network.json" in refused(capsys, recording, "--focal", "100", "--out", tmp_path / "run")
+    assert {path: path.read_bytes() for path in recording.iterdir()} == before
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["network.json"]
 
 
 def test_a_later_frame_of_another_size_is_refused_by_name_before_it_is_undistorted(
@@ -283,7 +354,9 @@ def test_an_out_that_cannot_be_written_is_named(
     assert f"cannot write {tmp_path / 'file'}" in refused(
         capsys, recording, "--focal", "100", "--out", tmp_path / "file"
     )
-    (tmp_path / "out" / "labels" / "9.png").mkdir(parents=True)
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
+    (tmp_path / "out" / "labels" / "9.png").unlink()
+    (tmp_path / "out" / "labels" / "9.png").mkdir()
     said = refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out")
     assert said == f"cannot write {tmp_path / 'out' / 'labels' / '9.png'}: Is a directory"
 
@@ -324,7 +397,7 @@ def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "probably" not in capsys.readouterr().err
     with Image.open(file) as picture:
         save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
-    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "out") == 0
+    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "turned") == 0
     assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err
 
 

@@ -26,8 +26,7 @@ from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
-from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
@@ -82,7 +81,7 @@ def bench_sensors(
     BadConfig for no body or no network, MissingLibrary without Anny.
     """
     count = check_int("the number of bodies", views, 1)
-    network = load_network(runs[0] if runs else SHIPPED).network
+    trained = load_network(runs[0] if runs else SHIPPED)
     scenes = all_scenes()
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
     in_view: list[list[float]] = [[] for _ in scenes]
@@ -97,7 +96,7 @@ def bench_sensors(
                 range_m, truth = _see(renderer, built.mesh, parts, placed)
                 shares.append(_share_in_view(built.mesh, placed))
                 for method in METHODS:
-                    tally[method].add(truth, label(network, range_m, scene.camera, method))
+                    tally[method].add(truth, label(trained, range_m, scene.camera, method))
         renderer.close()
         progress(done, len(bodies))
     return {
@@ -117,12 +116,13 @@ def bench_sensors(
     }
 
 
-def label(network: Network, range_m: Image, camera: Camera, method: Method) -> Labels:
+def label(trained: Trained, range_m: Image, camera: Camera, method: Method) -> Labels:
     """Labels [H, W] of a frame of one body without background, [H, W], metres."""
+    network = trained.network
     if method == "as it is":
         return predict(network, torch.from_numpy(range_m)[None, None]).labels[0].numpy()
     pixels = np.flatnonzero(range_m)
-    view = view_body(range_m, pixels, camera, load_rig(), turn_rad=0.0 if method == "scaled" else None)
+    view = view_body(range_m, pixels, camera, trained.rig, turn_rad=0.0 if method == "scaled" else None)
     labels = np.full(range_m.shape, BACKGROUND, np.uint8)
     labels.ravel()[pixels] = view.back(predict(network, torch.from_numpy(view.range_m)[None, None]).labels[0].numpy())
     return labels

@@ -1,0 +1,236 @@
+"""Cameras of single frames, from JSON files beside them, in OpenCV's terms.
+
+`NAME.json` beside `NAME.png` is that frame's camera; `cameras.json` in a folder or tar holds those of all frames there:
+
+    {"fx": 525.2, "fy": 525.0, "cx": 319.5, "cy": 239.5, "distortion": [0.1, -0.2, 0, 0, 0]}
+    {"default": {"fx": ...}, "frames": {"NAME": {"fx": ...}}}
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import refuse_special
+from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.rigs.distortion import Distortion
+from bodyseg_data.core.tables import Table
+from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.segmentation.files.frame_tars import list_tar
+from bodyseg_model.segmentation.frames import FrameFile
+
+CAMERAS: Final = "cameras.json"
+
+_LARGEST_FILE: Final = 1 << 24
+_NEEDED: Final = ("fx", "fy", "cx", "cy")
+_COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
+_SQUARE: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Camera matrix and lens distortion of a frame as OpenCV gives them: pixels, pixel centres at whole numbers.
+
+    size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Raises BadConfig
+    for focal lengths that differ by more than 1 %, which square pixels do not have.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion | None
+    size: tuple[int, int] | None
+    where: str
+
+    def __post_init__(self) -> None:
+        if abs(self.fx / self.fy - 1) > _SQUARE:
+            raise BadConfig(f"{self.where}: pixels must be square, found 'fx' {self.fx:g} and 'fy' {self.fy:g}")
+
+    def frame_camera(self, shape: tuple[int, int]) -> FrameCamera:
+        """The camera of a frame of `shape` (rows, columns). Raises BadConfig for another size than the file's."""
+        if self.size is not None and self.size != shape:
+            expected, found = (" x ".join(map(str, size)) for size in (self.size, shape))
+            raise BadConfig(f"{self.where}: the frame must have {expected} pixels, found {found}")
+        centre, pose = (self.cx + 0.5, self.cy + 0.5), ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        try:
+            camera = Camera(*shape, math.sqrt(self.fx * self.fy), centre, *pose, distortion=self.distortion)
+        except BadConfig as error:
+            raise BadConfig(f"{self.where}: {error}") from None
+        return FrameCamera(camera, f"file {self.where}")
+
+
+def cameras_beside(frames: Sequence[FrameFile]) -> list[Intrinsics | None]:
+    """The cameras in files beside frames, None for a frame without one.
+
+    A frame's own file comes before `CAMERAS`, and there an entry of its name before "default". A JSON file of a frame's
+    name without any of fx, fy, cx and cy is not taken for a camera. Raises BadConfig, naming the file, for one that is
+    damaged, incomplete or out of range.
+    """
+    homes: dict[Path, _Home] = {}
+    found = []
+    for frame in frames:
+        path = frame.path.parent if frame.member is None else frame.path
+        if path not in homes:
+            homes[path] = _Home(path) if frame.member is None else _Tar(path)
+        found.append(homes[path].camera(frame))
+    return found
+
+
+class FrameCameras:
+    """The camera of every frame: its own, where `beside` (as `cameras_beside`) has one, or else one for all others.
+
+    choose: the common camera, by the size (rows, columns) of the first frame without its own, and that frame's name in
+    messages. first: of the first frame. bent: True if any camera has lens distortion. Raises BadConfig as `choose`,
+    and for a first frame that cannot be read or does not fit its own camera.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[FrameFile],
+        beside: Sequence[Intrinsics | None],
+        choose: Callable[[tuple[int, int], str], FrameCamera],
+    ) -> None:
+        self._own = {frame: own for frame, own in zip(frames, beside, strict=True) if own is not None}
+        others = [frame for frame in frames if frame not in self._own]
+        self.common = choose(_shape(others[0]), others[0].where) if others else None
+        self.first = self.of(frames[0], _shape(frames[0]))
+        lenses = [own.distortion for own in self._own.values()]
+        if self.common is not None:
+            lenses.append(self.common.camera.distortion)
+        self.bent = any(lens is not None for lens in lenses)
+
+    def __repr__(self) -> str:
+        return f"FrameCameras({len(self._own)} of frames' own, {self.common!r})"
+
+    def of(self, frame: FrameFile, shape: tuple[int, int]) -> FrameCamera:
+        """The camera of a frame of `shape` (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""
+        if self.common is None or frame in self._own:
+            return self._own[frame].frame_camera(shape)
+        return self.common
+
+    def is_own(self, frame: FrameFile) -> bool:
+        """True for a frame with a camera of its own."""
+        return frame in self._own
+
+    def to_json(self) -> dict[str, Any]:
+        """The common camera, and how many frames have their own, as plain JSON."""
+        common = {"origin": "a file beside each frame"} if self.common is None else self.common.to_json()
+        return {**common, **({"frames_with_their_own": len(self._own)} if self._own else {})}
+
+
+def _shape(frame: FrameFile) -> tuple[int, int]:
+    rows, columns = frame.read().shape
+    return rows, columns
+
+
+class _Home:
+    """JSON files in a folder."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._shared: dict[str, tuple[Intrinsics | None, dict[str, Intrinsics]]] = {}
+
+    def camera(self, frame: FrameFile) -> Intrinsics | None:
+        stem = PurePosixPath(frame.member or frame.path.name)
+        own = self._tree(str(stem.with_suffix(".json")))
+        if own is not None and any(name in own for name in _NEEDED):
+            return _intrinsics(own, self._where(str(stem.with_suffix(".json"))))
+        folder = str(stem.parent / CAMERAS)
+        if folder not in self._shared:
+            self._shared[folder] = self._read_shared(folder)
+        default, named = self._shared[folder]
+        return named.get(stem.stem, default)
+
+    def _read_shared(self, name: str) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
+        tree = self._tree(name)
+        if tree is None:
+            return None, {}
+        where = self._where(name)
+        unknown = sorted(tree.keys() - {"default", "frames"})
+        frames = tree.get("frames", {})
+        if unknown or not isinstance(frames, dict) or not tree:
+            raise BadConfig(f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them")
+        default = _intrinsics(tree["default"], f"{where}, default") if "default" in tree else None
+        return default, {
+            name.removesuffix(".png"): _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()
+        }
+
+    def _where(self, name: str) -> str:
+        return str(self._path / name)
+
+    def _tree(self, name: str) -> dict[str, Any] | None:
+        """The object in a JSON file; None if there is no such file. Raises BadConfig."""
+        data = self._data(name)
+        if data is None:
+            return None
+        try:
+            tree = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise BadConfig(f"{self._where(name)} is not JSON: {error}") from error
+        if not isinstance(tree, dict):
+            raise BadConfig(f"{self._where(name)} must hold a JSON object, found {type(tree).__name__}")
+        return tree
+
+    def _data(self, name: str) -> bytes | None:
+        path = self._path / name
+        try:
+            refuse_special(path)
+            self._check_size(path.stat().st_size, name)
+            return path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+
+    def _check_size(self, size: int, name: str) -> None:
+        if size > _LARGEST_FILE:
+            raise BadConfig(
+                f"a file of cameras must have at most {_LARGEST_FILE} bytes, found {size}: {self._where(name)}"
+            )
+
+
+class _Tar(_Home):
+    """JSON files in a tar."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._members = {str(PurePosixPath(member.name)): member for member in list_tar(path) if member.plain}
+
+    def _where(self, name: str) -> str:
+        return f"{self._path}: {name}"
+
+    def _data(self, name: str) -> bytes | None:
+        member = self._members.get(name)
+        if member is None:
+            return None
+        self._check_size(member.size, name)
+        return FrameFile(name, self._where(name), self._path, member.offset, member.size).read_bytes()
+
+
+def _intrinsics(tree: Any, where: str) -> Intrinsics:
+    if not isinstance(tree, dict):
+        raise BadConfig(f"{where} must be a camera with fx, fy, cx and cy, found {type(tree).__name__}")
+    table = Table(tree, where)
+    fx, fy = table.positive("fx"), table.positive("fy")
+    cx, cy = table.number("cx"), table.number("cy")
+    size = None
+    if table.has("width") or table.has("height"):
+        columns, rows = table.whole("width"), table.whole("height")
+        size = rows, columns
+    distortion = None
+    if table.has("distortion"):
+        given = tree["distortion"]
+        count = 4 if isinstance(given, list) and len(given) == 4 else 5
+        coefficients = dict(zip(_COEFFICIENTS, table.numbers("distortion", count), strict=False))
+        try:
+            distortion = Distortion(**coefficients) if any(coefficients.values()) else None
+        except BadConfig as error:
+            raise BadConfig(f"{where}: {error}") from None
+    table.finish()
+    return Intrinsics(fx, fy, cx, cy, distortion, size, where)

@@ -1,0 +1,197 @@
+"""Folder of the results of `bodyseg segment`: nothing of anybody else is replaced, mixed or lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from pngs import png
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.segmentation.files.output_folder import IMAGES, OutputFolder
+from bodyseg_model.segmentation.frames import find_frames
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return recorded(tmp_path / "recording", "1", "2")
+
+
+def recorded(folder: Path, *names: str) -> Path:
+    folder.mkdir(parents=True)
+    for name in names:
+        (folder / f"{name}.png").write_bytes(png())
+    return folder
+
+
+def opened(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2]) -> OutputFolder:
+    return OutputFolder(out, inputs, find_frames(inputs), folders)
+
+
+def filled(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2], done: bool = True) -> None:
+    """Results as the command leaves them, or as a call that ends after its first frame does."""
+    place = opened(out, *inputs, folders=folders)
+    place.begin()
+    frames = find_frames(inputs)
+    for frame in frames if done else frames[:1]:
+        for folder in folders:
+            place.image(folder, frame.name).write_text(frame.where)
+    if done:
+        place.finish({"each": [{"name": frame.name, "file": frame.where} for frame in frames]})
+
+
+def files(out: Path) -> list[str]:
+    return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+
+
+def refusal(out: Path, *inputs: Path) -> str:
+    before = files(out) if out.is_dir() else []
+    with pytest.raises(BadConfig) as caught:
+        opened(out, *inputs)
+    assert (files(out) if out.is_dir() else []) == before
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_nothing_is_made_before_it_begins(recording: Path, tmp_path: Path) -> None:
+    out = opened(tmp_path / "new" / "out", recording)
+    assert repr(out) == f"OutputFolder('{tmp_path / 'new' / 'out'}', labels, overlay)"
+    assert not (tmp_path / "new").exists()
+    out.begin()
+    assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "unfinished.json"]
+    out.finish({"each": [{"people": 1}, {"people": 0}]})
+    each = json.loads((out.path / "summary.json").read_text())["each"]
+    assert [(frame["name"], frame["people"]) for frame in each] == [("1", 1), ("2", 0)]
+    assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "summary.json"]
+
+
+def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    filled(out, recording, folders=IMAGES)
+    place = opened(out, recording)
+    place.begin()
+    left = ["labels/1.png", "labels/2.png", "overlay/1.png", "overlay/2.png", "unfinished.json"]
+    assert files(out) == left, "what this call does not write is gone, and so is the old summary"
+    place.finish({"each": [{}, {}]})
+
+
+def test_frames_are_the_same_from_any_folder_and_others_of_their_path_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    for day in ("monday", "tuesday"):
+        recorded(tmp_path / day / "recording", "1")
+    monkeypatch.chdir(tmp_path / "monday")
+    filled(out, Path("recording"))
+    filled(out, tmp_path / "monday" / "recording")
+    filled(out, Path("recording"))
+    monkeypatch.chdir(tmp_path / "tuesday")
+    assert "must not hold results of other frames, found those of recording/1.png in" in refusal(out, Path("recording"))
+    filled(out, Path("..") / "monday" / "recording")
+
+
+def test_more_frames_may_come_and_names_may_change(recording: Path, tmp_path: Path) -> None:
+    out, other = tmp_path / "out", recorded(tmp_path / "other", "2")
+    filled(out, recording)
+    filled(out, recording, other)
+    images = [f"{folder}/{name}.png" for folder in IMAGES[:2] for name in ("other/2", "recording/1", "recording/2")]
+    assert files(out) == [*images, "summary.json"]
+
+
+def test_results_of_other_frames_are_kept(recording: Path, tmp_path: Path) -> None:
+    out, other = tmp_path / "out", recorded(tmp_path / "other", "1", "2")
+    filled(out, other)
+    kept = f"--out must not hold results of other frames, found those of {other / '1.png'} in {out}"
+    assert refusal(out, recording) == f"{kept}: give a new folder, or delete this one"
+    filled(out, recording, other)
+    assert "must not hold results of other frames" in refusal(out, other)
+
+
+def test_a_call_that_was_cut_short_is_carried_on_without_its_bad_frame(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    filled(out, recording, done=False)
+    (recording / "2.png").unlink()
+    filled(out, recording)
+    assert files(out) == ["labels/1.png", "overlay/1.png", "summary.json"]
+    filled(tmp_path / "again", recorded(tmp_path / "more", "1", "2"), done=False)
+    (tmp_path / "more" / "1.png").unlink()
+    assert "must not hold results of other frames" in refusal(tmp_path / "again", tmp_path / "more")
+
+
+@pytest.mark.parametrize(
+    ("make", "held"),
+    [
+        (lambda out: (out / "notes.txt").write_text("mine"), "holds notes.txt"),
+        (lambda out: (out / "labels").mkdir(), "holds labels"),
+        (
+            lambda out: (out / "summary.json").write_text('{"format": "bodyseg train 1", "each": []}'),
+            "is not of format",
+        ),
+        (lambda out: (out / "summary.json").write_text('{"format": "bodyseg segment 2"}'), "is not of format"),
+        (
+            lambda out: (out / "summary.json").write_text('{"format": "bodyseg segment 2", "each": [{"name": "x"}]}'),
+            "is not of format",
+        ),
+        (
+            lambda out: (out / "summary.json").write_text(
+                json.dumps({"format": "bodyseg segment 2", "each": [{"name": "../../x", "file": "x", "path_id": "x"}]})
+            ),
+            "is not of format",
+        ),
+        (lambda out: (out / "summary.json").write_text("{"), "is not JSON"),
+        (lambda out: (out / "run.json").write_text("{}"), "holds run.json"),
+    ],
+)
+def test_a_folder_of_anything_else_is_refused(
+    make: Callable[[Path], object], held: str, recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    make(out)
+    assert held in refusal(out, recording)
+
+
+def test_hidden_files_do_not_matter(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".DS_Store").write_text("")
+    filled(tmp_path / "out", recording)
+    assert (tmp_path / "out" / ".DS_Store").exists()
+
+
+def test_an_out_among_the_frames_is_refused(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(recording)
+    rule = "--out must lie outside the frames' folders and hold no frames, found"
+    for out, frames in (
+        (recording, recording),
+        (recording / "labelled", recording),
+        (tmp_path, recording),
+        (recording, tmp_path / "link"),
+        (tmp_path / "link", recording),
+        (recording, recording / "1.png"),
+    ):
+        assert refusal(out, frames) == f"{rule} {out} and {frames}"
+    opened(recording / "labelled", recording / "1.png")  # beside single frames it may lie
+
+
+def test_an_out_that_cannot_be_made_is_named(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    assert refusal(tmp_path / "file", recording) == f"cannot write {tmp_path / 'file'}: Not a directory"
+    assert refusal(tmp_path / "file" / "out", recording) == f"cannot write {tmp_path / 'file' / 'out'}: Not a directory"
+    filled(tmp_path / "old", recording)
+    shutil.rmtree(tmp_path / "old" / "labels")
+    (tmp_path / "old" / "labels").write_text("")
+    with pytest.raises(BadConfig, match=r"^cannot write .*old: File exists$"):
+        opened(tmp_path / "old", recording).begin()
+    place = opened(tmp_path / "out", recording)
+    place.begin()
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, os.strerror(13), str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(BadConfig, match=r"cannot write .*out: Permission denied"):
+        place.finish({"each": [{}, {}]})
