@@ -24,7 +24,7 @@ from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
-from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.core.errors import BadConfig, BadShard, check_fields
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS, Split
@@ -71,6 +71,7 @@ class Packing:
     tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.meshes is not None and self.meshes < 1:
             raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
         if self.shard_samples < 1:

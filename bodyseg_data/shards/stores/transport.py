@@ -80,8 +80,8 @@ class _Filesystem:
     Every thread has its own, too, unless the filesystem is asynchronous: others may talk over a single connection.
     """
 
-    def __init__(self, protocol: str, options: Mapping[str, Any]) -> None:
-        self._protocol, self._options = protocol, dict(options)
+    def __init__(self, address: str, options: Mapping[str, Any]) -> None:
+        self._address, self._options = address, dict(options)
         self._token = uuid.uuid4().hex
         weakref.finalize(self, _forget, self._token)
 
@@ -95,11 +95,18 @@ class _Filesystem:
         return _FILESYSTEMS.setdefault((process, self._token, thread), opened)
 
     def _open(self) -> Any:
+        protocol = self._address.partition("://")[0]
         try:
-            filesystem = import_module("fsspec").filesystem(self._protocol, skip_instance_cache=True, **self._options)
+            kind = import_module("fsspec").get_filesystem_class(protocol)
+            # Host, port and user, for the protocols whose filesystem is one server's.
+            options = {} if protocol in ("http", "https") else kind._get_kwargs_from_urls(self._address)
+            options |= self._options
+            # Before an object is made: one whose construction fails fails again when it is deleted, on standard error.
+            inspect.signature(kind.__init__).bind(None, **options)
+            filesystem = kind(skip_instance_cache=True, **options)
         except ImportError as error:
             packages = "pip install 'bodyseg[remote]' has those of http and s3"
-            raise MissingLibrary(f"{self._protocol}:// addresses need packages: {packages} ({error})") from None
+            raise MissingLibrary(f"{protocol}:// addresses need packages: {packages} ({error})") from None
         if hasattr(filesystem, "retries"):
             filesystem.retries = 1  # s3fs: attempts are counted by the caller
         return filesystem
@@ -110,14 +117,17 @@ def _forget(token: str) -> None:
         del _FILESYSTEMS[key]
 
 
-def open_transport(protocol: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
-    """Open the transport of `protocol`. Raises MissingLibrary, or the filesystem's own errors for bad `options`."""
+def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
+    """Open the transport to a folder's address. Raises MissingLibrary, or the filesystem's own errors for an address or
+    `options` that it does not accept.
+    """
+    protocol = address.partition("://")[0]
     if protocol in ("http", "https"):
-        return _HttpTransport(_Filesystem(protocol, options), stall_s)
+        return _HttpTransport(_Filesystem(address, options), stall_s)
     if protocol in ("s3", "s3a"):
         waits = {"connect_timeout": stall_s, "read_timeout": stall_s, "retries": {"total_max_attempts": 1}}
         options = {**options, "config_kwargs": {**waits, **options.get("config_kwargs", {})}}
-    return _BlockTransport(_Filesystem(protocol, options), total_s)
+    return _BlockTransport(_Filesystem(address, options), total_s)
 
 
 class _HttpTransport:
