@@ -6,7 +6,7 @@ import json
 import resource
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from bodyseg_data.bodies.sources import SourceName
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, one_line
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.system.machine import processors
@@ -24,6 +24,7 @@ from bodyseg_data.core.views import ViewGrid, parse_choice
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
+from bodyseg_data.packing.skipping import FaultyMeshes, OnError, OnFaults
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
@@ -63,6 +64,9 @@ class Options:
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
+    on_error: OnError = option("stop at meshes that cannot be packed, naming all, or skip them", OnFaults.on_error)
+    skip_budget: float | None = option("the most meshes to skip: a number, or a share below 1", OnFaults.skip_budget)
+    skip_log: Path | None = option("append each skipped mesh to this file, as a line of JSON", OnFaults.skip_log)
     report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
@@ -102,11 +106,17 @@ def run(options: Options) -> int:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     if options.report is not None:
         check_target(options.report, "--report")
+    on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
+    _warn_about_split(packing)
     origin = {} if options.report is None else provenance(command_line("tools/shard", options))
     start = time.perf_counter()
-    with Progress("packing", "views") as progress:
-        manifest = pack_on(options.engine, options.workers, packing, options.out, progress)
+    try:
+        with Progress("packing", "views") as progress:
+            manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults)
+    except FaultyMeshes as error:
+        sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
+        raise
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start)
@@ -116,6 +126,8 @@ def run(options: Options) -> int:
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
+    for mesh in manifest.skipped:
+        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
     return 0
 
 
@@ -140,6 +152,7 @@ def _figures(options: Options, manifest: Manifest, made: int, seconds: float) ->
         },
         "peak_mb": {"writer": here.ru_maxrss // 1024, "largest_worker": workers.ru_maxrss // 1024 if local else None},
         "notes": sum(len(shard.notes) for shard in manifest.shards),
+        "skipped": len(manifest.skipped),
     }
 
 
@@ -154,9 +167,37 @@ def _warn_about_missing(packing: Packing) -> None:
         )
 
 
-def pack_on(engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress) -> Manifest:
-    """Pack on an engine, showing progress; see `open_engine` and `pack`."""
+def _warn_about_split(packing: Packing) -> None:
+    """Name the split of a set that has only one."""
+    splits = {body.split for body in packing.bodies()}
+    if len(splits) == 1:
+        (split,) = splits
+        reasons = packing.opened().missing()
+        runs = f"; the source lacks {', '.join(collapsed(reasons)[:3])}" if reasons else ""
+        sys.stderr.write(f"bodyseg shard: note: all meshes of this set are of the split {split}{runs}\n")
+
+
+def pack_on(
+    engine: str,
+    workers: int | None,
+    packing: Packing,
+    out: Path,
+    progress: Progress,
+    on_faults: OnFaults = OnFaults(),  # noqa: B008  frozen
+) -> Manifest:
+    """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`."""
+    title, unit = progress.title, progress.unit
+
+    def checked(done: int, total: int) -> None:
+        progress.begin("checking", "meshes")
+        progress.update(done, total)
+
+    def packed(done: int, total: int) -> None:
+        progress.begin(title, unit)
+        progress.update(done, total)
+
     with open_engine(engine, workers, packing) as engine_context:
         if engine_context.note is not None:
             sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
-        return pack(packing, out, engine_context.executor, engine_context.workers, progress.update)
+        on_faults = replace(on_faults, progress=checked)
+        return pack(packing, out, engine_context.executor, engine_context.workers, packed, on_faults)

@@ -93,7 +93,9 @@ def check_fields(options: Any) -> None:
             raise BadConfig(f"{type(options).__name__}: {field.name} must be {wanted}, found {value!r:.100}")
 
 
-_field_types: Final = cache(typing.get_type_hints)
+@cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
 
 
 def _fits(value: Any, kind: Any) -> bool:

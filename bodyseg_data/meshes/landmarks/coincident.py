@@ -66,9 +66,7 @@ def separate(
     crowd = np.flatnonzero(together.sum(axis=1) > 1)
     if len(crowd):
         names = ", ".join(repr(LANDMARKS[index]) for index in (crowd[0], *np.flatnonzero(together[crowd[0]])))
-        raise BadLandmarks(
-            f"{where}: at most two landmarks may be in one place, found {names} at {vertices[crowd[0]]}"
-        )
+        raise BadLandmarks(f"{where}: at most two landmarks may be in one place, found {names} at {vertices[crowd[0]]}")
     surface = mend(mesh.vertices, mesh.faces, _FEATURE)
     separated, notes = vertices.copy(), []
     for first, second in np.argwhere(np.triu(together)).tolist():
