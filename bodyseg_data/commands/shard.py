@@ -100,6 +100,7 @@ def run(options: Options) -> int:
     packing = options.packing()
     if options.plan:
         _warn_about_missing(packing)
+        _warn_about_split(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     if options.out is None:
@@ -168,13 +169,15 @@ def _warn_about_missing(packing: Packing) -> None:
 
 
 def _warn_about_split(packing: Packing) -> None:
-    """Name the split of a set that has only one."""
-    splits = {body.split for body in packing.bodies()}
-    if len(splits) == 1:
-        (split,) = splits
-        reasons = packing.opened().missing()
-        runs = f"; the source lacks {', '.join(collapsed(reasons)[:3])}" if reasons else ""
-        sys.stderr.write(f"bodyseg shard: note: all meshes of this set are of the split {split}{runs}\n")
+    """Name the split of all meshes of a source with files, if it has only one."""
+    bodies = packing.bodies()
+    splits = sorted({body.split for body in bodies})
+    if packing.path is not None and len(splits) == 1:
+        (lacking,) = set(SPLITS) - set(splits)
+        sys.stderr.write(
+            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking} "
+            "(docs/sources.md: the sources)\n"
+        )
 
 
 def pack_on(

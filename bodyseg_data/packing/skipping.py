@@ -105,7 +105,9 @@ class SkipList:
         self._log(added)
 
     def _shortened(self, reason: str) -> str:
-        return reason if self._folder is None else reason.replace(f"{self._folder}/", "")
+        if self._folder is None:
+            return reason
+        return reason.replace(f"{self._folder}/", "").replace(str(self._folder), "the source's folder")
 
     def _log(self, added: Mapping[str, str]) -> None:
         log = self._on_faults.skip_log
