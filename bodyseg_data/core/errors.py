@@ -85,12 +85,13 @@ def check_fields(options: Any) -> None:
 
     Numbers may be of NumPy, a whole number may stand for a float, and a list for a tuple; a bool is no number.
     """
-    hints = _field_types(type(options))
+    kind: Any = type(options)
+    hints = _field_types(kind)
     for field in fields(options):
         value = getattr(options, field.name)
         if not _fits(value, hints[field.name]):
             wanted = _in_words(hints[field.name])
-            raise BadConfig(f"{type(options).__name__}: {field.name} must be {wanted}, found {value!r:.100}")
+            raise BadConfig(f"{kind.__name__}: {field.name} must be {wanted}, found {value!r:.100}")
 
 
 @cache

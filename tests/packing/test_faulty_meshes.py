@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ from small_rig import SMALL
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES, open_source
 from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample
+from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.pack import Packing, pack
@@ -361,3 +362,15 @@ def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest
     said = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("skipped ") for line in said) == 5
     assert len(log.read_text().splitlines()) == 5
+
+
+@pytest.mark.parametrize("skipped", [3, [3], [{"mesh": "a"}], [{"mesh": "a", "why": 1}], [{"mesh": "a", "why": "b\n"}]])
+def test_a_manifest_with_other_entries_of_skipped_meshes_is_refused(
+    skipped: Any, figures_set: Path, tmp_path: Path
+) -> None:
+    tree = {key: value for key, value in read_manifest(figures_set).to_json().items() if key != "digest"}
+    tree["skipped"] = skipped
+    digest = hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    (tmp_path / "manifest.json").write_text(json.dumps({**tree, "digest": digest}))
+    with pytest.raises(BadShard, match="'skipped' must be a list of meshes, each with its name and the reason"):
+        read_manifest(tmp_path)

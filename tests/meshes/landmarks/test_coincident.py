@@ -110,9 +110,7 @@ def test_landmarks_apart_stay_as_they_are() -> None:
 def test_three_in_one_place_and_no_room_are_refused() -> None:
     vertices = np.array(VERTICES)
     vertices[[4, 9]] = vertices[2]
-    with pytest.raises(
-        BadLandmarks, match="^here: at most two .* found 'Supramenton', 'Rt. Thel.*', 'Cervicale' at"
-    ):
+    with pytest.raises(BadLandmarks, match="^here: at most two .* found 'Supramenton', 'Rt. Thel.*', 'Cervicale' at"):
         separate(PERSON, vertices, PERSON.vertices[vertices], "here")
     vertices = np.array(VERTICES)
     shared = vertices[RIGHT]
