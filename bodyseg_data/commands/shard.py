@@ -24,7 +24,7 @@ from bodyseg_data.core.views import ViewGrid, parse_choice
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.pack import Packing, pack, plan
-from bodyseg_data.packing.skipping import FaultyMeshes, OnError, OnFaults
+from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
@@ -186,7 +186,7 @@ def pack_on(
     packing: Packing,
     out: Path,
     progress: Progress,
-    on_faults: OnFaults = OnFaults(),  # noqa: B008  frozen
+    on_faults: OnFaults = STOP,
 ) -> Manifest:
     """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`."""
     title, unit = progress.title, progress.unit

@@ -33,7 +33,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.checking import find_faults
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler, body_key
-from bodyseg_data.packing.skipping import OnFaults, SkipList
+from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList
 from bodyseg_data.packing.state import check_folder, claimed, forget_shard, record_skips, stored_skips
 from bodyseg_data.packing.writing import cut, cut_again, write_shards
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
@@ -215,7 +215,7 @@ def pack(
     executor: Executor,
     workers: int,
     progress: Progress = lambda done, total: None,
-    on_faults: OnFaults = OnFaults(),  # noqa: B008  frozen
+    on_faults: OnFaults = STOP,
 ) -> Manifest:
     """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
@@ -250,7 +250,7 @@ def pack(
                     break
                 body, error = found
                 if skips.strict:
-                    raise type(error)(str(error)) from error
+                    raise error
                 skips.add({body.mesh: str(error)})
                 for shard in cut_again(shards, body):
                     forget_shard(out, state, shard.name)

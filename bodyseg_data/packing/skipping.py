@@ -59,6 +59,9 @@ class OnFaults:
         return int(budget if budget >= 1 else budget * meshes)
 
 
+STOP: Final = OnFaults()
+
+
 class FaultyMeshes(BadMesh):
     """Meshes that cannot be packed, or more of them than a budget permits. faults: name of a mesh -> reason."""
 

@@ -22,6 +22,7 @@ from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.engines.processes import processes
 from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.packing.skipping import FaultyMeshes, OnFaults, SkipList
 from bodyseg_data.packing.state import STATE_NAME
@@ -53,9 +54,9 @@ def wanted(folder: Path, **options: Any) -> Packing:
     return Packing("folder", folder, views=grid, rig=SMALL, **{"shard_samples": 3, "geodesics": "edges", **options})
 
 
-def packed(asked: Packing, out: Path, on_faults: OnFaults = SKIP, workers: int = 1) -> Manifest:
-    with ThreadPoolExecutor(workers) as executor:
-        return pack(asked, out, executor, workers, on_faults=on_faults)
+def packed(asked: Packing, out: Path, on_faults: OnFaults = SKIP) -> Manifest:
+    with ThreadPoolExecutor(1) as executor:
+        return pack(asked, out, executor, 1, on_faults=on_faults)
 
 
 def samples(manifest: Manifest) -> list[tuple[str, int]]:
@@ -105,7 +106,8 @@ def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -
     lines = [json.loads(line) for line in log.read_text().splitlines()]
     assert lines == [{"mesh": each.mesh, "why": each.why} for each in manifest.skipped]
     # Again, with more workers, elsewhere: the same bytes; and into the finished set: nothing changes.
-    packed(wanted(folder), tmp_path / "again", SKIP, workers=3)
+    with processes(2) as engine:
+        pack(wanted(folder), tmp_path / "again", engine.executor, 2, on_faults=SKIP)
     assert contents(tmp_path / "again") == contents(tmp_path / "out")
     assert packed(wanted(folder), tmp_path / "out", on_faults) == manifest
     assert len(log.read_text().splitlines()) == 5, "each is listed once"
@@ -169,8 +171,8 @@ def figures(monkeypatch: pytest.MonkeyPatch, known: dict[Any, Any]) -> Callable[
         monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=kind))
         views = ViewGrid(span_deg=360, count=4)
         asked = Packing("open", views=views, rig=SMALL, shard_samples=3, geodesics="edges")
-        with ThreadPoolExecutor(2) as threads:
-            return pack(asked, out, executor or threads, 2, on_faults=on_faults)
+        with ThreadPoolExecutor(1) as thread:
+            return pack(asked, out, executor or thread, 2, on_faults=on_faults)
 
     return packed_figures
 
