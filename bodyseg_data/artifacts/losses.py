@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.surface import Box, box_of, slants
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Camera
 
@@ -44,6 +44,7 @@ class Losses(Artifact):
     most: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check_share(self.most, "the largest share of lost pixels")
 
     def lost(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.randomness import Draws
 
 
@@ -31,6 +31,7 @@ class MissingData(Artifact):
     between: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not self.rates or not all(0 <= rate <= 1 for rate in self.rates):
             raise BadConfig(f"missing-data rates must be shares from 0 to 1, found {list(self.rates)}")
         if self.between is not None and not 0 <= self.between[0] <= self.between[1] <= 1:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -34,6 +34,7 @@ class Noise(Artifact):
     high_mm: float = 100.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 <= self.low_mm <= self.high_mm <= 1000:
             raise BadConfig(
                 f"noise must satisfy 0 <= low <= high <= 1000 mm, found low {self.low_mm} and high {self.high_mm}"

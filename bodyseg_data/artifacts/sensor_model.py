@@ -46,6 +46,8 @@ class SensorModel:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
             raise BadConfig(f"a sensor's name must be one plain word of at most 40 letters, found {self.name!r:.60}")
+        if not isinstance(self.title, str):
+            raise BadConfig(f"sensor {self.name}: the title must be text, found {self.title!r:.60}")
         given: Any = self.artifacts
         if not isinstance(given, tuple | list):
             raise BadConfig(f"sensor {self.name}: artifacts must be a tuple of them, found {type(given).__name__}")

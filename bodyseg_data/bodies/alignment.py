@@ -108,6 +108,21 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
     raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest: found {shown}, which fits in no unit")
 
 
+def check_size(surface: NDArray[np.float64], scale: float, where: str, decided_by: str) -> None:
+    """Raise BadMesh unless the vertices [N, 3] of a body are of human size in a unit found from another mesh.
+
+    scale: metres in that unit. decided_by: names the mesh that it was found from.
+    """
+    extent_m = float(np.ptp(surface, axis=0).max()) * scale
+    low, high = HEIGHT_RANGE_M
+    if not low <= extent_m <= high:
+        unit = next(name for name, metres in METRES.items() if metres == scale)
+        raise BadMesh(
+            f"{where}: a body must be {low} to {high} m at its largest, found {extent_m:.3g} m in {unit}, the unit of "
+            f"{decided_by}: meshes that share landmarks have one unit"
+        )
+
+
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
     """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
 

@@ -22,6 +22,7 @@ from bodyseg_data.bodies.alignment import (
     Units,
     UpAxis,
     check_alignment,
+    check_size,
     check_standing,
     find_alignment,
     metres_a_unit,
@@ -29,10 +30,12 @@ from bodyseg_data.bodies.alignment import (
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.core.errors import BadLandmarks, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, SnappedLandmarks
+from bodyseg_data.meshes.landmarks.by_point import FARTHEST_M, PointLandmarks, SnappedLandmarks
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
+from bodyseg_data.meshes.landmarks.coincident import separate
 from bodyseg_data.meshes.landmarks.files import load_landmark_file
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.nearest import farthest_from
 from bodyseg_data.meshes.readers.files import read_mesh
 from bodyseg_data.meshes.repair import repair
 
@@ -71,7 +74,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         self._units, self._up = units, up
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
-        self._alignments: dict[str, Alignment] = {}
+        self._alignments: dict[str, tuple[Alignment, Path]] = {}
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the meshes' files, the landmarks, and the alignments.
@@ -82,7 +85,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         digest = hashlib.sha256(repr((self._units, self._up)).encode())
         for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
-                digest.update(str(self._group_alignment(group)).encode())
+                digest.update(str(self._group_alignment(group)[0]).encode())
         for body in bodies:
             landmarks = self._landmarks(body)
             points = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
@@ -100,20 +103,53 @@ class MeshBodies(ListedBodies[MeshFile]):
         missing or do not fit; BadConfig for a body of another source.
         """
         landmarks, file = self._landmarks(body), self.entry(body)
+        vertices, faces, alignment = self._placed(body, landmarks)
+        if isinstance(landmarks, LandmarkSet):
+            mesh = _mesh(body.mesh, vertices, faces, file.path)
+            found = landmarks.for_mesh(mesh)
+            where = f"landmarks {landmarks.source} on mesh {mesh.name}"
+            found, moved = separate(mesh, found, mesh.vertices[found], where)
+            built = Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
+        else:
+            built = _snapped(body.mesh, vertices, faces, file.path, landmarks.transformed(1.0, alignment.rotation))
+        if file.standing:
+            check_standing(built.mesh.vertices[built.landmarks], str(file.path))
+        return built
+
+    def check(self, body: BodyRef) -> None:
+        """Check one body's files: that both can be read, and that landmarks, counts and unit fit the mesh.
+
+        A body with landmarks by vertex is built whole, which takes little longer than reading it. One with landmarks by
+        coordinate is built only if one of them is not near a vertex; faces that need repair show when it is packed.
+        Raises the errors of `build`.
+        """
+        landmarks, file = self._landmarks(body), self.entry(body)
+        if isinstance(landmarks, LandmarkSet):
+            self.build(body)
+            return
+        vertices, faces, alignment = self._placed(body, landmarks)
+        surface = _used((vertices, faces))
+        points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
+        if file.standing:
+            check_standing(points.points, str(file.path))
+        if farthest_from(surface, points.points, "checking a mesh") > FARTHEST_M:
+            self.build(body)
+
+    def _placed(
+        self, body: BodyRef, landmarks: LandmarkSet | PointLandmarks
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], Alignment]:
+        """A body's vertices [N, 3] in the body frame, its faces [F, 3], and their alignment. Raises BadMesh."""
+        file = self.entry(body)
         surface = read_mesh(file.path)
         if file.group is None:
             alignment = self._alignment_of(landmarks, surface, file.path)
         else:
-            alignment = self._group_alignment(file.group)
-        vertices = alignment.apply(surface[0])
-        if isinstance(landmarks, LandmarkSet):
-            mesh = _mesh(body.mesh, vertices, surface[1], file.path)
-            built = Body(mesh, landmarks.for_mesh(mesh), self._notes.get(file.landmarks or "", ()))
-        else:
-            built = _snapped(body.mesh, vertices, surface[1], file.path, landmarks.transformed(1.0, alignment.rotation))
-        if file.standing:
-            check_standing(built.mesh.vertices[built.landmarks], str(file.path))
-        return built
+            alignment, decided_by = self._group_alignment(file.group)
+            if self._units == "auto":
+                check_size(_used(surface), alignment.scale, str(file.path), str(decided_by))
+            else:
+                metres_a_unit(_used(surface), self._units, str(file.path))
+        return alignment.apply(surface[0]), surface[1], alignment
 
     def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
         faults: dict[str, list[BodyRef]] = {}
@@ -150,31 +186,33 @@ class MeshBodies(ListedBodies[MeshFile]):
         surface = read_mesh(file.path)
         scale = metres_a_unit(_used(surface), self._units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
-        points, unit_notes = _in_millimetres(points, mesh)
+        points, unit_notes = _in_millimetres(points, mesh.surface_vertices)
         landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
-        self._notes[source] = (*unit_notes, f"{_farthest(snapped)} on {file.path.name}")
+        self._notes[source] = (*unit_notes, *snapped.notes, f"{_farthest(snapped)} on {file.path.name}")
         return landmarks
 
-    def _group_alignment(self, group: str) -> Alignment:
-        """Return the alignment found from a group's first upright body, or else from the most upright one tried."""
+    def _group_alignment(self, group: str) -> tuple[Alignment, Path]:
+        """Return the alignment found from a group's first upright body, or else from the most upright one tried, and
+        that body's mesh file. Bodies that cannot be read are passed over.
+        """
         if group not in self._alignments:
             members = [body for body, file in self._entries.items() if file.group == group]
             count = min(len(members), _MOST_TRIED)
-            found: list[Alignment] = []
-            problem: BadMesh | None = None
+            found: list[tuple[Alignment, Path]] = []
+            problem: BadMesh | BadLandmarks | None = None
             for index in range(count):
                 body = members[index * len(members) // count]
                 path = self._entries[body].path
                 try:
-                    found.append(self._alignment_of(self._landmarks(body), read_mesh(path), path))
-                except BadMesh as error:
+                    found.append((self._alignment_of(self._landmarks(body), read_mesh(path), path), path))
+                except (BadMesh, BadLandmarks) as error:
                     problem = problem or error
                     continue
-                if found[-1].lean_deg <= UPRIGHT_DEG:
+                if found[-1][0].lean_deg <= UPRIGHT_DEG:
                     break
             if not found:
                 raise problem or BadMesh(f"no mesh of {group} can be placed")
-            self._alignments[group] = min(found, key=lambda alignment: alignment.lean_deg)
+            self._alignments[group] = min(found, key=lambda entry: entry[0].lean_deg)
         return self._alignments[group]
 
     def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
@@ -224,14 +262,21 @@ def _snapped(
     except BadMesh as error:
         notes.append(f"repaired: {str(error).removeprefix(f'mesh {name}: ')}")
         mesh = _mesh(name, *repair(name, vertices, faces), path)
-    landmarks, unit_notes = _in_millimetres(landmarks, mesh)
+    landmarks, unit_notes = _in_millimetres(landmarks, mesh.surface_vertices)
     snapped = landmarks.for_mesh(mesh)
-    return Body(mesh, snapped.vertices, (*notes, *unit_notes, _farthest(snapped)))
+    return Body(mesh, snapped.vertices, (*notes, *unit_notes, *snapped.notes, _farthest(snapped), *_ignored(landmarks)))
 
 
-def _in_millimetres(landmarks: PointLandmarks, mesh: Mesh) -> tuple[PointLandmarks, tuple[str, ...]]:
-    """Enlarge landmarks a thousandth as large as their mesh, which are metres read as millimetres, and add a note."""
-    ratio = np.ptp(mesh.surface_vertices, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
+def _ignored(landmarks: LandmarkSet | PointLandmarks) -> tuple[str, ...]:
+    count = len(landmarks.ignored)
+    return (f"{count} other names in the landmark file ignored",) if count else ()
+
+
+def _in_millimetres(landmarks: PointLandmarks, surface: NDArray[np.float64]) -> tuple[PointLandmarks, tuple[str, ...]]:
+    """Enlarge landmarks a thousandth as large as their surface, vertices [N, 3], which are metres read as millimetres,
+    and add a note.
+    """
+    ratio = np.ptp(surface, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
     if not _IN_METRES[0] < ratio < _IN_METRES[1]:
         return landmarks, ()
     note = "landmarks read as metres: as millimetres they are a thousandth of the body"

@@ -65,6 +65,12 @@ class BodySource(Protocol):
         Raises BodysegError for bodies that cannot be built, as far as that can be told without building them.
         """
 
+    def check(self, body: BodyRef) -> None:
+        """Raise BadMesh or BadLandmarks for a body that cannot be built, as far as that can be told at little cost.
+
+        Packing calls it, for sources that read files, for all bodies before it builds the first.
+        """
+
     def build(self, body: BodyRef) -> Body:
         """Build the mesh and landmarks of one of `bodies()`. Raises BadMesh or BadLandmarks."""
 
@@ -87,6 +93,9 @@ class ListedBodies(Generic[Entry]):
     def missing(self) -> Sequence[str]:
         """Return the names of the files that a complete set has and this one lacks, in order."""
         return self._missing
+
+    def check(self, body: BodyRef) -> None:
+        """Check the files of one of `bodies()`, of which a source that reads none has no need."""
 
     def entry(self, body: BodyRef) -> Entry:
         """Return the entry of one of `bodies()`. Raises BadConfig for a body of another source."""

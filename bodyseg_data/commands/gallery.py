@@ -9,6 +9,7 @@ from typing import Final
 
 from bodyseg_data.artifacts.artifact import Scene
 from bodyseg_data.commands.options import WHERE_HELP, option
+from bodyseg_data.commands.provenance import check_target
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.gallery import choose_views, draw_gallery
 from bodyseg_data.drawing.style import check_picture, save_picture
@@ -17,6 +18,9 @@ from bodyseg_data.loading.range_images import RangeImages
 EXAMPLE = "bodyseg gallery shards hard-shards --views 48 --out gallery.png"
 
 _VIEWS: Final = 48
+
+MOST_VIEWS: Final = 1200
+"""A picture of a hundred lines of views takes gigabytes while it is drawn."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,9 @@ class Options:
 def run(options: Options) -> int:
     """Draw and write the picture."""
     check_picture(options.out)
+    check_target(options.out, "--out")
+    if options.views is not None and not 1 <= options.views <= MOST_VIEWS:
+        raise BadConfig(f"--views must be 1 to {MOST_VIEWS}, found {options.views}")
     sets = [RangeImages(folder, "none", where=options.where) for folder in options.folders]
     camera = sets[0].manifest.rig.camera
     for images in sets:

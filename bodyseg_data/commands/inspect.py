@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image
@@ -16,6 +16,7 @@ from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.provenance import check_target
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, label_map_names
 from bodyseg_data.core.randomness import generator
@@ -25,6 +26,9 @@ from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
+
+MOST_ROWS: Final = 500
+"""A sheet of more rows is too high for most viewers, and takes gigabytes while it is drawn."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class Options:
     where: tuple[str, ...] = option(WHERE_HELP, ())
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
-    rows: int = option("samples on the sheet, evenly over the set", 6)
+    rows: int = option(f"samples on the sheet, evenly over the set, 1 to {MOST_ROWS}", 6)
     seed: int = option("seed of the artifacts' random draws", 0)
 
 
@@ -50,8 +54,9 @@ def run(options: Options) -> int:
         raise BadConfig("nothing to do: give --out FILE.png, --json, or both")
     if options.out is not None:
         check_picture(options.out)
-    if options.rows < 1:
-        raise BadConfig(f"--rows must be at least 1, found {options.rows}")
+        check_target(options.out, "--out")
+    if not 1 <= options.rows <= MOST_ROWS:
+        raise BadConfig(f"--rows must be 1 to {MOST_ROWS}, found {options.rows}")
     images = RangeImages(
         options.folder,
         options.variant,

@@ -25,7 +25,7 @@ class Progress:
     """
 
     def __init__(self, title: str, unit: str, interval_s: float = 4.5) -> None:
-        self.title, self._unit, self._interval_s = title, unit, interval_s
+        self.title, self.unit, self._interval_s = title, unit, interval_s
         self.before: int | None = None
         self._bar: tqdm[None] | None = None
         self._start = time.monotonic()
@@ -39,6 +39,17 @@ class Progress:
         self._ticker.start()
         return self
 
+    def begin(self, title: str, unit: str) -> None:
+        """Show the progress of other work from the next update on; nothing changes if it is the work shown."""
+        with self._lock:
+            if (title, unit) == (self.title, self.unit):
+                return
+            self.title, self.unit, self.before = title, unit, None
+            self._line, self._last = f"{title}: starting", float("-inf")
+            if self._bar is not None:
+                self._bar.close()
+                self._bar = None
+
     def update(self, done: int, total: int, note: str = "") -> None:
         """Show that `done` of `total` are done. note: text to append."""
         with self._lock:
@@ -46,11 +57,11 @@ class Progress:
             if sys.stderr.isatty():
                 if self._bar is None:
                     # The part that an earlier run finished does not count for this run's speed.
-                    self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self._unit}", file=sys.stderr)
+                    self._bar = tqdm(total=total, initial=done, desc=self.title, unit=f" {self.unit}", file=sys.stderr)
                 self._bar.set_postfix_str(note, refresh=False)
                 self._bar.update(done - self._bar.n)
                 return
-            self._line = f"{self.title}: {done} of {total} {self._unit}"
+            self._line = f"{self.title}: {done} of {total} {self.unit}"
             if done == total or time.monotonic() - self._last >= self._interval_s:
                 self._write(note)
 

@@ -6,7 +6,7 @@ import json
 import resource
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from bodyseg_data.bodies.sources import SourceName
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, one_line
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.system.machine import processors
@@ -26,6 +26,7 @@ from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
 from bodyseg_data.packing.pack import Packing, pack, plan
+from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
@@ -65,6 +66,9 @@ class Options:
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
+    on_error: OnError = option("stop at meshes that cannot be packed, naming all, or skip them", OnFaults.on_error)
+    skip_budget: float | None = option("the most meshes to skip: a number, or a share below 1", OnFaults.skip_budget)
+    skip_log: Path | None = option("append each skipped mesh to this file, as a line of JSON", OnFaults.skip_log)
     report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
@@ -98,18 +102,25 @@ def run(options: Options) -> int:
     packing = options.packing()
     if options.plan:
         _warn_about_missing(packing)
+        _warn_about_split(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     if options.report is not None:
         check_target(options.report, "--report")
+    on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
+    _warn_about_split(packing)
     origin = {} if options.report is None else provenance(command_line("tools/shard", options))
     start = time.perf_counter()
     workers_mb: dict[str, float | None] = {}
-    with Progress("packing", "views") as progress:
-        manifest = pack_on(options.engine, options.workers, packing, options.out, progress, workers_mb)
+    try:
+        with Progress("packing", "views") as progress:
+            manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
+    except FaultyMeshes as error:
+        sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
+        raise
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, list(workers_mb.values()))
@@ -119,6 +130,8 @@ def run(options: Options) -> int:
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
+    for mesh in manifest.skipped:
+        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
     return 0
 
 
@@ -148,6 +161,7 @@ def _figures(
         },
         "peak_mb": {"writer": peak_mb(), "workers": workers_mb},
         "notes": sum(len(shard.notes) for shard in manifest.shards),
+        "skipped": len(manifest.skipped),
     }
 
 
@@ -162,24 +176,48 @@ def _warn_about_missing(packing: Packing) -> None:
         )
 
 
+def _warn_about_split(packing: Packing) -> None:
+    """Name the split of all meshes of a source with files, if it has only one."""
+    bodies = packing.bodies()
+    splits = sorted({body.split for body in bodies})
+    if packing.path is not None and len(splits) == 1:
+        (lacking,) = set(SPLITS) - set(splits)
+        sys.stderr.write(
+            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking} "
+            "(docs/sources.md: the sources)\n"
+        )
+
+
 def pack_on(
     engine: str,
     workers: int | None,
     packing: Packing,
     out: Path,
     progress: Progress,
+    on_faults: OnFaults = STOP,
     workers_mb: dict[str, float | None] | None = None,
 ) -> Manifest:
-    """Pack on an engine, showing progress; see `open_engine` and `pack`.
+    """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`.
 
     workers_mb: gets the most memory of each worker that rendered, MB; see `MeasuringExecutor`.
     """
+    title, unit = progress.title, progress.unit
+
+    def checked(done: int, total: int) -> None:
+        progress.begin("checking", "meshes")
+        progress.update(done, total)
+
+    def packed(done: int, total: int) -> None:
+        progress.begin(title, unit)
+        progress.update(done, total)
+
     with open_engine(engine, workers, packing) as engine_context:
         if engine_context.note is not None:
             sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
         executor = MeasuringExecutor(engine_context.executor)
+        on_faults = replace(on_faults, progress=checked)
         try:
-            return pack(packing, out, executor, engine_context.workers, progress.update)
+            return pack(packing, out, executor, engine_context.workers, packed, on_faults)
         finally:
             if workers_mb is not None:
                 workers_mb |= executor.workers_mb

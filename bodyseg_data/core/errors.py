@@ -1,4 +1,4 @@
-"""Errors that users meet, all derived from `BodysegError`, and the check of whole-number arguments.
+"""Errors that users meet, all derived from `BodysegError`, and checks of arguments' types.
 
 Every message is one line: the rule that was broken, the value found, and where. Commands print that line and exit with
 status 2; code that uses the library can catch `BodysegError` or one of its subclasses.
@@ -6,8 +6,12 @@ status 2; code that uses the library can catch `BodysegError` or one of its subc
 
 from __future__ import annotations
 
-from numbers import Integral
-from typing import Any, Final, TypeVar
+import types
+import typing
+from dataclasses import fields
+from functools import cache
+from numbers import Integral, Real
+from typing import Any, Final, Literal, TypeVar
 
 _LONGEST: Final = 1000
 
@@ -89,3 +93,56 @@ def check_int(name: str, value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
     return int(value)
+
+
+def check_fields(options: Any) -> None:
+    """Raise BadConfig unless every field of a dataclass holds a value of the type that it declares.
+
+    Numbers may be of NumPy, a whole number may stand for a float, and a list for a tuple; a bool is no number.
+    """
+    kind: Any = type(options)
+    hints = _field_types(kind)
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if not _fits(value, hints[field.name]):
+            wanted = _in_words(hints[field.name])
+            raise BadConfig(f"{kind.__name__}: {field.name} must be {wanted}, found {value!r:.100}")
+
+
+@cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    choices = typing.get_args(kind)
+    if kind is Any:
+        return True
+    if kind in (float, int):
+        return isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)
+    if typing.get_origin(kind) is Literal:
+        return isinstance(value, str | int) and value in choices
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+        return any(_fits(value, choice) for choice in choices)
+    if typing.get_origin(kind) is tuple:
+        if not isinstance(value, tuple | list):
+            return False
+        if choices[1:] == (...,):
+            return all(_fits(each, choices[0]) for each in value)
+        return len(value) == len(choices) and all(map(_fits, value, choices))
+    return isinstance(value, typing.get_origin(kind) or kind)
+
+
+_WORDS: Final = {float: "a number", int: "a whole number", str: "text", bool: "True or False", types.NoneType: "None"}
+
+
+def _in_words(kind: Any) -> str:
+    choices = typing.get_args(kind)
+    if typing.get_origin(kind) is Literal:
+        return " or ".join(map(repr, choices))
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+        return " or ".join(map(_in_words, choices))
+    if typing.get_origin(kind) is tuple:
+        inner = [_in_words(choice) for choice in choices if choice is not ...]
+        return f"a tuple, each entry {inner[0]}" if choices[1:] == (...,) else f"a tuple of {' and '.join(inner)}"
+    return _WORDS.get(kind) or f"of class {getattr(kind, '__name__', kind)}"

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
 from bodyseg_data.core.views import View
@@ -73,6 +73,7 @@ class Rig:
     second_projector: Camera | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check_name(self.name)
         if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
             raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
@@ -205,6 +206,7 @@ class Sensor:
     assumed_for_size: bool
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check_name(self.name)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.randomness import chance
 
 DISTANCES_CM: Final = (50, 600)
@@ -65,10 +65,16 @@ def split_key(key: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A range of whole numbers, both ends included, from which each view of each body draws its own, uniformly."""
+    """A range of whole numbers, both ends included, from which each view of each body draws its own, uniformly.
+
+    Raises BadConfig for anything but whole numbers.
+    """
 
     low: int
     high: int
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 Choice = tuple[int, ...] | Drawn
@@ -97,6 +103,7 @@ class ViewGrid:
     height_cm: Choice = _NOUGHT
 
     def __post_init__(self) -> None:
+        check_fields(self)
         low, high = DISTANCES_CM
         if not self.distances_cm or any(not low <= d <= high for d in self.distances_cm):
             raise BadConfig(f"view distances must be between {low} and {high} cm, found {list(self.distances_cm)}")

@@ -35,3 +35,14 @@ def nearest_corner(
     away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
     nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
     return nearest, np.asarray(distance, np.float64)
+
+
+def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
+    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
+    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
+    """
+    try:
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    return float(KDTree(vertices).query(points)[0].max())

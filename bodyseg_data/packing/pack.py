@@ -3,17 +3,16 @@
 Work goes out mesh by mesh and comes back as encoded samples; one process writes all shards in their fixed order. So
 the bytes depend neither on the number of workers nor on a restart, and workers need no shared disk. While a packing
 runs, `OUT/.packing/` holds its plan, a lock, the shard being written and a record of every finished one. The manifest
-is written last; then the folder goes.
+is written last; then the folder goes. Meshes that are left out (`skipping`) are left out of the cut into shards, so the
+samples are those of a source without them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import shutil
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -24,21 +23,23 @@ from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
-from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
-from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
 from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.packing.checking import find_faults
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler, body_key
-from bodyseg_data.packing.state import claimed, finished_shards, record_shard
+from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList
+from bodyseg_data.packing.state import check_folder, claimed, forget_shard, record_skips, stored_skips
+from bodyseg_data.packing.writing import cut, cut_again, write_shards
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.shards.codecs import CodecName
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
+from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, SkippedMesh, write_manifest
 from bodyseg_data.shards.sample_codec import check_codec, encode_sample
-from bodyseg_data.shards.tar import ShardWriter
 
 PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
@@ -71,6 +72,7 @@ class Packing:
     tolerance_mm: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.meshes is not None and self.meshes < 1:
             raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
         if self.shard_samples < 1:
@@ -139,38 +141,8 @@ def plan(packing: Packing) -> dict[str, Any]:
     return {**counts, "missing": missing} if missing else counts
 
 
-@dataclass(frozen=True)
-class _Shard:
-    """A shard to be written: its samples in order, as runs of views of one body."""
-
-    name: str
-    split: Split
-    runs: tuple[tuple[BodyRef, tuple[View, ...]], ...]
-
-    def __len__(self) -> int:
-        return sum(len(views) for _, views in self.runs)
-
-
-def _cut(packing: Packing) -> list[_Shard]:
-    shards = []
-    bodies = packing.bodies()
-    for split in SPLITS:
-        entries = ((body, view) for body in bodies if body.split == split for view in packing.views_of(body))
-        for number in itertools.count():
-            part = list(itertools.islice(entries, packing.shard_samples))
-            if not part:
-                break
-            runs = tuple(
-                (body, tuple(view for _, view in run))
-                for body, run in itertools.groupby(part, key=lambda entry: entry[0])
-            )
-            shards.append(_Shard(f"{split}-{number:05d}.tar", split, runs))
-    return shards
-
-
-def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
-    """Everything that shapes the bytes, as plain JSON; a restart compares it."""
-    bodies = packing.bodies()
+def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]) -> dict[str, Any]:
+    """Everything that shapes the bytes, as plain JSON; a restart compares it. faulty: meshes that the check found."""
     described = {
         "format": MANIFEST_FORMAT,
         "version": PACKING_VERSION,
@@ -186,8 +158,9 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
         "codec": packing.codec,
-        "shards": [shard.name for shard in shards],
+        "shards": [shard.name for shard in cut(packing, bodies)],
         "shard_samples": packing.shard_samples,
+        **({"skipped": list(faulty)} if faulty else {}),
     }
     tree: dict[str, Any] = json.loads(json.dumps(described))  # tuples as lists, to compare with what was stored
     return tree
@@ -237,43 +210,52 @@ def forget_sources() -> None:
 
 
 def pack(
-    packing: Packing, out: Path, executor: Executor, workers: int, progress: Progress = lambda done, total: None
+    packing: Packing,
+    out: Path,
+    executor: Executor,
+    workers: int,
+    progress: Progress = lambda done, total: None,
+    on_faults: OnFaults = STOP,
 ) -> Manifest:
     """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
-    executor: runs `render_run`; workers: how many of its workers to keep busy. Raises BadConfig if `out` holds
-    something else or another packing is at work there, BadMesh, BadLandmarks or BadSample for a body that cannot be
-    packed. After an error, finished shards stay and the same call carries on from them; the caller cancels the jobs
-    that the executor has not begun. In a finished set, shards that are missing or altered are made again.
+    executor: runs `check_run` and `render_run`; workers: how many of its workers to keep busy. on_faults: for meshes
+    that cannot be packed. Raises BadConfig if `out` holds something else or another packing is at work there,
+    FaultyMeshes for meshes that cannot be packed, all that the check before rendering finds, or that are more than may
+    be left out; BadMesh, BadLandmarks or BadSample for one that fails later. After an error, finished shards stay and
+    the same call carries on from them; the caller cancels the jobs that the executor has not begun. In a finished set,
+    shards that are missing or altered are made again.
     """
     forget_sources()
-    shards = _cut(packing)
-    description = _describe(packing, shards)
-    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
-    total = sum(len(shard) for shard in shards)
+    check_folder(out)
+    bodies = packing.bodies()
+    skips = SkipList(on_faults, len(bodies), packing.path)
     try:
+        skips.add(find_faults(packing, bodies, executor, workers, on_faults.progress))
+        faulty = list(skips.reasons)
+        description = _describe(packing, [body for body in bodies if body.mesh not in faulty], faulty)
+        digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+        def render(body: BodyRef, views: tuple[View, ...]) -> Future[Rendered]:
+            return executor.submit(render_run, packing, body, views, digest)
+
         with claimed(out, description, digest) as state:
-            records = finished_shards(out, state, [shard.name for shard in shards])
-            done = sum(len(record) for record in records.values())
-            progress(done, total)
-            todo = [shard for shard in shards if shard.name not in records]
-            results = _results(packing, todo, executor, workers, digest)
-            for shard in todo:
-                with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
-                    for body, views in shard.runs:
-                        rendered = next(results)
-                        for key, members in rendered.samples:
-                            writer.write(key, members)
-                            done += 1
-                        if views[0] == next(
-                            packing.views_of(body)
-                        ):  # a body that goes on in the next shard is noted where it begins
-                            writer.note(body.mesh, rendered.notes)
-                        progress(done, total)
-                if writer.record is None:
-                    raise BadShard(f"{shard.name} was not written")
-                records[shard.name] = writer.record
-                record_shard(state, writer.record)
+            late = stored_skips(out, state, faulty)
+            skips.add(late)
+            record_skips(state, late)
+            while True:
+                shards = cut(packing, [body for body in bodies if body.mesh not in skips.reasons])
+                found, records = write_shards(packing, shards, (out, state), render, workers, progress)
+                if found is None:
+                    break
+                body, error = found
+                if skips.strict:
+                    raise error
+                skips.add({body.mesh: str(error)})
+                for shard in cut_again(shards, body):
+                    forget_shard(out, state, shard.name)
+                late[body.mesh] = skips.reasons[body.mesh]
+                record_skips(state, late)
             manifest = Manifest(
                 rig=packing.rig,
                 codec=packing.codec,
@@ -281,6 +263,7 @@ def pack(
                 renderer=packing.renderer,
                 plan=digest,
                 shards=tuple(records[shard.name] for shard in shards),
+                skipped=tuple(SkippedMesh(mesh, reason) for mesh, reason in skips.reasons.items()),
             )
             if not (out / MANIFEST_NAME).exists():
                 write_manifest(manifest, out)
@@ -291,20 +274,3 @@ def pack(
     except OSError as error:
         raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
     return manifest
-
-
-def _results(
-    packing: Packing, shards: Sequence[_Shard], executor: Executor, workers: int, plan: str
-) -> Generator[Rendered, None, None]:
-    """The results of all runs in order, with a bounded number under way, so that memory stays flat."""
-    runs = iter([(body, views) for shard in shards for body, views in shard.runs])
-    waiting: deque[Future[Rendered]] = deque()
-    # The first goes alone: a source may fill a cache on first use, which several workers would do at once.
-    for body, views in itertools.islice(runs, 1):
-        yield executor.submit(render_run, packing, body, views, plan).result()
-    for body, views in runs:
-        waiting.append(executor.submit(render_run, packing, body, views, plan))
-        if len(waiting) > 2 * max(workers, 1):
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()

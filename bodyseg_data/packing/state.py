@@ -4,6 +4,7 @@ plan.json           everything that shapes the bytes; another plan may not carry
 lock                held while a packing is at work
 NAME.tar.part       the shard being written
 NAME.tar.json       the record of a finished shard
+skipped.json        meshes left out after the check: name -> reason
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,16 @@ from bodyseg_data.core.files import write_atomically
 from bodyseg_data.shards.manifest import MANIFEST_NAME, ShardRecord, read_manifest, record_from_json, record_to_json
 
 STATE_NAME: Final = ".packing"
+_SKIPPED: Final = "skipped.json"
+
+
+def check_folder(out: Path) -> None:
+    """Raise BadConfig unless `out` is no folder yet, one without shards, or one that a packing has begun or ended."""
+    if out.exists() and not out.is_dir():
+        raise BadConfig(f"shards go into a folder, {out} is a file")
+    begun = (out / MANIFEST_NAME).exists() or (out / STATE_NAME).exists()
+    if not begun and out.exists() and any(out.glob("*.tar")):
+        raise BadConfig(f"{out} holds tars of no packing: choose another folder")
 
 
 @contextlib.contextmanager
@@ -30,17 +41,13 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
 
     Raises BadConfig if another packing is at work, or if what `out` holds was packed with other options.
     """
-    if out.exists() and not out.is_dir():
-        raise BadConfig(f"shards go into a folder, {out} is a file")
+    check_folder(out)
     state = out / STATE_NAME
-    if (out / MANIFEST_NAME).exists():
-        if read_manifest(out).plan != digest:
-            raise BadConfig(
-                f"{out} already holds a set of shards packed with other options or from other files: "
-                "choose another folder, or delete it"
-            )
-    elif not state.exists() and out.exists() and any(out.glob("*.tar")):
-        raise BadConfig(f"{out} holds tars of no packing: choose another folder")
+    if (out / MANIFEST_NAME).exists() and read_manifest(out).plan != digest:
+        raise BadConfig(
+            f"{out} already holds a set of shards packed with other options or from other files: "
+            "choose another folder, or delete it"
+        )
     state.mkdir(parents=True, exist_ok=True)
     lock = os.open(state / "lock", os.O_CREAT | os.O_RDWR, 0o644)
     try:
@@ -101,3 +108,34 @@ def _intact(path: Path, record: ShardRecord) -> bool:
 def record_shard(state: Path, record: ShardRecord) -> None:
     """Note that a shard is finished and in place."""
     write_atomically(state / f"{record.name}.json", json.dumps(record_to_json(record)).encode())
+
+
+def forget_shard(out: Path, state: Path, name: str) -> None:
+    """Delete a shard and its record: it is cut anew."""
+    (state / f"{name}.json").unlink(missing_ok=True)
+    (out / name).unlink(missing_ok=True)
+
+
+def stored_skips(out: Path, state: Path, checked: Sequence[str]) -> dict[str, str]:
+    """Name -> reason of the meshes that an earlier run left out after the check. checked: those that the check found.
+
+    Raises BadConfig if the state cannot be read.
+    """
+    if (out / MANIFEST_NAME).exists():
+        skipped = {each.mesh: each.why for each in read_manifest(out).skipped}
+        return {mesh: why for mesh, why in skipped.items() if mesh not in checked}
+    try:
+        stored = json.loads((state / _SKIPPED).read_bytes())
+    except FileNotFoundError:
+        return {}
+    except (ValueError, RecursionError):
+        stored = None
+    if not isinstance(stored, dict) or not all(isinstance(why, str) for why in stored.values()):
+        raise BadConfig(f"{state / _SKIPPED} cannot be read: delete the folder {out} and pack again")
+    return stored
+
+
+def record_skips(state: Path, skipped: Mapping[str, str]) -> None:
+    """Store the meshes that are left out after the check, if there are any."""
+    if skipped:
+        write_atomically(state / _SKIPPED, json.dumps(dict(skipped)).encode())

@@ -62,8 +62,18 @@ class ShardRecord:
 
 
 @dataclass(frozen=True)
+class SkippedMesh:
+    """Name of a mesh that the packing left out, and the reason in one line."""
+
+    mesh: str
+    why: str
+
+
+@dataclass(frozen=True)
 class Manifest:
-    """Rig, codec, origin and shards of a set. plan: digest of all options of the packing."""
+    """Rig, codec, origin and shards of a set. plan: digest of all options of the packing. skipped: meshes that it left
+    out.
+    """
 
     rig: Rig
     codec: str
@@ -71,14 +81,16 @@ class Manifest:
     renderer: str
     plan: str
     shards: tuple[ShardRecord, ...]
+    skipped: tuple[SkippedMesh, ...] = ()
 
     def __repr__(self) -> str:
         size = f"{self.samples()} samples in {len(self.shards)} shards"
         return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
 
     def notes(self) -> list[str]:
-        """Notes on meshes, in the order of the shards."""
-        return [note for shard in self.shards for note in shard.notes]
+        """Notes on meshes, in the order of the shards, and after them on those that were left out."""
+        notes = [note for shard in self.shards for note in shard.notes]
+        return notes + [f"{each.mesh}: skipped: {each.why}" for each in self.skipped]
 
     def samples(self, split: Split | None = None) -> int:
         """Number of samples, in one split or in all."""
@@ -95,6 +107,7 @@ class Manifest:
             "renderer": self.renderer,
             "plan": self.plan,
             "shards": [record_to_json(shard) for shard in self.shards],
+            **({"skipped": [asdict(each) for each in self.skipped]} if self.skipped else {}),
         }
         return {**tree, "digest": _digest(tree)}
 
@@ -216,6 +229,7 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
 def _manifest(tree: dict[str, Any], path: str) -> Manifest:
     if tree.get("parts") != list(LANDMARKS):
         raise BadShard(f"{path}: 'parts' are not those of format {MANIFEST_FORMAT!r}")
+    skipped = _skipped(tree.pop("skipped", []), path)
     if set(tree) != _FIELDS:
         raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
     texts = {field: tree.get(field) for field in ("codec", "source", "renderer", "plan")}
@@ -234,4 +248,15 @@ def _manifest(tree: dict[str, Any], path: str) -> Manifest:
     keys = [key for shard in shards for key in shard.keys]
     if len(set(keys)) != len(keys) or len({shard.name for shard in shards}) != len(shards):
         raise BadShard(f"{path}: sample keys and shard names must be unique")
-    return Manifest(rig=rig, shards=shards, **{field: str(value) for field, value in texts.items()})
+    return Manifest(rig=rig, shards=shards, skipped=skipped, **{field: str(value) for field, value in texts.items()})
+
+
+def _skipped(entries: Any, path: str) -> tuple[SkippedMesh, ...]:
+    if not isinstance(entries, list) or not all(
+        isinstance(entry, dict)
+        and set(entry) == {"mesh", "why"}
+        and all(isinstance(text, str) and text.isprintable() for text in entry.values())
+        for entry in entries
+    ):
+        raise BadShard(f"{path}: 'skipped' must be a list of meshes, each with its name and the reason")
+    return tuple(SkippedMesh(**entry) for entry in entries)

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
@@ -41,6 +41,7 @@ class CompactSettings:
     classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.patch not in (2, 4, 8, 16):
             raise BadConfig(f"patch must be 2, 4, 8 or 16, found {self.patch!r}")
         if self.shrink not in (1, 2, 4):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance
 
@@ -28,6 +28,7 @@ class GeometricAugmentation:
     cut: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, most in (("roll_deg", 180), ("zoom", 1), ("stretch", 1), ("cut", 1)):
             if not 0 <= getattr(self, name) <= most:
                 raise BadConfig(f"{name} must be from 0 to {most}, found {getattr(self, name)!r}")

@@ -290,9 +290,9 @@ def test_strengths_left_out_are_the_sensors() -> None:
         ('{"occlusion": {"gap": 5}}', "--artifacts: a strength of occlusion must be one of none, found 'gap'"),
         ('{"noise": {"high_mm": -5}}', "--artifacts: noise must satisfy .* found low 0.0 and"),
         ('{"noise": {"high_mm": NaN}}', "--artifacts: noise must satisfy"),
-        ('{"noise": {"high_mm": "50"}}', "--artifacts: strengths of noise must be of the right types, found .*'50'"),
-        ('{"missing_data": {"rates": 0.5}}', "--artifacts: strengths of missing_data must be of the right types"),
-        ('{"missing_data": {"between": [1]}}', "--artifacts: strengths of missing_data must be of the right types"),
+        ('{"noise": {"high_mm": "50"}}', "--artifacts: Noise: high_mm must be a number, found '50'"),
+        ('{"missing_data": {"rates": 0.5}}', "--artifacts: MissingData: rates must be a tuple, .* found 0.5"),
+        ('{"missing_data": {"between": [1]}}', r"--artifacts: MissingData: between must be a tuple .* found \(1,\)"),
     ],
 )
 def test_json_that_is_no_artifacts_is_one_line(text: str, message: str) -> None:

@@ -248,7 +248,24 @@ def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -
         (["inspect", "nowhere"], "bodyseg inspect: nothing to do: give --out FILE.png, --json, or both"),
         (["inspect", "nowhere", "--out", "x.jpg"], "bodyseg inspect: --out must be a .png file, found x.jpg"),
         (["landmarks", "--source", "open", "--out", "x.xyz"], "--out must be a .png file, found x.xyz"),
-        (["inspect", "nowhere", "--json", "--rows", "0"], "bodyseg inspect: --rows must be at least 1, found 0"),
+        (["inspect", "nowhere", "--json", "--rows", "0"], "bodyseg inspect: --rows must be 1 to 500, found 0"),
+        (["inspect", "nowhere", "--json", "--rows", "501"], "bodyseg inspect: --rows must be 1 to 500, found 501"),
+        (
+            ["inspect", "nowhere", "--out", "no/folder/x.png"],
+            "bodyseg inspect: --out needs a file in a folder that is there, found no/folder/x.png",
+        ),
+        (
+            ["gallery", "nowhere", "--out", "no/folder/x.png"],
+            "bodyseg gallery: --out needs a file in a folder that is there, found no/folder/x.png",
+        ),
+        (
+            ["gallery", "nowhere", "--out", "x.png", "--views", "0"],
+            "bodyseg gallery: --views must be 1 to 1200, found 0",
+        ),
+        (
+            ["gallery", "nowhere", "--out", "x.png", "--views", "1201"],
+            "bodyseg gallery: --views must be 1 to 1200, found 1201",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(
@@ -387,7 +404,7 @@ def test_a_picture_that_cannot_be_written_is_one_line(
     figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
-    assert "cannot write" in capsys.readouterr().err
+    assert "--out needs a file in a folder that is there" in capsys.readouterr().err
 
 
 def test_every_bench_has_its_module_and_its_figure() -> None:

@@ -58,3 +58,15 @@ def test_a_quick_command_says_only_that_it_is_done(capsys: pytest.CaptureFixture
 )
 def test_a_slow_rate_keeps_two_digits(rate: float, text: str) -> None:
     assert rate_text(rate, "images") == f"{text} images/s"
+
+
+def test_other_work_begins_its_own_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress("packing", "views", interval_s=100) as progress:
+        progress.begin("checking", "meshes")
+        progress.update(1, 3)
+        progress.begin("checking", "meshes")
+        progress.update(2, 3)
+        progress.begin("packing", "views")
+        progress.update(5, 9)
+        assert progress.before == 5
+    assert capsys.readouterr().err.splitlines() == ["checking: 1 of 3 meshes, 0 s", "packing: 5 of 9 views, 0 s"]

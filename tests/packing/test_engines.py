@@ -260,7 +260,7 @@ def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pyt
 
     monkeypatch.setattr(Figures, "build", build)
     with (
-        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds A-0 with other bits"),
+        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds the first body with other bits"),
         open_engine(nodes.engine, None, PACKING),
     ):
         pass

@@ -293,21 +293,6 @@ def test_a_bad_body_stops_the_packing_by_name(
         pack_figures(tmp_path / "shards")
 
 
-def test_results_wait_for_the_writer_instead_of_filling_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[int] = []
-    monkeypatch.setattr(packing, "render_run", lambda packing, body, *rest: started.append(body) or [])
-    runs = tuple((number, ()) for number in range(50))
-    shard = packing._Shard("train-00000.tar", "train", runs)  # type: ignore[arg-type]  # bodies are not looked at
-    with ThreadPoolExecutor(2) as executor:
-        results = packing._results(Packing("open"), [shard], executor, 2, "")
-        next(results)
-        assert len(started) == 1, "the first body goes alone"
-        next(results)
-        time.sleep(0.2)
-        assert len(started) <= 7
-        assert len(list(results)) == 48
-
-
 def test_meshes_are_taken_evenly_from_every_subset() -> None:
     bodies = [
         BodyRef(subset, subset, f"{subset}{n}", "", "train") for subset, k in (("A", 4), ("P", 100)) for n in range(k)

@@ -231,7 +231,7 @@ def test_a_report_that_does_not_fit_leaves_the_set_whole(
 ) -> None:
     from bodyseg_data.commands import shard
 
-    def packed(engine: str, workers: int | None, asked: Packing, out: Path, *others: object) -> object:
+    def packed(engine: str, workers: int | None, asked: Packing, out: Path, *rest: object) -> object:
         with ThreadPoolExecutor(1) as executor:
             return packing.pack(SMALL, out, executor, 1)
 

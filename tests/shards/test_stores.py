@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadShard, Unreachable
+from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
 from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.manifest import Manifest, read_manifest
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
@@ -567,3 +567,24 @@ def test_a_webdataset_pipeline_reads_addresses(web: WebServer, tmp_path: Path, e
     pytest.importorskip("webdataset")
     images = RangeImages(web.url("good"), "noise", cache=tmp_path)
     assert [sample["key"] for sample in images.webdataset()] == [image[0] for image in expected]
+
+
+@pytest.mark.parametrize(
+    "address", ["ftp://127.0.0.1:1/set", "ftp:///set", "github://set", "foo://set", "webhdfs:///s"]
+)
+def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_standard_error(address: str) -> None:
+    program = (
+        "import sys\n"
+        "from bodyseg_data.core.errors import BodysegError\n"
+        "from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy\n"
+        "try:\n    RemoteFolder(sys.argv[1], {}, RetryPolicy())\n"
+        "except BodysegError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, address], capture_output=True, text=True, timeout=100)
+    assert done.stderr == "" and done.returncode == 0
+    assert done.stdout.startswith(f"{address}: ") and done.stdout.count("\n") == 1
+
+
+def test_host_and_port_of_an_address_reach_the_filesystem() -> None:
+    with pytest.raises(BadConfig, match=r"ftp://127\.0\.0\.1:1/set: .*refused"):
+        RemoteFolder("ftp://127.0.0.1:1/set", {}, RetryPolicy())

@@ -10,7 +10,7 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.losses import lost_patches, lost_stripes
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
@@ -36,6 +36,7 @@ class PatchLoss(Artifact):
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check(self.low, self.high)
         for part in self.parts:
             if part not in _LABELS:
@@ -72,9 +73,8 @@ class StripeLoss(Artifact):
     along: Literal["rows", "columns"] | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _check(self.low, self.high)
-        if self.along not in ("rows", "columns", None):
-            raise BadConfig(f"stripes must be along rows or columns, found {self.along!r}")
 
     def draw(self, draws: Draws) -> dict[str, float]:
         """As `Artifact.draw`: "stripe_share", the share lost."""

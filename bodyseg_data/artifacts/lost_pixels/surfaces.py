@@ -9,7 +9,7 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.surface import silhouettes, widened
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.randomness import Draws
 
 
@@ -28,6 +28,7 @@ class GrazingLoss(Artifact):
     share: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 <= self.from_deg < 85:
             raise BadConfig(f"grazing incidence must begin from 0 to below 85 degrees, found {self.from_deg}")
         _check_share("grazing", self.share)
@@ -56,7 +57,8 @@ class EdgeLoss(Artifact):
     jump_mm: float = 30.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.width_px, int) or not 1 <= self.width_px <= 50:
+        check_fields(self)
+        if not 1 <= self.width_px <= 50:
             raise BadConfig(f"an edge must be 1 to 50 whole pixels wide, found {self.width_px}")
         _check_share("edge", self.share)
         if not 0 < self.jump_mm <= 10_000:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
 from bodyseg_data.artifacts.surface import grazing
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -41,6 +41,7 @@ class AxialNoise(Artifact):
     grazing_power: float = -0.5
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not all(0 <= each <= 1000 for each in (self.constant_mm, self.quadratic_mm, self.grazing_mm)):
             raise BadConfig(f"axial noise must have terms from 0 to 1000 mm, found {self}")
         if not -100 <= self.from_m <= 100:

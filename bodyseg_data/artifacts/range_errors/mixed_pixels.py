@@ -9,7 +9,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.range_errors.gaussian import loops
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -33,6 +33,7 @@ class MixedPixels(Artifact):
     jump_mm: float = 30.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 <= self.share <= 1:
             raise BadConfig(f"the share of mixed pixels must be from 0 to 1, found {self.share}")
         if self.background_m is not None and not 0 < self.background_m <= 100:

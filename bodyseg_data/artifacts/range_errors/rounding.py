@@ -9,7 +9,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.range_errors.gaussian import loops
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -25,6 +25,7 @@ class RangeRounding(Artifact):
     step_mm: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 < self.step_mm <= 1000:
             raise BadConfig(f"a step of range must be above 0, at most 1000 mm, found {self.step_mm}")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
@@ -39,6 +39,7 @@ class StereoNoise(Artifact):
     baseline_m: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 <= self.subpixel_px <= 10:
             raise BadConfig(f"stereo noise must be 0 to 10 pixels of disparity, found {self.subpixel_px}")
         _check(self.focal_px, self.baseline_m)
@@ -67,6 +68,7 @@ class DisparityRounding(Artifact):
     baseline_m: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not 0 < self.step_px <= 100:
             raise BadConfig(f"a step of disparity must be above 0, at most 100 pixels, found {self.step_px}")
         _check(self.focal_px, self.baseline_m)

@@ -55,7 +55,9 @@ class MitBodies(MeshBodies):
             if subject == "C" and given is not None:
                 labelled = given
             wanted = f"subject {subject} ({', '.join(sequences)}): put landmarks_{subject}.json into {folder}, give "
-            wanted += "it with --landmarks, or move these sequences out of the folder"
+            wanted += "it with --landmarks (bodyseg landmarks --propose makes one), or leave these sequences out"
+            if labelled is None and given is None and any((path / sequence).is_dir() for sequence in sequences):
+                missing.append(f"landmarks_{subject}.json (for {', '.join(sequences)})")
             for sequence, count in sequences.items():
                 motion, found = sequence.partition("_")[2], _frames(path / sequence / "meshes", count)
                 for number in range(count):

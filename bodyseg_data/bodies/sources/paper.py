@@ -61,6 +61,10 @@ class PaperBodies(ListedBodies[BodySource]):
             digest.update(source.fingerprint([body for body in bodies if self.entry(body) is source]).encode())
         return digest.hexdigest()
 
+    def check(self, body: BodyRef) -> None:
+        """Check one body's files by its own source. Raises that source's errors."""
+        self.entry(body).check(body)
+
     def build(self, body: BodyRef) -> Body:
         """Build one body by its own source. Raises that source's errors, and BadConfig for a body of none of them."""
         return self.entry(body).build(body)

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.rigs.distortion import Distortion, distortion_from_table
 from bodyseg_data.core.tables import Table
 
@@ -50,6 +50,7 @@ class Camera:
     distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
             raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
         if not 0 < self.focal_px <= _MAX_FOCAL_PX:

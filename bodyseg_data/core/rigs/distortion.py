@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.tables import Table
 
 MODEL: Final = "brown_conrady"
@@ -37,6 +37,7 @@ class Distortion:
     k3: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, value in asdict(self).items():
             if not abs(value) <= _LARGEST:
                 raise BadConfig(f"a coefficient of distortion must be at most {_LARGEST:g}, found {name} = {value:g}")

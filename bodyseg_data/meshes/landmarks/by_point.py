@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_distinct, check_names, json_table
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_landmark_names, check_names, json_table
+from bodyseg_data.meshes.landmarks.coincident import separate
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 
@@ -38,11 +39,13 @@ _FEATURE: Final = "putting landmarks onto a surface"
 @dataclass(frozen=True)
 class SnappedLandmarks:
     """Landmarks projected onto a surface. vertices: int64 [33], of the triangle nearest to each point the nearest
-    corner. distance_m: float64 [33], from each point to the surface, metres. Both in the order of `parts.PARTS`.
+    corner, or a free vertex beside it where two landmarks have the same (`separate`). distance_m: float64 [33], from
+    each point to the surface, metres. Both in the order of `parts.PARTS`. notes: lines on landmarks that moved.
     """
 
     vertices: NDArray[np.int64]
     distance_m: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -50,11 +53,13 @@ class PointLandmarks:
     """The landmarks of one body in space. source: file they were read from, for messages.
 
     points: float64 [33, 3] in the order of `parts.LANDMARKS`, metres, in the frame of the file they came from, which is
-    not always that of the mesh (`transformed`). Raises BadLandmarks unless they are 33 finite points.
+    not always that of the mesh (`transformed`). ignored: other names in the file. Raises BadLandmarks unless they are
+    33 finite points.
     """
 
     source: str
     points: NDArray[np.float64]
+    ignored: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         points: NDArray[np.float64] = np.array(self.points, np.float64)
@@ -74,9 +79,8 @@ class PointLandmarks:
     def for_mesh(self, mesh: Mesh) -> SnappedLandmarks:
         """Project the landmarks onto the surface of `mesh`, whose frame the points must be in.
 
-        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, two with the
-        same nearest vertex, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree
-        or scipy.
+        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, three in one
+        place, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree or scipy.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
         vertices, distance = snap(mesh, self.points)
@@ -89,7 +93,7 @@ class PointLandmarks:
                 f"{np.round(self.points[worst], 4).tolist()}"
                 + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
             )
-        check_distinct(vertices.tolist(), where)
+        vertices, notes = separate(mesh, vertices, self.points, where)
         piece = mesh.pieces(_FEATURE)[vertices]
         body = np.bincount(piece).argmax()
         if (piece != body).any():
@@ -98,7 +102,7 @@ class PointLandmarks:
                 f"{where}: landmarks must lie on one piece of the surface, found {LANDMARKS[stray]!r} at vertex "
                 f"{vertices[stray]} of another piece than the one that holds {(piece == body).sum()} of them"
             )
-        return SnappedLandmarks(vertices, distance)
+        return SnappedLandmarks(vertices, distance, notes)
 
     def to_landmark_set(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, SnappedLandmarks]:
         """Convert to landmarks by vertex, for all meshes with the vertex order of `mesh`; also returns the projection.
@@ -107,7 +111,8 @@ class PointLandmarks:
         """
         snapped = self.for_mesh(mesh)
         counts = len(mesh.vertices), len(mesh.faces)
-        return LandmarkSet(self.source, topology, *counts, tuple(snapped.vertices.tolist())), snapped
+        vertices = tuple(snapped.vertices.tolist())
+        return LandmarkSet(self.source, topology, *counts, vertices, self.ignored), snapped
 
 
 def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -131,9 +136,9 @@ def parse_points(text: str, source: str) -> PointLandmarks:
         raise BadLandmarks(f"{where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'points' must map names to coordinates, found {table!r}")
-    check_names(list(table), LANDMARKS, where, "landmark")
+    ignored = check_landmark_names(list(table), where)
     points = [_point(table[name], f"{where}: the point of {name!r}") for name in LANDMARKS]
-    return PointLandmarks(source, np.array(points) * METRES[units])
+    return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 
 def _point(value: Any, what: str) -> list[float]:

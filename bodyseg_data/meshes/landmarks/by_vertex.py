@@ -5,13 +5,16 @@ A set is a JSON file:
     {"format": "bodyseg landmarks 1", "topology": "<which meshes, in words>", "vertex_count": 13718,
      "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
 
-with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertex indices from 0. Meshes with the same
-vertex order, whatever their pose and shape, share one set. Landmarks by coordinate are in `by_point`.
+with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored.
+Two landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
+pose and shape, share one set. Landmarks by coordinate are in `by_point`.
 """
 
 from __future__ import annotations
 
+import difflib
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -35,7 +38,8 @@ class LandmarkSet:
     """The landmarks of one topology, constructed by `load_landmarks` and `parse_landmarks`, which check all fields.
 
     source: file or name it was read from, for messages. topology: description of its meshes. vertex_count, face_count:
-    of those meshes. vertices: index of each landmark's vertex, in the order of `parts.LANDMARKS`.
+    of those meshes. vertices: index of each landmark's vertex, in the order of `parts.LANDMARKS`. ignored: other names
+    in the file.
     """
 
     source: str
@@ -43,9 +47,10 @@ class LandmarkSet:
     vertex_count: int
     face_count: int
     vertices: tuple[int, ...]
+    ignored: tuple[str, ...] = ()
 
     def for_mesh(self, mesh: Mesh) -> NDArray[np.int64]:
-        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `parts.PARTS`.
+        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `parts.PARTS`; two may be the same.
 
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
         uses the vertex of a landmark.
@@ -115,16 +120,35 @@ def parse_landmarks(text: str, source: str) -> LandmarkSet:
     vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
     face_count = _whole(tree["face_count"], 1, None, f"{where}: 'face_count'")
     vertices = _vertices(tree["landmarks"], vertex_count, where)
-    return LandmarkSet(source, tree["topology"], vertex_count, face_count, vertices)
+    ignored = check_landmark_names(list(tree["landmarks"]), where)
+    return LandmarkSet(source, tree["topology"], vertex_count, face_count, vertices, ignored)
 
 
 def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
-    check_names(list(table), LANDMARKS, where, "landmark")
+    check_landmark_names(list(table), where)
     vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
-    check_distinct(vertices, where)
+    vertex, count = Counter(vertices).most_common(1)[0]
+    if count > 2:
+        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
+        raise BadLandmarks(f"{where}: at most two landmarks may share a vertex, found {names} at {vertex}")
     return tuple(vertices)
+
+
+def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
+    """Return the names that are not among the 33. Raises BadLandmarks, naming each of the 33 that is missing and what
+    it may have been misspelt as.
+    """
+    others = [name for name in found if name not in LANDMARKS]
+    missing = []
+    for name in LANDMARKS:
+        if name not in found:
+            close = difflib.get_close_matches(name, others, 1)
+            missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
+    if missing:
+        raise BadLandmarks(f"{where}: landmark {', '.join(missing)} is missing")
+    return tuple(others)
 
 
 def check_distinct(vertices: Sequence[int], where: str) -> None:

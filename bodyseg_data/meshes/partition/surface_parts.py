@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks, Unanswerable
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import check_distinct
 from bodyseg_data.meshes.mending import MendedSurface, mend
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
@@ -138,7 +137,6 @@ def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]
             raise BadLandmarks(f"{where}: landmarks must be vertices 0 to {len(surface) - 1}, found {name} at {vertex}")
         if not surface[vertex]:
             raise BadLandmarks(f"{where}: landmarks must lie on the surface, found {name} at {vertex}, in no face")
-    check_distinct(landmarks.tolist(), where)
     return landmarks.astype(np.int64)
 
 

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
+from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.packing.pack import PACKING_VERSION, Packing, evenly_sampled, forget_sources
+from bodyseg_data.packing.skipping import SKIPPABLE
 
 _SHAPE_BYTES: Final = (
     "bodyseg",
@@ -86,14 +88,28 @@ def _seen(packing: Packing) -> str:
     """Digest of all bodies' names and of the files of a few: enough to tell another folder, and quickly read."""
     bodies = packing.bodies()
     few = evenly_sampled(bodies, min(_SEEN_BODIES, len(bodies)))
-    return hashlib.sha256(repr((bodies, packing.opened().fingerprint(few))).encode()).hexdigest()
+    return hashlib.sha256(repr((bodies, [_fingerprint(packing, body) for body in few])).encode()).hexdigest()
+
+
+def _fingerprint(packing: Packing, body: BodyRef) -> str:
+    try:
+        return packing.opened().fingerprint([body])
+    except SKIPPABLE:
+        return "at fault"  # packing reports it, with all others
 
 
 def _built(packing: Packing) -> str:
-    """Digest of the first body as built: libraries choose instructions by processor, and last bits differ with them."""
-    body = packing.opened().build(packing.bodies()[0])
-    arrays = (body.mesh.vertices, body.mesh.faces, body.landmarks)
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+    """Digest of the first body that can be built, as built: libraries choose instructions by processor, and last bits
+    differ with them.
+    """
+    for ref in packing.bodies():
+        try:
+            body = packing.opened().build(ref)
+        except SKIPPABLE:
+            continue
+        arrays = (body.mesh.vertices, body.mesh.faces, body.landmarks)
+        return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+    return "no body can be built"
 
 
 # A body model, torch's number of threads and OpenGL are a process's, not a thread's.
@@ -120,8 +136,7 @@ def _fault(wanted: Expected) -> str | None:
             return f"sees other bodies in {packing.path} than this machine: share one folder with the workers"
         if _built(packing) != wanted.built:
             return (
-                f"builds {packing.bodies()[0].mesh} with other bits than this machine: "
-                "use workers with the same kind of processor"
+                "builds the first body with other bits than this machine: use workers with the same kind of processor"
             )
     except BodysegError as error:
         return str(error)

@@ -70,7 +70,7 @@ class RemoteFolder:
             raise BadConfig(f"not an address: {error}") from None
         self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
         try:
-            self._transport = open_transport(protocol, options, retry_policy.stall_s, retry_policy.total_s)
+            self._transport = open_transport(self._base, options, retry_policy.stall_s, retry_policy.total_s)
         except MissingLibrary:
             raise
         except Exception as error:  # filesystems raise errors of their own

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import errno
 import inspect
-import os
 import re
-import threading
 import time
-import uuid
-import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Final, Protocol
 
 from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.shards.stores.filesystem import Filesystem
 
 _CHUNK_BYTES: Final = 1 << 20
 _CHUNK_S: Final = 0.2
@@ -67,57 +64,17 @@ class Transport(Protocol):
         """Size of a file, bytes."""
 
 
-_FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
-"""Filesystems by process, token and thread, 0 for those that threads share.
-
-A fork keeps but never uses its parent's: closing it would affect the parent.
-"""
-
-
-class _Filesystem:
-    """An fsspec filesystem that every process opens for itself; only its options are pickled.
-
-    Every thread has its own, too, unless the filesystem is asynchronous: others may talk over a single connection.
+def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
+    """Open the transport to a folder's address. Raises MissingLibrary, or the filesystem's own errors for an address or
+    `options` that it does not accept.
     """
-
-    def __init__(self, protocol: str, options: Mapping[str, Any]) -> None:
-        self._protocol, self._options = protocol, dict(options)
-        self._token = uuid.uuid4().hex
-        weakref.finalize(self, _forget, self._token)
-
-    def get(self) -> Any:
-        process = os.getpid()
-        for thread in (0, threading.get_ident()):
-            if (process, self._token, thread) in _FILESYSTEMS:
-                return _FILESYSTEMS[process, self._token, thread]
-        opened = self._open()
-        thread = 0 if getattr(opened, "async_impl", False) else threading.get_ident()
-        return _FILESYSTEMS.setdefault((process, self._token, thread), opened)
-
-    def _open(self) -> Any:
-        try:
-            filesystem = import_module("fsspec").filesystem(self._protocol, skip_instance_cache=True, **self._options)
-        except ImportError as error:
-            packages = "pip install 'bodyseg[remote]' has those of http and s3"
-            raise MissingLibrary(f"{self._protocol}:// addresses need packages: {packages} ({error})") from None
-        if hasattr(filesystem, "retries"):
-            filesystem.retries = 1  # s3fs: attempts are counted by the caller
-        return filesystem
-
-
-def _forget(token: str) -> None:
-    for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
-        del _FILESYSTEMS[key]
-
-
-def open_transport(protocol: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
-    """Open the transport of `protocol`. Raises MissingLibrary, or the filesystem's own errors for bad `options`."""
+    protocol = address.partition("://")[0]
     if protocol in ("http", "https"):
-        return _HttpTransport(_Filesystem(protocol, options), stall_s)
+        return _HttpTransport(Filesystem(address, options), stall_s)
     if protocol in ("s3", "s3a"):
         waits = {"connect_timeout": stall_s, "read_timeout": stall_s, "retries": {"total_max_attempts": 1}}
         options = {**options, "config_kwargs": {**waits, **options.get("config_kwargs", {})}}
-    return _BlockTransport(_Filesystem(protocol, options), total_s)
+    return _BlockTransport(Filesystem(address, options), total_s)
 
 
 class _HttpTransport:
@@ -126,7 +83,7 @@ class _HttpTransport:
     fsspec's own `cat_file` and `open` lose these, and do not check the received range (figures: docs/dependencies.md).
     """
 
-    def __init__(self, filesystem: _Filesystem, stall_s: float) -> None:
+    def __init__(self, filesystem: Filesystem, stall_s: float) -> None:
         self._filesystem, self._stall_s = filesystem, stall_s
         filesystem.get()
 
@@ -258,7 +215,7 @@ def _check_response(response: Any, start: int | None, stop: int | None) -> None:
 class _BlockTransport:
     """Transport through any other filesystem of fsspec."""
 
-    def __init__(self, filesystem: _Filesystem, total_s: float) -> None:
+    def __init__(self, filesystem: Filesystem, total_s: float) -> None:
         self._filesystem = filesystem
         # Most asynchronous filesystems time out by themselves; this limit is for the others.
         self._limit = {"timeout": total_s} if getattr(filesystem.get(), "async_impl", False) else {}

@@ -61,6 +61,9 @@ def test_a_complete_set_has_the_papers_frames(tmp_path: Path) -> None:
     """Nothing is in the files: counting must not read them."""
     for sequence, count in COUNTS.items():
         touch(tmp_path, sequence, *range(count))
+    lacking = "landmarks_C.json (for D_bouncing, D_handstand, D_march, D_squat)"
+    assert open_source("mit", tmp_path).missing() == (lacking,)
+    (tmp_path / "landmarks_C.json").touch()
     source = open_source("mit", tmp_path)
     bodies = source.bodies()
     assert source.missing() == () and len(bodies) == len(MESHES) == 1675
@@ -92,6 +95,7 @@ def test_missing_frames_are_named(tmp_path: Path) -> None:
     for sequence, count in COUNTS.items():
         if sequence != "I_squat":
             touch(tmp_path, sequence, *(number for number in range(count) if not 3 <= number <= 5))
+    (tmp_path / "landmarks_C.json").touch()
     found = collapsed(MitBodies(tmp_path).missing())
     assert found[:2] == [f"{name}/meshes/mesh_0003.obj to mesh_0005.obj" for name in ("I_crane", "I_jumping")]
     assert "I_squat/meshes/mesh_0000.obj to mesh_0249.obj" in found and len(found) == 8

@@ -30,6 +30,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("paper")
     names = [f"SCAPE/{name}" for name in SCAPE_MESHES] + [f"mit/{name}" for name in MIT_MESHES]
     names += [f"Caesar/csr{number:04d}a.{kind}" for number in range(1, 584) for kind in ("ply", "lnd")]
+    names.append("mit/landmarks_C.json")
     for name in names:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).touch()
@@ -85,6 +86,7 @@ def test_what_is_missing_is_named_in_plan_and_warning(
     shutil.copytree(complete / "Caesar", root / "caesar")
     for number in (7, 8, 9, 30):
         (root / "MIT" / "D_squat" / "meshes" / f"mesh_{number:04d}.obj").unlink()
+    (root / "MIT" / "landmarks_C.json").unlink()
     (root / "caesar" / "csr0583a.ply").unlink()
     assert cli.main(["shard", "--source", "paper", "--path", str(root), "--plan"]) == 0
     captured = capsys.readouterr()
@@ -93,14 +95,15 @@ def test_what_is_missing_is_named_in_plan_and_warning(
     assert counts["missing"] == [
         "scape/mesh000.ply to mesh050.ply",
         "scape/mesh052.ply to mesh071.ply",
+        "mit/landmarks_C.json (for D_bouncing, D_handstand, D_march, D_squat)",
         "mit/D_squat/meshes/mesh_0007.obj to mesh_0009.obj",
         "mit/D_squat/meshes/mesh_0030.obj",
         "caesar/subject 583",
     ]
     assert captured.err == (
-        "bodyseg shard: warning: the source paper is not complete, 76 missing: scape/mesh000.ply to mesh050.ply, "
-        "scape/mesh052.ply to mesh071.ply, mit/D_squat/meshes/mesh_0007.obj to mesh_0009.obj, and 2 more such "
-        "(--plan lists all)\n"
+        "bodyseg shard: warning: the source paper is not complete, 77 missing: scape/mesh000.ply to mesh050.ply, "
+        "scape/mesh052.ply to mesh071.ply, mit/landmarks_C.json (for D_bouncing, D_handstand, D_march, D_squat), and 3 "
+        "more such (--plan lists all)\n"
     )
 
 

@@ -92,10 +92,15 @@ def test_the_limit_is_what_it_says() -> None:
                 landmarks.for_mesh(BALL)
 
 
-def test_two_landmarks_on_one_vertex_are_named() -> None:
+def test_of_two_landmarks_on_one_vertex_one_moves_and_three_are_named() -> None:
     points = on_ball()
     points[20] = points[3] + 0.001
-    with pytest.raises(BadLandmarks, match=f"'Suprasternale' and {LANDMARKS[20]!r} at {SPREAD[3]}"):
+    snapped = PointLandmarks("here", points).for_mesh(BALL)
+    assert snapped.vertices[3] == SPREAD[3] and len(set(snapped.vertices.tolist())) == 33
+    (note,) = snapped.notes
+    assert note.startswith(f"{LANDMARKS[20]} moved by ") and note.endswith("in one place with Suprasternale")
+    points[30] = points[3]
+    with pytest.raises(BadLandmarks, match=f"'Suprasternale', {LANDMARKS[20]!r}, {LANDMARKS[30]!r} at {SPREAD[3]}"):
         PointLandmarks("here", points).for_mesh(BALL)
 
 
@@ -160,7 +165,10 @@ BROKEN = {
     "no units": ({key: value for key, value in tree().items() if key != "units"}, "key 'units' is missing"),
     "no table": (tree(points=[1]), r"'points' must map names to coordinates, found \[1\]"),
     "missing": (tree(points={n: p for n, p in POINTS.items() if n != "Sellion"}), "landmark 'Sellion' is missing"),
-    "unknown": (tree(points={**POINTS, "Lt. Elbow": [1, 2, 3]}), "unknown landmark 'Lt. Elbow'"),
+    "misspelt": (
+        tree(points={n.replace("Lt. Acromion", "Lt. Akromion"): p for n, p in POINTS.items()} | {"Crotch": [1, 2, 3]}),
+        r"landmark 'Lt\. Acromion' \(misspelt as 'Lt\. Akromion'\?\) is missing",
+    ),
     "short": (tree(points={**POINTS, "Nuchale": [1, 2]}), r"'Nuchale' must be three finite numbers, found \[1, 2\]"),
     "text": (tree(points={**POINTS, "Nuchale": [1, 2, "3"]}), "'Nuchale' must be three finite numbers"),
     "truth": (tree(points={**POINTS, "Nuchale": [1, 2, True]}), "'Nuchale' must be three finite numbers"),
@@ -190,3 +198,12 @@ def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
         load_landmark_file(tmp_path / "landmarks.txt")
     with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*absent\.json"):
         load_landmark_file(tmp_path / "absent.json")
+
+
+def test_a_file_may_hold_more_than_the_33(tmp_path: Path) -> None:
+    path = tmp_path / "landmarks.json"
+    path.write_text(json.dumps(tree(points={"Crotch": "anything", **POINTS, "Lt. Elbow": [1, 2, 3]})))
+    found = load_landmark_file(path)
+    assert isinstance(found, PointLandmarks) and found.ignored == ("Crotch", "Lt. Elbow")
+    path.write_text(json.dumps(tree()))
+    np.testing.assert_array_equal(found.points, load_landmark_file(path).points)  # type: ignore[union-attr]

@@ -64,10 +64,13 @@ BROKEN = {
         tree(landmarks=without(TABLE, "Sellion", "Lt. PSIS")),
         "landmark 'Sellion', 'Lt. PSIS' is missing",
     ),
-    "unknown landmark": (tree(landmarks={**TABLE, "Lt. Elbow": 3}), "unknown landmark 'Lt. Elbow'"),
-    "doubled vertex": (
-        tree(landmarks={**TABLE, "Lt. PSIS": TABLE["Sellion"]}),
-        "must be different vertices, found 'Sellion' and 'Lt. PSIS' at 0",
+    "misspelt landmark": (
+        tree(landmarks={**without(TABLE, "Lt. PSIS"), "Lt. PSISS": 3}),
+        r"landmark 'Lt\. PSIS' \(misspelt as 'Lt\. PSISS'\?\) is missing",
+    ),
+    "three at a vertex": (
+        tree(landmarks={**TABLE, "Lt. PSIS": TABLE["Sellion"], "Nuchale": TABLE["Sellion"]}),
+        "at most two landmarks may share a vertex, found 'Sellion', 'Nuchale', 'Lt. PSIS' at 0",
     ),
     "out of range": (
         tree(landmarks={**TABLE, "Nuchale": 642}),
@@ -235,3 +238,11 @@ def test_a_mark_at_the_beginning_of_a_file_does_not_matter(tmp_path: Path) -> No
     marked = tmp_path / "marked.json"
     marked.write_bytes(b"\xef\xbb\xbf" + load_landmarks("open").to_json().encode())
     assert load_landmarks(marked).vertices == load_landmarks("open").vertices
+
+
+def test_other_names_are_ignored_and_two_landmarks_may_share_a_vertex() -> None:
+    given = tree(landmarks={"Crotch": -5, **TABLE, "Lt. PSIS": TABLE["Sellion"], "Lt. Elbow": 3})
+    landmarks = parse_landmarks(json.dumps(given), "here")
+    assert landmarks.ignored == ("Crotch", "Lt. Elbow")
+    assert landmarks.vertices[LANDMARKS.index("Lt. PSIS")] == TABLE["Sellion"]
+    assert parse_landmarks(landmarks.to_json(), "here").vertices == landmarks.vertices

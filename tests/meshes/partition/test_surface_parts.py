@@ -167,7 +167,7 @@ def test_bad_landmarks_are_refused_by_name() -> None:
         (changed(good, 2, -1), f"must be vertices 0 to {last}, found Supramenton at -1"),
         (changed(good, 2, last + 1), f"must be vertices 0 to {last}, found Supramenton at {last + 1}"),
         (changed(good, 2, last), f"must lie on the surface, found Supramenton at {last}"),
-        (changed(good, 2, good[1]), f"different vertices, found 'Nuchale' and 'Supramenton' at {good[1]}"),
+        (changed(good, 2, good[1]), "different places, found Nuchale and Supramenton at "),
     ):
         with pytest.raises(BadLandmarks, match=message):
             partition(mesh, landmarks)

@@ -1,0 +1,125 @@
+"""Meshes that cannot be packed: all are named at once, or left out, up to a budget, each of them recorded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from bodyseg_data.bodies.names import collapsed
+from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, check_fields
+
+OnError = Literal["stop", "skip"]
+
+SKIPPABLE: Final = (BadMesh, BadLandmarks, BadSample)
+"""Errors of one mesh; all others end a packing."""
+
+_NAMED: Final = 3
+
+
+@dataclass(frozen=True)
+class OnFaults:
+    """What a packing does about meshes that cannot be packed; no byte of the other meshes' samples depends on it.
+
+    on_error: "stop" names all that the check finds, and renders nothing; "skip" leaves them out. skip_budget: the most
+    meshes that may be left out, as a number or as a share of the meshes asked for (a float below 1). skip_log: a file
+    to which each skipped mesh is appended as a line of JSON, once. progress: called with (meshes checked, meshes in
+    all).
+
+    Raises BadConfig for on_error="skip" without a budget, or a budget or log without it, and for a log that cannot be
+    appended to.
+    """
+
+    on_error: OnError = "stop"
+    skip_budget: float | None = None
+    skip_log: Path | None = None
+    progress: Callable[[int, int], None] = lambda done, total: None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if (self.on_error == "skip") != (self.skip_budget is not None):
+            raise BadConfig(f"on_error='skip' needs a skip_budget, found {self.on_error!r} and {self.skip_budget!r}")
+        if self.on_error == "stop" and self.skip_log is not None:
+            raise BadConfig("a skip_log is for on_error='skip', found it with 'stop'")
+        if self.skip_budget is not None and not (
+            0 <= self.skip_budget < 1 or (self.skip_budget >= 1 and float(self.skip_budget).is_integer())
+        ):
+            raise BadConfig(f"skip_budget must be a number of meshes, or a share below 1, found {self.skip_budget!r}")
+        if self.skip_log is not None:
+            try:
+                self.skip_log.open("a").close()
+            except OSError as error:
+                raise BadConfig(f"skip_log {self.skip_log} cannot be written: {error.strerror or error}") from error
+
+    def budget(self, meshes: int) -> int:
+        """The most of `meshes` that may be left out."""
+        budget = self.skip_budget or 0
+        return int(budget if budget >= 1 else budget * meshes)
+
+
+STOP: Final = OnFaults()
+
+
+class FaultyMeshes(BadMesh):
+    """Meshes that cannot be packed, or more of them than a budget permits. faults: name of a mesh -> reason."""
+
+    def __init__(self, problem: str, faults: Mapping[str, str]) -> None:
+        self.faults = dict(faults)
+        reasons = list(dict.fromkeys(self.faults.values()))
+        more = f"; and {len(reasons) - _NAMED} more" if len(reasons) > _NAMED else ""
+        super().__init__(f"{problem}: {'; '.join(reasons[:_NAMED])}{more}")
+
+    def lines(self) -> list[str]:
+        """One line for each reason, with the meshes that it holds for."""
+        meshes: dict[str, list[str]] = {}
+        for mesh, reason in self.faults.items():
+            meshes.setdefault(reason, []).append(mesh)
+        return [f"{', '.join(collapsed(names))}: {reason}" for reason, names in meshes.items()]
+
+
+class SkipList:
+    """The meshes that one packing leaves out. total: meshes asked for. folder: left out of the reasons' paths."""
+
+    def __init__(self, on_faults: OnFaults, total: int, folder: Path | None) -> None:
+        self._on_faults, self._total, self._folder = on_faults, total, folder
+        self.reasons: dict[str, str] = {}
+
+    @property
+    def strict(self) -> bool:
+        """True if no mesh may be left out."""
+        return self._on_faults.on_error == "stop"
+
+    def add(self, faults: Mapping[str, str]) -> None:
+        """Leave more meshes out. Raises FaultyMeshes if none may be, or beyond the budget."""
+        if not faults:
+            return
+        if self.strict:
+            raise FaultyMeshes(f"{len(faults)} of {self._total} meshes cannot be packed", faults)
+        both, budget = self.reasons | dict(faults), self._on_faults.budget(self._total)
+        if len(both) > budget:
+            beyond = f"{len(both)} of {self._total} meshes cannot be packed, the skip budget allows {budget}"
+            raise FaultyMeshes(beyond, both)
+        if len(both) == self._total:
+            raise FaultyMeshes(f"none of {self._total} meshes can be packed", both)
+        added = {mesh: self._shortened(reason) for mesh, reason in faults.items() if mesh not in self.reasons}
+        self.reasons |= added
+        self._log(added)
+
+    def _shortened(self, reason: str) -> str:
+        if self._folder is None:
+            return reason
+        return reason.replace(f"{self._folder}/", "").replace(str(self._folder), "the source's folder")
+
+    def _log(self, added: Mapping[str, str]) -> None:
+        log = self._on_faults.skip_log
+        if log is None:
+            return
+        try:
+            known = set(log.read_text(encoding="utf-8").splitlines())
+            lines = (json.dumps({"mesh": mesh, "why": reason}) for mesh, reason in added.items())
+            with log.open("a", encoding="utf-8") as file:
+                file.writelines(f"{line}\n" for line in lines if line not in known)
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadConfig(f"skip_log {log} cannot be written: {error}") from error

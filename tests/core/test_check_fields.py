@@ -1,0 +1,112 @@
+"""Settings that a user builds, given values of the wrong type: one line of the family's errors, never a traceback."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import pytest
+
+from bodyseg_data.artifacts import ARTIFACTS
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
+from bodyseg_data.artifacts.variants import Augmentation
+from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.rigs.distortion import Distortion
+from bodyseg_data.core.views import Drawn, ViewGrid
+from bodyseg_data.packing.pack import Packing
+from bodyseg_data.shards.stores.remote import RetryPolicy
+from bodyseg_model.networks.compact import CompactSettings
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
+
+_RIG: Final = load_rig()
+BUILT: Final = [
+    *(kind() for kind in ARTIFACTS.values()),
+    load_sensor_model(),
+    _RIG,
+    _RIG.camera,
+    Distortion(),
+    ViewGrid(),
+    Drawn(0, 1),
+    Packing("open"),
+    Augmentation(_RIG, "all"),
+    RetryPolicy(),
+    CompactSettings(),
+    GeometricAugmentation(),
+]
+FIELDS: Final = [(built, field.name) for built in BUILT for field in fields(built)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("built", "name"), FIELDS, ids=[f"{type(built).__name__}.{name}" for built, name in FIELDS])
+def test_a_value_of_the_wrong_type_is_one_line(built: Any, name: str) -> None:
+    before = getattr(built, name)
+    refused = 0
+    for wrong in (None, "a", ("x",), {}, object(), float("nan"), 1.5, -1):
+        try:
+            made = getattr(replace(built, **{name: wrong}), name)
+        except BadConfig as error:
+            assert str(error).isprintable() and "object at" not in str(error).replace("<object object at", "")
+            refused += 1
+        else:
+            optional = before is None or isinstance(wrong, type(None) | type(before))
+            assert optional or isinstance(wrong, float | int), f"{name} takes {wrong!r}: {made!r}"
+    assert refused >= 3
+
+
+def test_the_message_names_class_field_rule_and_value() -> None:
+    with pytest.raises(BadConfig, match=r"^Noise: low_mm must be a number, found 'a'$"):
+        Noise("a", "b")  # type: ignore[arg-type]
+    with pytest.raises(BadConfig, match=r"^Packing: path must be of class Path or None, found 'meshes'$"):
+        Packing("folder", path="meshes")  # type: ignore[arg-type]
+    with pytest.raises(BadConfig, match=r"^sensor a: artifacts must be a tuple of them, found NoneType$"):
+        SensorModel("a", None)  # type: ignore[arg-type]
+    with pytest.raises(BadConfig, match=r"^sensor a: the title must be text, found 3$"):
+        SensorModel("a", title=3)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Every:
+    """One field of each kind that settings have."""
+
+    number: float = 1.0
+    whole: int = 1
+    switch: bool = True
+    text: str = "a"
+    choice: Literal["a", 2] = "a"
+    either: Path | None = None
+    many: tuple[int, ...] = ()
+    pair: tuple[float, str] = (1.0, "a")
+    anything: Any = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("number", True, "a number, found True"),
+        ("number", "1", "a number, found '1'"),
+        ("whole", 1.0, "a whole number, found 1.0"),
+        ("switch", 1, "True or False, found 1"),
+        ("text", b"a", "text, found b'a'"),
+        ("choice", "b", "'a' or 2, found 'b'"),
+        ("choice", [], r"'a' or 2, found \[\]"),
+        ("either", "a", "of class Path or None, found 'a'"),
+        ("many", 1, "a tuple, each entry a whole number, found 1"),
+        ("many", (1, "a"), r"a tuple, each entry a whole number, found \(1, 'a'\)"),
+        ("pair", (1.0,), r"a tuple of a number and text, found \(1.0,\)"),
+        ("pair", ("a", 1.0), r"a tuple of a number and text, found \('a', 1.0\)"),
+    ],
+)
+def test_every_kind_of_field_is_checked(name: str, wrong: Any, words: str) -> None:
+    with pytest.raises(BadConfig, match=f"^Every: {name} must be {words}$"):
+        Every(**{name: wrong})
+
+
+def test_numbers_of_numpy_whole_floats_and_lists_are_accepted() -> None:
+    made = Every(np.float32(1), np.int64(2), many=[1, 2], pair=[1, "a"], anything=object())  # type: ignore[arg-type]
+    assert made.whole == 2 and Every(number=3, choice=2).number == 3
