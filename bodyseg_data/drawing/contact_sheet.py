@@ -14,12 +14,15 @@ from PIL import Image, ImageDraw
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.parts import colour_labels
+from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
+
+_THING: Final = (112, 116, 124)
+"""Colour of pixels that see a thing, which has no label."""
 
 _GAP: Final = 6
 _CAPTION: Final = 20
@@ -90,11 +93,18 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str
     panels = [
         (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
         (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
-        ("", colour_labels(sample.labels, _EMPTY)),
+        ("", _colour_labels(sample.labels, sample.range)),
     ]
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
-    panels.append(("", colour_labels(row.variants[shown].labels, _EMPTY)))
+    panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range)))
     return [(note, _fit(picture)) for note, picture in panels]
+
+
+def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Colour labels [H, W] as sRGB [H, W, 3]; things, which have a range and no label, are grey."""
+    colours = colour_labels(labels, _EMPTY)
+    colours[(labels == BACKGROUND) & (image > 0)] = _THING
+    return colours
 
 
 def _text_width(text: str, size: int) -> int:

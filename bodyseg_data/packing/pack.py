@@ -34,6 +34,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler, body_key
 from bodyseg_data.packing.state import claimed, finished_shards, record_shard
+from bodyseg_data.packing.things import ThingsPlace, check_place
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, write_manifest
@@ -54,6 +55,7 @@ class Packing:
     source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
     from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a shard.
     geodesics: how distances along the surface are measured. tolerance_mm: how coarse meshes may be (`reduced_body`).
+    things: where things stand around the bodies (docs/things.md).
     """
 
     source: str
@@ -69,6 +71,7 @@ class Packing:
     up: UpAxis = "auto"
     geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
+    things: ThingsPlace = "none"
 
     def __post_init__(self) -> None:
         if self.meshes is not None and self.meshes < 1:
@@ -78,6 +81,7 @@ class Packing:
         check_method(self.geodesics)
         check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
+        check_place(self.things)
         check_codec(self.codec)
         try:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
@@ -126,15 +130,14 @@ def plan(packing: Packing) -> dict[str, Any]:
     "missing" is there if the source is not complete: the bodies that a complete one would have, runs of names in one.
     """
     bodies = packing.bodies()
-    views = len(packing.views)
     subsets: dict[str, dict[str, int]] = {}
     for body in bodies:
         subset = subsets.setdefault(body.subset, {"meshes": 0, "views": 0, **dict.fromkeys(SPLITS, 0)})
         subset["meshes"] += 1
-        subset["views"] += views
-        subset[body.split] += views
+        subset["views"] += len(packing.views)
+        subset[body.split] += len(packing.views)
     totals = {name: sum(subset[name] for subset in subsets.values()) for name in ("meshes", "views", *SPLITS)}
-    counts = {"source": packing.source, **totals, "views_per_mesh": views, "subsets": subsets}
+    counts = {"source": packing.source, **totals, "views_per_mesh": len(packing.views), "subsets": subsets}
     missing = collapsed(packing.opened().missing())
     return {**counts, "missing": missing} if missing else counts
 
@@ -160,10 +163,8 @@ def _cut(packing: Packing) -> list[_Shard]:
             part = list(itertools.islice(entries, packing.shard_samples))
             if not part:
                 break
-            runs = tuple(
-                (body, tuple(view for _, view in run))
-                for body, run in itertools.groupby(part, key=lambda entry: entry[0])
-            )
+            groups = itertools.groupby(part, key=lambda entry: entry[0])
+            runs = tuple((body, tuple(view for _, view in run)) for body, run in groups)
             shards.append(_Shard(f"{split}-{number:05d}.tar", split, runs))
     return shards
 
@@ -188,9 +189,9 @@ def _describe(packing: Packing, shards: Sequence[_Shard]) -> dict[str, Any]:
         "codec": packing.codec,
         "shards": [shard.name for shard in shards],
         "shard_samples": packing.shard_samples,
+        **({} if packing.things == "none" else {"things": packing.things}),
     }
-    tree: dict[str, Any] = json.loads(json.dumps(described))  # tuples as lists, to compare with what was stored
-    return tree
+    return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     parts = partition(built.mesh, built.landmarks, packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body)
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, packing.things)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
@@ -265,9 +266,8 @@ def pack(
                         for key, members in rendered.samples:
                             writer.write(key, members)
                             done += 1
-                        if views[0] == next(
-                            packing.views_of(body)
-                        ):  # a body that goes on in the next shard is noted where it begins
+                        # A body that goes on in the next shard is noted where it begins.
+                        if views[0] == next(packing.views_of(body)):
                             writer.note(body.mesh, rendered.notes)
                         progress(done, total)
                 if writer.record is None:
