@@ -1,4 +1,4 @@
-"""Furniture and machines made of cuboids: the things that stand around people in a room.
+"""Furniture and machines made of cuboids and turned solids: the things that stand around people in a room.
 
 Every thing is drawn from a sequence of raw random words, whose bits NumPy guarantees as it does not those of its
 distributions. Its own frame: x to the right, y up, z away from the viewer; it stands on y = 0, around x = z = 0.
@@ -22,7 +22,8 @@ _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) 
 _SIDES: Final = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
 _FACES: Final = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]]).astype(np.int32)
 
-_MOST_DRAWS: Final = 256
+_MOST_DRAWS: Final = 1024
+_SEGMENTS: Final = 24  # of a turned solid
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,28 @@ def cuboid(size_m: tuple[float, float, float], centre_m: tuple[float, float, flo
     return Solid(_CORNERS * np.asarray(size_m) + np.asarray(centre_m), _FACES)
 
 
+def turned_solid(profile_m: list[tuple[float, float]]) -> Solid:
+    """A closed solid of revolution about y. profile_m: (radius, height) from the bottom up, metres."""
+    angles = np.arange(_SEGMENTS) * (2 * math.pi / _SEGMENTS)
+    around = np.stack([np.cos(angles), np.zeros(_SEGMENTS), np.sin(angles)], axis=1)
+    rings = [around * radius + (0.0, height, 0.0) for radius, height in profile_m]
+    ends = np.array([[0.0, profile_m[0][1], 0.0], [0.0, profile_m[-1][1], 0.0]])
+    here = np.arange(_SEGMENTS)
+    after, last = (here + 1) % _SEGMENTS, len(rings) * _SEGMENTS
+    faces = [np.stack([np.full(_SEGMENTS, last), here, after], axis=1)]
+    for ring in range(len(rings) - 1):
+        low, high = ring * _SEGMENTS, (ring + 1) * _SEGMENTS
+        faces += [
+            np.stack([low + here, high + here, high + after], axis=1),
+            np.stack([low + here, high + after, low + after], axis=1),
+        ]
+    top = last - _SEGMENTS
+    faces.append(np.stack([top + here, np.full(_SEGMENTS, last + 1), top + after], axis=1))
+    return Solid(np.concatenate([*rings, ends]), np.concatenate(faces).astype(np.int32))
+
+
 class Numbers:
-    """Random numbers of one stream, one after another, at most 256."""
+    """Random numbers of one stream, one after another, at most 1024."""
 
     def __init__(self, stream: Stream) -> None:
         self._words = iter(pixel_draws(stream, _MOST_DRAWS, np.uint32).tolist())
@@ -118,10 +139,10 @@ def chair(numbers: Numbers) -> Solid:
 def bed(numbers: Numbers) -> Solid:
     """A bed: a mattress on a frame, and a board at its head."""
     width, depth, height = numbers.between(1.6, 2.1), numbers.between(0.8, 1.2), numbers.between(0.4, 0.8)
-    under = numbers.between(0.0, 0.25)
+    under, head = numbers.between(0.0, 0.25), height + numbers.between(0.1, 0.5)
     pieces = [
         cuboid((width, height - under, depth), (0.0, (height + under) / 2, 0.0)),
-        cuboid((0.05, height + numbers.between(0.1, 0.5), depth), (-width / 2, height / 2 + 0.1, 0.0)),
+        cuboid((0.05, head, depth), (-width / 2, head / 2, 0.0)),
     ]
     return together([*pieces, *_legs(numbers, width, depth, under)] if under > 0.05 else pieces)
 
@@ -147,12 +168,36 @@ def plank(numbers: Numbers) -> Solid:
     return cuboid((width, height, 0.04), (0.0, numbers.between(0.2, 1.6), 0.0))
 
 
+def bin_(numbers: Numbers) -> Solid:
+    """A bin, a barrel or a round stool."""
+    height, low, high = numbers.between(0.35, 1.1), numbers.between(0.12, 0.35), numbers.between(0.12, 0.35)
+    return turned_solid([(low, 0.0), (high, height)])
+
+
+def plant(numbers: Numbers) -> Solid:
+    """A plant or a large ball: an ellipsoid crown on a pot."""
+    pot, across, tall = numbers.between(0.15, 0.5), numbers.between(0.2, 0.5), numbers.between(0.25, 0.7)
+    angles = [math.pi * step / 12 for step in range(1, 12)]
+    crown = [(across * math.sin(angle), pot + tall * (1 - math.cos(angle))) for angle in angles]
+    return together([turned_solid([(0.12, 0.0), (0.16, pot)]), turned_solid(crown)])
+
+
+def lamp(numbers: Numbers) -> Solid:
+    """A lamp on a pole, or a stand with a hat or an umbrella."""
+    height, shade = numbers.between(1.0, 1.8), numbers.between(0.15, 0.35)
+    pole = turned_solid([(0.15, 0.0), (0.15, 0.03), (0.03, 0.05), (0.03, height - 0.1)])
+    return together([pole, turned_solid([(shade, height - 0.3), (shade * numbers.between(0.3, 1.0), height)])])
+
+
 FURNITURE: Final[dict[str, Callable[[Numbers], Solid]]] = {
     "box": box,
     "table": table,
     "chair": chair,
     "bed": bed,
     "machine": machine,
+    "bin": bin_,
+    "plant": plant,
+    "lamp": lamp,
     "plank": plank,
 }
 """Name -> a thing of that kind, drawn anew."""

@@ -30,9 +30,9 @@ LEAST_HIDDEN: Final = 0.05
 MOST_HIDDEN: Final = 0.6
 """Greatest share of a body's pixels that things hide."""
 
-BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine")
+BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
 """Kinds of things before a body."""
-BEHIND: Final = ("box", "table", "chair", "bed", "machine")
+BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
 """Kinds of things behind a body and beside it."""
 
 _ATTEMPTS: Final = 16
