@@ -35,7 +35,8 @@ BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "pla
 BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
 """Kinds of things behind a body and beside it."""
 
-_ATTEMPTS: Final = 16
+ATTEMPTS: Final = 16
+"""Draws until as much is hidden as asked for."""
 _NEAREST_M: Final = 0.5  # of the camera to a thing
 _GAP_M: Final = 0.05  # between a body and a thing, at least
 
@@ -84,17 +85,25 @@ def in_front(things: Surface, body: Surface) -> NDArray[np.bool_]:
 
 
 def draw_things(
-    place: ThingsPlace, key: str, mesh: Mesh, view: View, camera: PlacedCamera, seen: Surface, step_m: float
+    place: ThingsPlace,
+    key: str,
+    mesh: Mesh,
+    view: View,
+    camera: PlacedCamera,
+    seen: Surface,
+    step_m: float,
+    hidden: tuple[float, float] = (LEAST_HIDDEN, MOST_HIDDEN),
+    attempts: int = ATTEMPTS,
 ) -> Things:
-    """Draw the things of a sample, of which at most `MOST_HIDDEN` of the body's pixels are hidden.
+    """Draw the things of a sample, which hide at most `hidden[1]` of the body's pixels.
 
-    seen: what `camera` sees of the body alone. step_m: of the rig. Up to 16 draws are made until the things before the
-    body hide at least `LEAST_HIDDEN` of it; if none does, the one that hides most of it counts.
+    seen: what `camera` sees of the body alone. step_m: of the rig. Up to `attempts` draws are made until the things
+    before the body hide at least `hidden[0]` of it; if none does, the one that hides most of it counts.
     """
     room = _Room(mesh, view, camera)
     body = int(np.count_nonzero(seen.face >= 0))
     best = Things(together([]), step_m)
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(attempts):
         numbers = Numbers(stream(0, 0, key, f"things {attempt}"))
         solids = []
         if place in ("before", "both"):
@@ -102,10 +111,10 @@ def draw_things(
         if place in ("behind", "both"):
             solids += [room.behind(numbers) for _ in range(numbers.whole(1, 4))]
         found = Things(together(solids), step_m)
-        hidden = int(np.count_nonzero(in_front(found.render(camera), seen) & (seen.face >= 0))) / max(body, 1)
-        if hidden <= MOST_HIDDEN and (hidden > best.hidden or not len(best.solid.faces)):
-            best = Things(found.solid, step_m, hidden)
-        if best.hidden >= LEAST_HIDDEN or (place == "behind" and len(best.solid.faces)):
+        share = int(np.count_nonzero(in_front(found.render(camera), seen) & (seen.face >= 0))) / max(body, 1)
+        if share <= hidden[1] and (share > best.hidden or not len(best.solid.faces)):
+            best = Things(found.solid, step_m, share)
+        if best.hidden >= hidden[0] or (place == "behind" and len(best.solid.faces)):
             break
     return best
 

@@ -26,6 +26,7 @@ from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
 from bodyseg_model.segmentation.undistortion import Undistortion
@@ -59,6 +60,7 @@ class Options:
         "them, as one body; keep: keep all that was measured, as one body",
         "people",
     )
+    keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
@@ -76,7 +78,9 @@ def run(options: Options) -> int:
     trained.network.to(find_device(options.device))
     lens = None if camera.camera.distortion is None else Undistortion(camera.camera)
     ideal = camera.camera if lens is None else lens.camera
-    segmenter = Segmenter(trained.network, ideal, background, options.mirrored, options.confidence)
+    # Of other classes than the 33 parts, the card says which: things are then told by their shape alone.
+    score = None if options.keep_things else shipped_score("shape" if "labels" in trained.card else "parts")
+    segmenter = Segmenter(trained.network, ideal, background, options.mirrored, options.confidence, people=score)
     folders = _RESULTS if lens is None else (*_RESULTS, _UNDISTORTED)
     _make_folders(options.out, folders)
 
@@ -94,6 +98,9 @@ def run(options: Options) -> int:
         "camera": {**camera.to_json(), "mirrored": options.mirrored},
         "unit_m": step_m,
         "background": background.to_json(),
+        "person_score": None
+        if segmenter.people is None
+        else {"model": segmenter.people.model, "cutoff": segmenter.people.cutoff},
         "resampling": {
             "focal_px": segmenter.rig.camera.focal_px,
             "distance_m": segmenter.rig.stand_off_m,
@@ -185,6 +192,8 @@ def _remarks(options: Options, camera: FrameCamera, summary: SequenceSummary, sh
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
+    if summary.things:
+        lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     mirrored = shadows.mirrored(camera)

@@ -7,7 +7,7 @@ trained on people is unsure of things, and gives them few and scattered parts.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,31 +76,31 @@ def shape_features(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camer
     side = -(-cell_px // step)
     shown = np.zeros(range_m.shape, np.bool_)
     shown.ravel()[pixels] = True
-    rows, columns = np.nonzero(shown[::step, ::step])
+    coarse = np.ascontiguousarray(shown[::step, ::step])
+    rows, columns = np.divmod(np.flatnonzero(coarse), coarse.shape[1])
     if not len(rows):  # a surface narrower than the step
         return np.zeros(len(SHAPE_FEATURES))
-    z = range_m[::step, ::step][rows, columns].astype(np.float64)
+    z = range_m.ravel()[rows * (step * camera.columns) + columns * step].astype(np.float64)
     cells = _Cells(rows, columns, z, side)
     down, across = _second_differences(cells.means)
     every = np.concatenate([down, across])
-    bent = np.sort(np.abs(every))
+    bent = np.abs(every)
     limit = _FLAT_M + _SIGMAS * np.sqrt(6.0) * _noise(rows, columns, z) / side
     x = (columns * step + 0.5 - camera.centre_px[0]) * z / camera.focal_px
     y = (rows * step + 0.5 - camera.centre_px[1]) * z / camera.focal_px
     width, height = max(float(np.ptp(x)), CELL_M), max(float(np.ptp(y)), CELL_M)
     area = float(((step * z / camera.focal_px) ** 2).sum())
-    deep = np.sort(z)
     return np.array(
         [
             *(_share(np.abs(each) < limit, 1.0) for each in (every, down, across)),
-            *(100 * min(_at(np.sort(each), 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
+            *(100 * min(_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
             100 * min(_at(bent, 0.5), _MOST_CURVED_M[0]),
             100 * min(_at(bent, 0.75), _MOST_CURVED_M[1]),
             *(np.log(_share(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
             cells.filled_share,
             width,
             height,
-            _at(deep, 0.97) - _at(deep, 0.03),
+            _at(z, 0.97) - _at(z, 0.03),
             np.log(area),
             area / (width * height),
             np.log(area / height**2),
@@ -145,7 +145,7 @@ def part_features(
 def _pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
     """Side of a pixel at the surface's median range, metres."""
     some = range_m.ravel()[pixels[:: max(1, len(pixels) // _FEW)]]
-    return float(np.partition(some, len(some) // 2)[len(some) // 2]) / camera.focal_px
+    return _at(some, 0.5) / camera.focal_px
 
 
 class _Cells:
@@ -178,13 +178,14 @@ def _noise(rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats) -> floa
     """Standard deviation of the noise of one pixel, metres, from second differences of neighbours in a row."""
     beside = (np.diff(columns) == 1) & (np.diff(rows) == 0)
     inner = beside[:-1] & beside[1:]
-    return float(_at(np.sort(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner]), 0.5) / _MAD)
+    return float(_at(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner], 0.5) / _MAD)
 
 
 def _share(of: NDArray[np.bool_], without: float) -> float:
     return float(np.count_nonzero(of) / len(of)) if len(of) else without
 
 
-def _at(ascending: Floats, share: float) -> float:
-    """The value of sorted ones below which a share of them lies; 0 without any."""
-    return float(ascending[min(int(share * len(ascending)), len(ascending) - 1)]) if len(ascending) else 0.0
+def _at(values: NDArray[np.floating[Any]], share: float) -> float:
+    """The value below which a share of all lies; 0 without any."""
+    place = min(int(share * len(values)), len(values) - 1)
+    return float(np.partition(values, place)[place]) if len(values) else 0.0
