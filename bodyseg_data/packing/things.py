@@ -19,8 +19,7 @@ from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, together
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rendering.renderer import Renderer, Surface
 
 ThingsPlace = Literal["none", "before", "behind", "both"]
 """Places of things: between camera and body, behind or beside the body, or both."""
@@ -48,9 +47,13 @@ class Things:
     solid: Solid
     step_m: float
     hidden: float = 0.0
-    _renderer: RasterRenderer = field(init=False, repr=False)
+    _renderer: Renderer = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from bodyseg_data.rendering.raster import (
+            RasterRenderer,
+        )  # loads numba, which streaming and planning do not need
+
         object.__setattr__(self, "_renderer", RasterRenderer(self.solid))
 
     def render(self, camera: PlacedCamera) -> Surface:
