@@ -16,13 +16,10 @@ from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
-
-_THING: Final = (112, 116, 124)
-"""Colour of pixels that see a thing, which has no label."""
 
 _GAP: Final = 6
 _CAPTION: Final = 20
@@ -103,7 +100,7 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel) -> list[tuple[str
 def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Colour labels [H, W] as sRGB [H, W, 3]; things, which have a range and no label, are grey."""
     colours = colour_labels(labels, _EMPTY)
-    colours[(labels == BACKGROUND) & (image > 0)] = _THING
+    colours[(labels == BACKGROUND) & (image > 0)] = THING
     return colours
 
 
