@@ -25,7 +25,7 @@ from bodyseg_model.stability.people_and_things import SENSORS, people_and_things
 FIT_SEED: Final = 1
 FIT_SOURCE: Final = "wide"
 
-LOST: Final = 0.01
+LOST: Final = 0.02
 """Share of the people's surfaces in rooms to fit to that the cutoff may lose, when other rooms' weights score them."""
 
 RIDGE: Final = 3.0
