@@ -27,6 +27,7 @@ from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_en
 from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
 from bodyseg_data.packing.pack import Packing, pack, plan
 from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
+from bodyseg_data.packing.things import ThingsPlace
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.shards.codecs import CodecName
 from bodyseg_data.shards.manifest import Manifest
@@ -62,6 +63,7 @@ class Options:
         "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
     )
     renderer: RendererName = option("renderer", Packing.renderer)
+    things: ThingsPlace = option("draw furniture without labels around the bodies (docs/things.md)", Packing.things)
     codec: CodecName = option("codec of the stored images", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
@@ -93,6 +95,7 @@ class Options:
             renderer=self.renderer,
             codec=self.codec,
             shard_samples=self.shard_samples,
+            things=self.things,
         )
 
 

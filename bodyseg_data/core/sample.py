@@ -47,14 +47,15 @@ SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
-_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm"})
+_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
 
 
 @dataclass(frozen=True)
 class SampleInfo:
     """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
 
-    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`.
+    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`. things: "before", "behind" or "both" where
+    things stand around the body (docs/things.md), else ""; hidden_pct: percent of the body's pixels that they hide.
     """
 
     source: str
@@ -68,6 +69,8 @@ class SampleInfo:
     pitch_deg: int = 0
     roll_deg: int = 0
     height_cm: int = 0
+    things: str = ""
+    hidden_pct: int = 0
 
     @property
     def view(self) -> View:
@@ -75,11 +78,12 @@ class SampleInfo:
         return View(self.distance_cm, self.azimuth_deg, self.pitch_deg, self.roll_deg, self.height_cm)
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to a JSON object; pitch, roll and height are in it only where they are not 0."""
+        """Convert to a JSON object; pitch, roll, height, things and what they hide only where there are any."""
         return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
 
 
-_KINDS: Final = {name: int if name.endswith(("_cm", "_deg")) else str for name in SampleInfo.__dataclass_fields__}
+_NUMBERS: Final = ("_cm", "_deg", "_pct")
+_KINDS: Final = {name: int if name.endswith(_NUMBERS) else str for name in SampleInfo.__dataclass_fields__}
 _REQUIRED: Final = _KINDS.keys() - _OPTIONAL
 
 
@@ -102,7 +106,7 @@ class Sample:
     range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read. Of a rig with two projectors,
     the second's rows follow the first's.
-    labels: uint8 [H, W], part 0..32, 255 where range is 0.
+    labels: uint8 [H, W], part 0..32, 255 where range is 0, and on things, of samples that have some (`info.things`).
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
     occupancy: only of samples decoded into given arrays.
@@ -152,10 +156,12 @@ class Sample:
             found = ", ".join(map(str, shapes))
             raise BadSample(f"{self.key}: range, labels and facing must have one shape, found {found}")
         background = self.range == 0
-        if not np.array_equal(background, self.labels == BACKGROUND):
-            raise BadSample(f"{self.key}: labels must be {BACKGROUND} exactly where range is 0")
-        if (self.labels[~background] >= PART_COUNT).any():
-            raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~background].max()}")
+        unlabelled = self.labels == BACKGROUND
+        if not (np.array_equal(background, unlabelled) or (self.info.things and unlabelled[background].all())):
+            besides = "wherever range is 0" if self.info.things else "exactly where range is 0"
+            raise BadSample(f"{self.key}: labels must be {BACKGROUND} {besides}")
+        if (self.labels[~unlabelled] >= PART_COUNT).any():
+            raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~unlabelled].max()}")
         if any((mask & background).any() for mask in masks):
             raise BadSample(f"{self.key}: background cannot face the projector")
 

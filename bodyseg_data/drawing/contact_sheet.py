@@ -15,9 +15,9 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.parts import colour_labels
+from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import Sample
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
@@ -94,11 +94,18 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelM
     panels = [
         (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
         (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
-        ("", colour_labels(label_map.table[sample.labels], _EMPTY, label_map.colours)),
+        ("", _colour_labels(sample.labels, sample.range, label_map)),
     ]
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
-    panels.append(("", colour_labels(label_map.table[row.variants[shown].labels], _EMPTY, label_map.colours)))
+    panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range, label_map)))
     return [(note, _fit(picture)) for note, picture in panels]
+
+
+def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_map: LabelMap) -> NDArray[np.uint8]:
+    """Colour part labels [H, W] by their classes, sRGB [H, W, 3]; things, which have a range and no label, are grey."""
+    colours = colour_labels(label_map.table[labels], _EMPTY, label_map.colours)
+    colours[(labels == BACKGROUND) & (image > 0)] = THING
+    return colours
 
 
 def _text_width(text: str, size: int) -> int:

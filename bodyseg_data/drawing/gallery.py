@@ -12,11 +12,11 @@ from PIL import Image, ImageDraw
 
 from bodyseg_data.artifacts.artifact import Scene
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, COLOURS
+from bodyseg_data.core.parts import colour_labels
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.views import split_key
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
 
 COLUMNS: Final = 12
 _TILE_ROWS: Final = 320
@@ -93,10 +93,12 @@ def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
 
 def _tile(scene: Scene) -> Image.Image:
     sample = scene.sample
-    foreground = sample.labels != BACKGROUND
+    foreground = sample.range > 0
     canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
     shade = surface_shading(sample.range, scene.step_m, scene.rig.camera)[foreground]
-    canvas[foreground] = np.clip(COLOURS[sample.labels[foreground]] * (0.35 + 0.7 * shade[:, None]), 0, 255)
+    canvas[foreground] = np.clip(
+        colour_labels(sample.labels, THING)[foreground] * (0.35 + 0.7 * shade[:, None]), 0, 255
+    )
     picture = Image.fromarray(canvas)
     return picture.resize((round(picture.width * _TILE_ROWS / picture.height), _TILE_ROWS), Image.Resampling.LANCZOS)
 

@@ -15,6 +15,8 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 PAPER: Final = (250, 250, 247)
 INK: Final = (32, 34, 40)
 FAINT: Final = (110, 112, 118)
+THING: Final = (112, 116, 124)
+"""Colour of pixels that see a thing, which has no label."""
 
 _COLUMN: Final = 222  # fits the longest name
 _LINE: Final = 21

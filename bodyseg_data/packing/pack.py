@@ -35,6 +35,7 @@ from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler, body_key
 from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList
 from bodyseg_data.packing.state import check_folder, claimed, forget_shard, record_skips, stored_skips
+from bodyseg_data.packing.things import ThingsPlace, check_place
 from bodyseg_data.packing.writing import cut, cut_again, write_shards
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.shards.codecs import CodecName
@@ -55,6 +56,7 @@ class Packing:
     source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
     from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a shard.
     geodesics: how distances along the surface are measured. tolerance_mm: how coarse meshes may be (`reduced_body`).
+    things: where things stand around the bodies (docs/things.md).
     """
 
     source: str
@@ -70,6 +72,7 @@ class Packing:
     up: UpAxis = "auto"
     geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
+    things: ThingsPlace = "none"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -80,6 +83,7 @@ class Packing:
         check_method(self.geodesics)
         check_tolerance(self.tolerance_mm)
         check_renderer(self.renderer)
+        check_place(self.things)
         check_codec(self.codec)
         try:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
@@ -128,15 +132,14 @@ def plan(packing: Packing) -> dict[str, Any]:
     "missing" is there if the source is not complete: the bodies that a complete one would have, runs of names in one.
     """
     bodies = packing.bodies()
-    views = len(packing.views)
     subsets: dict[str, dict[str, int]] = {}
     for body in bodies:
         subset = subsets.setdefault(body.subset, {"meshes": 0, "views": 0, **dict.fromkeys(SPLITS, 0)})
         subset["meshes"] += 1
-        subset["views"] += views
-        subset[body.split] += views
+        subset["views"] += len(packing.views)
+        subset[body.split] += len(packing.views)
     totals = {name: sum(subset[name] for subset in subsets.values()) for name in ("meshes", "views", *SPLITS)}
-    counts = {"source": packing.source, **totals, "views_per_mesh": views, "subsets": subsets}
+    counts = {"source": packing.source, **totals, "views_per_mesh": len(packing.views), "subsets": subsets}
     missing = collapsed(packing.opened().missing())
     return {**counts, "missing": missing} if missing else counts
 
@@ -161,9 +164,9 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
         "shards": [shard.name for shard in cut(packing, bodies)],
         "shard_samples": packing.shard_samples,
         **({"skipped": list(faulty)} if faulty else {}),
+        **({} if packing.things == "none" else {"things": packing.things}),
     }
-    tree: dict[str, Any] = json.loads(json.dumps(described))  # tuples as lists, to compare with what was stored
-    return tree
+    return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     parts = partition(built.mesh, built.landmarks, packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body)
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, packing.things)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)

@@ -17,6 +17,7 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.occluder_range import occluder_range
+from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
 from bodyseg_data.rendering.renderer import Renderer, Surface
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
@@ -34,11 +35,23 @@ def sample_key(source: str, body: BodyRef, view: View) -> str:
 
 
 class Sampler:
-    """Takes samples of one body with one rig; everything that does not depend on the view is computed once."""
+    """Takes samples of one body with one rig; everything that does not depend on the view is computed once.
 
-    def __init__(self, renderer: Renderer, rig: Rig, mesh: Mesh, parts: Partition, source: str, body: BodyRef) -> None:
+    things: where things stand that are drawn for each sample (`draw_things`).
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        rig: Rig,
+        mesh: Mesh,
+        parts: Partition,
+        source: str,
+        body: BodyRef,
+        things: ThingsPlace = "none",
+    ) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
-        self._source, self._body = source, body
+        self._source, self._body, self._place = source, body, things
         self._tests = shadow_tests(rig)
         corners = parts.labels[mesh.faces]
         whole = (corners == corners[:, :1]).all(axis=1)
@@ -53,13 +66,20 @@ class Sampler:
         """Render one view and label it. Raises BadSample."""
         body, key, step_m = self._body, sample_key(self._source, self._body, view), self._rig.range_step_m
         camera, _ = self._rig.placed(self._mesh.centre, view)
-        seen = self._renderer.render(camera)
-        pixels = np.flatnonzero(seen.face >= 0)
-        faces = seen.face.take(pixels)
+        seen, things = self._renderer.render(camera), None
+        if self._place != "none":
+            things = draw_things(self._place, key, self._mesh, view, camera, seen, step_m)
+            seen = nearest(seen, things.render(camera), len(self._mesh.faces))
+        measured = np.flatnonzero(seen.face >= 0)
+        pixels, faces = measured, seen.face.take(measured)
+        if things is not None:
+            of_thing = faces - np.int32(len(self._mesh.faces))  # negative on the body
+            on_thing = of_thing >= 0
+            pixels, faces = measured[~on_thing], faces[~on_thing]
         points = _Points(seen, camera, pixels)
 
         range_image = np.zeros(seen.face.shape, np.uint16)
-        range_image.ravel()[pixels] = steps(seen.range.take(pixels), step_m, key)
+        range_image.ravel()[measured] = steps(seen.range.take(measured), step_m, key)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         labels.ravel()[pixels] = self._labels(faces, points)
         facing, occluders = [], []
@@ -67,7 +87,9 @@ class Sampler:
             _, projector = test.rig.placed(self._mesh.centre, view)
             facing.append(np.zeros(seen.face.shape, np.bool_))
             facing[-1].ravel()[pixels] = self._facing(faces, points, projector.position)
-            occluders.append(self._occluder(test, projector, range_image, facing[-1], key))
+            if things is not None:
+                facing[-1].ravel()[measured[on_thing]] = things.facing(of_thing[on_thing], projector.position)
+            occluders.append(self._occluder(test, projector, range_image, facing[-1], key, things))
         info = SampleInfo(
             self._source,
             body.subset,
@@ -80,6 +102,7 @@ class Sampler:
             view.pitch_deg,
             view.roll_deg,
             view.height_cm,
+            *(() if things is None else (self._place, round(100 * things.hidden))),
         )
         second = facing[1] if len(facing) == 2 else None
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)
@@ -93,11 +116,16 @@ class Sampler:
         range_image: NDArray[np.uint16],
         facing: NDArray[np.bool_],
         key: str,
+        things: Things | None,
     ) -> NDArray[np.uint16]:
         """The stored range of one projector. Raises BadSample."""
 
         def ranges(texels: NDArray[np.intp]) -> NDArray[np.uint16]:
-            return steps(self._renderer.ranges(projector, texels), self._rig.range_step_m, key)
+            found = self._renderer.ranges(projector, texels)
+            if things is not None:
+                before = things.render(projector).range.take(texels)
+                found = np.where((before > 0) & ((found == 0) | (before < found)), before, found)
+            return steps(found, self._rig.range_step_m, key)
 
         return occluder_range(test, range_image, facing, ranges)
 

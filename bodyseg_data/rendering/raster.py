@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rendering.renderer import Surface, Triangles
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
 _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding
@@ -25,7 +24,7 @@ _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for roundin
 class RasterRenderer:
     """Renderer of one mesh that draws all its triangles for every camera."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Triangles) -> None:
         self._vertices, self._faces = mesh.vertices, mesh.faces
 
     def render(self, camera: PlacedCamera) -> Surface:

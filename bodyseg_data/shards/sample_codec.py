@@ -20,7 +20,7 @@ from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
-from bodyseg_data.shards.codecs.labels import join_labels, take_second_facing
+from bodyseg_data.shards.codecs.labels import join_labels, mark_things, take_second_facing
 
 _BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
 
@@ -39,7 +39,8 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     "bsi", whose labels and range disagree on the background.
     """
     chosen = CODECS[check_codec(codec)]
-    labels = join_labels(sample.labels, sample.faces_projector, sample.faces_second)
+    named = mark_things(sample.labels, sample.range) if sample.info.things else sample.labels
+    labels = join_labels(named, sample.faces_projector, sample.faces_second)
     projector = sample.occluder_range()
     members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
     try:

@@ -17,7 +17,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.labels.label_map import LabelMap
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
@@ -31,6 +31,7 @@ from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVI
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
@@ -61,6 +62,7 @@ class Options:
         "them, as one body; keep: keep all that was measured, as one body",
         "people",
     )
+    keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
@@ -76,8 +78,10 @@ def run(options: Options) -> int:
     label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
     trained.network.to(find_device(options.device))
     cameras = _cameras(options, frames, trained)
-    segmenters = Segmenters(trained, background, options.mirrored, options.confidence)
-    segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
+    # Of other classes than the 33 parts, things are told by their shape alone.
+    score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
+    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
+    _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
     out = OutputFolder(options.out, options.frames, frames, IMAGES if cameras.bent else IMAGES[:2])
     out.begin()
 
@@ -96,6 +100,7 @@ def run(options: Options) -> int:
         "camera": {**cameras.to_json(), "mirrored": options.mirrored},
         "unit_m": step_m,
         "background": background.to_json(),
+        "person_score": None if first.people is None else {"model": first.people.model, "cutoff": first.people.cutoff},
         "resampling": {
             "rig": trained.rig.name,
             "focal_px": trained.rig.camera.focal_px,
@@ -192,6 +197,8 @@ def _remarks(options: Options, cameras: FrameCameras, summary: SequenceSummary, 
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
+    if summary.things:
+        lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     mirrored = shadows.mirrored(camera)

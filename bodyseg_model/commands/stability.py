@@ -16,10 +16,12 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.stability.accuracies import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
 from bodyseg_model.stability.numerical import numerical
+from bodyseg_model.stability.people_and_things import people_and_things
 from bodyseg_model.stability.scenes import Scenes
 from bodyseg_model.stability.summary import motion_over_seeds, summarise
 from bodyseg_model.stability.sweeps import SWEEPS, Sweep, chosen
@@ -29,7 +31,7 @@ from bodyseg_model.training.distributed import find_device, use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 
-Part = Literal["images", "temporal", "numerical"]
+Part = Literal["images", "temporal", "numerical", "things"]
 
 _FORMAT: Final = "bodyseg stability 1"
 _CACHED: Final = "cached_results"
@@ -47,10 +49,10 @@ class Options:
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
-    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical"))
+    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical", "things"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    images: int = option("images of every condition", 40)
+    images: int = option("images of every condition, and made rooms", 40)
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
@@ -89,6 +91,8 @@ def run(options: Options) -> int:
         figures["temporal"] = _temporal(options, runs, groups)
     if "numerical" in options.parts:
         figures["numerical"] = _numerical(options, groups)
+    if "things" in options.parts:
+        figures["things"] = _things(options, groups)
     figures["tables"] = tables(figures)
     figures["seconds"] = round(time.perf_counter() - start, 1)
     written = [options.out / "stability.json"]
@@ -142,6 +146,17 @@ def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
                 **numerical(each.runs[0].trained.network, images, options.images),
             }
         progress.update(len(groups), len(groups))
+    return found
+
+
+def _things(options: Options, groups: list[Group]) -> dict[str, Any]:
+    """Label people among things with the first network of every group, with and without the score of persons."""
+    found = {}
+    for each in groups:
+        with Progress(each.label, "rooms") as progress:
+            network = each.runs[0].trained.network
+            measured = people_and_things(network, shipped_score(), options.images, progress.update)
+        found[each.label] = {"run": each.runs[0].name, **measured}
     return found
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
-from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
+from bodyseg_model.segmentation.people.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
+from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
 
 BackgroundMode = Literal["people", "limits", "keep"]
 

@@ -18,12 +18,13 @@ from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.segmentation.undistortion import Undistortion
 
 _KEPT: Final = 4
 
-STAGES: Final = ("background", "resample", "network", "back")
+STAGES: Final = ("background", "resample", "network", "back", "people")
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class LabelledBody:
     """One body of a frame. pixels: int64 [N], row * columns + column, ascending. confidence: float32 [N].
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
+    person: probability that it is a person, 0 to 1 (`PersonScore`); None if nobody asked.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -38,17 +40,20 @@ class LabelledBody:
     turn_rad: float
     scale: float
     confidence: NDArray[np.float32] = field(repr=False)
+    person: float | None = None
 
 
 @dataclass(frozen=True)
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
-    and the time of each of `STAGES`, milliseconds.
+    and the time of each of `STAGES`, milliseconds. things: surfaces of a body's size that are no person, which have no
+    labels.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
     bodies: tuple[LabelledBody, ...]
     milliseconds: dict[str, float]
+    things: tuple[LabelledBody, ...] = ()
 
     @property
     def pixels(self) -> int:
@@ -70,7 +75,9 @@ class Segmenter:
     lens distortion (`Undistortion`). background: rule for
     removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
     drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
-    paper's. Raises BadConfig for a confidence outside 0 to 1, or a camera with distortion.
+    paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
+    "people" (`shipped_score`); None to label all of them. Raises BadConfig for a confidence outside 0 to 1, or a camera
+    with distortion.
     """
 
     def __init__(
@@ -81,6 +88,7 @@ class Segmenter:
         mirrored: bool = False,
         least_confidence: float = 0.0,
         rig: Rig | None = None,
+        people: PersonScore | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -90,6 +98,7 @@ class Segmenter:
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.device = device_of(network)
+        self.people = people if self.background.mode == "people" else None
         self._network = network
 
     def __repr__(self) -> str:
@@ -108,7 +117,8 @@ class Segmenter:
             )
         watch = Stopwatch(STAGES)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
-        bodies = []
+        bodies: list[LabelledBody] = []
+        things: list[LabelledBody] = []
         with watch("background"):
             body_pixels = find_bodies(range_m, self.camera, self.background)
         for pixels in body_pixels:
@@ -118,11 +128,16 @@ class Segmenter:
                 prediction = predict(self._network, torch.from_numpy(view.range_m)[None, None].to(self.device))
                 view_labels, view_confidence = (image[0].cpu().numpy() for image in prediction)
             with watch("back"):
-                confidence = view.back(view_confidence)
-                found = np.where(confidence >= self.least_confidence, view.back(view_labels), BACKGROUND)
-                labels.ravel()[pixels] = found
-                bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence))
-        return Segmentation(labels, tuple(bodies), watch.milliseconds)
+                confidence, named = view.back(view_confidence), view.back(view_labels)
+            with watch("people"):
+                person = None if self.people is None else self.people(pixels, range_m, self.camera, named, confidence)
+                body = LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person)
+                is_person = person is None or self.people is None or person >= self.people.cutoff
+                (bodies if is_person else things).append(body)
+            if is_person:
+                with watch("back"):
+                    labels.ravel()[pixels] = np.where(confidence >= self.least_confidence, named, BACKGROUND)
+        return Segmentation(labels, tuple(bodies), watch.milliseconds, tuple(things))
 
 
 class Segmenters:
@@ -137,8 +152,9 @@ class Segmenters:
         background: Background | None = None,
         mirrored: bool = False,
         least_confidence: float = 0.0,
+        people: PersonScore | None = None,
     ) -> None:
-        self._trained = trained
+        self._trained, self._people = trained, people
         self._options = background, mirrored, least_confidence
         self.of = lru_cache(maxsize=_KEPT)(self._new)
 
@@ -149,4 +165,4 @@ class Segmenters:
         """Undistortion, where the camera needs one, and segmenter of its frames. Raises BadConfig as `Segmenter`."""
         lens = None if camera.distortion is None else Undistortion(camera)
         ideal = camera if lens is None else lens.camera
-        return lens, Segmenter(self._trained.network, ideal, *self._options, self._trained.rig)
+        return lens, Segmenter(self._trained.network, ideal, *self._options, self._trained.rig, self._people)

@@ -56,6 +56,7 @@ class SequenceSummary:
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
+                "things": [_body(thing, range_m.shape[1]) for thing in segmentation.things],
                 "flicker": None if change is None else change.to_json(),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }
@@ -71,6 +72,11 @@ class SequenceSummary:
         """Median over all bodies of their ranges, metres; None if there is no body."""
         ranges = [body["range_m"] for frame in self._frames for body in frame["bodies"]]
         return float(np.median(ranges)) if ranges else None
+
+    @property
+    def things(self) -> int:
+        """Surfaces of a body's size in all frames together that are no person."""
+        return sum(len(frame["things"]) for frame in self._frames)
 
     @property
     def mean_confidence(self) -> float | None:
@@ -98,6 +104,7 @@ class SequenceSummary:
             "frames": len(self._frames),
             "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
             "people": self.people,
+            "things": self.things,
             "pixels": sum(frame["pixels"] for frame in self._frames),
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),
@@ -120,6 +127,7 @@ def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
         "turn_deg": round(math.degrees(body.turn_rad), 2),
         "scale": round(body.scale, 4),
         "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),
+        **({} if body.person is None else {"person": _rounded(body.person)}),
     }
 
 

@@ -17,6 +17,7 @@ from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
 from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.views import View
@@ -24,12 +25,16 @@ from bodyseg_data.loading.range_images import RangeImages, metres
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.packing.things import draw_things, in_front
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.segmentation.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.stability.correspondence import RenderedBody
 from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition, corrupted
+
+_HIDDEN_WITHIN: Final = 0.05  # of the share that things are to hide
+_HIDDEN_ATTEMPTS: Final = 64
 
 RENDERABLE: Final = ("open", "hard")
 """Sources whose bodies can be rendered anew, because they are generated and not read from files."""
@@ -40,7 +45,7 @@ class LabelledImage:
     """Input of a network and the true labels.
 
     range_m: float32 [H, W], metres, 0 where nothing was measured. pixels: int64 [N], where predictions are compared,
-    row * W + column. truth: uint8 [N], the part at each of `pixels`.
+    row * W + column. truth: uint8 [N], the part at each of `pixels`; 255 on things, which do not count.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
@@ -145,7 +150,29 @@ class _PosedBody:
             camera = sensor(strength)
             made = self._rendered(rig, camera, rig.stand_off_m)
             return made if sweep == "rig" else resampled(made, camera, rig)
+        if sweep in ("hidden", "hidden_shown"):
+            return self._behind_things(rig, strength, shown=sweep == "hidden_shown")
         return self._rendered(rig, rig.camera, rig.stand_off_m)
+
+    def _behind_things(self, rig: Rig, share: float, shown: bool) -> LabelledImage:
+        """Image of a body of which things hide a share, 5 % more or less. shown: leave their ranges in the image."""
+        placed = looking_down(rig.camera, self.mesh.centre, self.azimuth_deg, rig.stand_off_m, 0.0)
+        rendered = RenderedBody(self.mesh, placed, self.renderer.render(placed))
+        things = draw_things(
+            "before",
+            f"{self.ref.mesh} {self.azimuth_deg} {share:g}",
+            self.mesh,
+            View(round(100 * rig.stand_off_m), self.azimuth_deg),
+            placed,
+            rendered.surface,
+            rig.range_step_m,
+            (share - _HIDDEN_WITHIN, share + _HIDDEN_WITHIN),
+            _HIDDEN_ATTEMPTS,
+        ).render(placed)
+        before, labels = in_front(things, rendered.surface), rendered.labels(self.parts)
+        labels[before] = BACKGROUND
+        ranges = np.where(before, things.range if shown else np.float32(0), rendered.surface.range)
+        return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, labels)
 
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""

@@ -87,9 +87,13 @@ SWEEPS: Final = {
     "rig_resampled": Sweep(
         "Other cameras, resampled", "focal length, px", (_KNOWN_FOCAL_PX, *_FOCALS_PX), "rendered", counts=False
     ),
+    "hidden": Sweep("Hidden by things", "share of the body", _SHARES, "rendered", counts=False),
+    "hidden_shown": Sweep(
+        "Hidden by things, which are in the image", "share of the body", _SHARES, "rendered", counts=False
+    ),
     "hard": Sweep("Hard poses", "0: the set's, 1: hard", (0, 1), counts=False),
 }
-"""Name -> sweep. Resampling is a remedy and hard poses are not a sensor's fault, so neither counts."""
+"""Name -> sweep. Resampling is a remedy, things and hard poses are not a sensor's fault, so they do not count."""
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from samples import GOOD
 
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.sample import SHADOW_THRESHOLDS, Sample, ShadowThresholds, check_key, shape_of, steps
+from bodyseg_data.core.sample import (
+    SHADOW_THRESHOLDS,
+    Sample,
+    ShadowThresholds,
+    check_key,
+    info_from_json,
+    shape_of,
+    steps,
+)
 
 
 def test_a_good_sample_passes() -> None:
@@ -36,6 +44,27 @@ def test_a_good_sample_passes() -> None:
 def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message: str) -> None:
     with pytest.raises(BadSample, match=message):
         change(GOOD).check()
+
+
+def test_a_thing_has_a_range_and_no_label() -> None:
+    labels = np.array([[255, 0], [255, 5]], np.uint8)
+    among_things = replace(GOOD, labels=labels, info=replace(GOOD.info, things="before", hidden_pct=12))
+    among_things.check()
+    with pytest.raises(BadSample, match="labels must be 255 exactly where range is 0"):
+        replace(among_things, info=GOOD.info).check()
+    with pytest.raises(BadSample, match="labels must be 255 wherever range is 0"):
+        replace(among_things, labels=np.array([[3, 0], [255, 5]], np.uint8)).check()
+    with pytest.raises(BadSample, match="labels must be 0 to 32, found 62"):
+        replace(among_things, labels=np.array([[255, 0], [62, 5]], np.uint8)).check()
+
+
+def test_things_are_described_only_where_there_are_some() -> None:
+    assert not {"things", "hidden_pct"} & set(GOOD.info.to_json())
+    info = replace(GOOD.info, things="both", hidden_pct=7)
+    assert info.to_json() == {**GOOD.info.to_json(), "things": "both", "hidden_pct": 7}
+    assert info_from_json(info.to_json(), "k") == info
+    with pytest.raises(BadSample, match="k: 'hidden_pct' must be int, found '7'"):
+        info_from_json({**info.to_json(), "hidden_pct": "7"}, "k")
 
 
 @pytest.mark.parametrize("key", ["", "a.b", "a/b", "../a", "a b", "ä", "x" * 81, "a\n"])

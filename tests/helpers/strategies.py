@@ -19,6 +19,8 @@ def samples(draw: st.DrawFn, projectors: int = 1) -> Sample:
     projector = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
     ranges = draw(arrays.arrays(np.uint16, shape, elements=st.integers(0, 65535), fill=st.just(0)))
     labels = draw(arrays.arrays(np.uint8, shape, elements=st.integers(0, PART_COUNT - 1)))
+    things = draw(st.sampled_from(["", "before", "both"]))
+    on_thing = draw(arrays.arrays(np.bool_, shape)) & bool(things)
     facing, *second = (draw(arrays.arrays(np.bool_, shape)) & (ranges > 0) for _ in range(projectors))
     info = SampleInfo(
         source="open",
@@ -29,12 +31,14 @@ def samples(draw: st.DrawFn, projectors: int = 1) -> Sample:
         distance_cm=draw(st.integers(50, 600)),
         azimuth_deg=draw(st.integers(0, 359)),
         split=draw(st.sampled_from(["train", "test"])),
+        things=things,
+        hidden_pct=draw(st.integers(0, 60)) if things else 0,
     )
     return Sample(
         key=draw(keys),
         range=ranges,
         projector_range=draw(arrays.arrays(np.uint16, projector, elements=st.integers(0, 65535), fill=st.just(0))),
-        labels=np.where(ranges == 0, BACKGROUND, labels).astype(np.uint8),
+        labels=np.where((ranges == 0) | on_thing, BACKGROUND, labels).astype(np.uint8),
         faces_projector=facing,
         info=info,
         faces_second=second[0] if second else None,

@@ -14,8 +14,8 @@ from skimage.measure import label
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.room_planes import on_largest_plane, seen_area_m2
-from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
+from bodyseg_model.segmentation.people.room_planes import on_largest_plane, seen_area_m2
+from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
 
 Image = NDArray[np.float32]
 

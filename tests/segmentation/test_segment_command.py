@@ -66,8 +66,9 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     torch.set_num_threads(before)
 
 
-def run(*words: str | Path) -> int:
-    return cli.main(["segment", *map(str, words)])
+def run(*words: str | Path, keep_things: bool = True) -> int:
+    """Blocks are no people: most tests have them labelled all the same."""
+    return cli.main(["segment", *map(str, words), *(["--keep-things"] if keep_things else [])])
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:

@@ -24,7 +24,7 @@ from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, split_labels, take_second_facing
+from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, mark_things, split_labels, take_second_facing
 from bodyseg_data.shards.codecs.png import decode_png, encode_png, read_chunks, read_header
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
@@ -108,12 +108,14 @@ def test_a_second_facing_bit_is_refused_where_there_is_one_projector(codec: Code
 
 
 def test_every_label_byte_is_one_label_and_two_bits() -> None:
-    labels = np.arange(34, dtype=np.uint8).repeat(4).reshape(34, 4)
-    labels[33] = 255
-    first = np.tile([False, True, False, True], (34, 1)) & (labels != 255)
-    second = np.tile([False, False, True, True], (34, 1)) & (labels != 255)
-    joined = join_labels(labels, first, second)
-    assert len(np.unique(joined)) == 33 * 4 + 1 and (joined[:33] != 255).all() and (joined[33] == 255).all()
+    labels = np.arange(35, dtype=np.uint8).repeat(4).reshape(35, 4)
+    labels[33:] = 255
+    ranges = np.ones_like(labels, np.uint16)
+    ranges[33] = 0  # background; the last row is a thing
+    first = np.tile([False, True, False, True], (35, 1)) & (ranges > 0)
+    second = np.tile([False, False, True, True], (35, 1)) & (ranges > 0)
+    joined = join_labels(mark_things(labels, ranges), first, second)
+    assert len(np.unique(joined)) == 34 * 4 + 1 and np.array_equal(joined == 255, ranges == 0)
     with_bit, facing = split_labels(joined)
     assert np.array_equal(take_second_facing(with_bit), second)
     assert np.array_equal(with_bit, labels) and np.array_equal(facing, first)

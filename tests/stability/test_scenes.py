@@ -14,6 +14,7 @@ from shapes import figure
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import axes_at, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.rendering.raster import RasterRenderer
@@ -87,6 +88,20 @@ def test_every_setting_of_a_drawn_sweep_can_be_shown(name: str, scenes: Scenes) 
             assert (shares(images) > clean).all()
         elif name != "tilt":
             assert (shares(images) < clean).all()
+
+
+def test_things_hide_the_share_that_a_setting_names(scenes: Scenes) -> None:
+    clean = shares(scenes.labelled_images(CLEAN["rendered"]))
+    for share in (0.1, 0.3):
+        without, shown = (scenes.labelled_images(Condition(sweep, share)) for sweep in ("hidden", "hidden_shown"))
+        assert np.abs(1 - shares(without) / clean - share).max() <= 0.05 + 1e-9
+        for alone, both in zip(without, shown, strict=True):
+            on_thing = both.truth == BACKGROUND
+            assert on_thing.any() and not (alone.truth == BACKGROUND).any()
+            np.testing.assert_array_equal(both.pixels[~on_thing], alone.pixels)
+            np.testing.assert_array_equal(both.truth[~on_thing], alone.truth)
+            hidden = both.range_m.ravel()[both.pixels[on_thing]]
+            assert hidden.max() < alone.range_m.max()
 
 
 def test_shadows_grow_with_the_baseline(scenes: Scenes) -> None:

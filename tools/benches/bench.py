@@ -61,6 +61,7 @@ BENCHES: Final = {
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
+    "people": Bench("model.people.bench", None, "made rooms to fit to, 300", optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
     "architectures": Bench(
         "model.networks.architectures",
@@ -108,7 +109,7 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, sensors and failures: runs",
+        "folders of runs NAME-SEED; for network, sensors, people and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

@@ -19,6 +19,7 @@ _kernel = partial(compiled, feature="decoding images in compiled loops")
 _0, _1, _2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _ESCAPE: Final = np.uint64(255)
 _BACKGROUND: Final = np.uint64(255)
+_THING: Final = np.uint64(62)
 _CHUNK: Final = np.uint64(32)
 """Pixels that are written at once: most runs are shorter, and what is too much is overwritten by the next run."""
 
@@ -43,7 +44,8 @@ def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
 def paint(names: Any, faces: Any, begin: Any, count: Any, value: Any) -> None:
     """Write a run of the label byte `value` into labels and facing; up to `_CHUNK` pixels if it is shorter."""
     background = value == _BACKGROUND
-    label = np.uint8(value if background else value & np.uint64(0xBF))
+    named = value & np.uint64(0xBF)
+    label = np.uint8(_BACKGROUND if background or named == _THING else named)
     facing = (not background) & ((value & np.uint64(0x40)) != _0)
     if count <= _CHUNK and begin + _CHUNK <= np.uint64(names.size):
         for i in range(_CHUNK):

@@ -1,0 +1,163 @@
+"""Things around a body: drawn by the sample's key, placed before or behind the body, seen by camera and projector.
+
+A thing has no label. What is drawn depends on the key, the body's extent and the view alone, so that a set with things
+has the same bytes however it is packed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.randomness import stream
+from bodyseg_data.core.rig import PlacedCamera, axes_at
+from bodyseg_data.core.sample import FARTHEST_STEPS
+from bodyseg_data.core.views import View
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, together
+from bodyseg_data.rendering.renderer import Renderer, Surface
+
+ThingsPlace = Literal["none", "before", "behind", "both"]
+"""Places of things: between camera and body, behind or beside the body, or both."""
+
+LEAST_HIDDEN: Final = 0.05
+"""Least share of a body that things before it hide, unless no draw reaches it."""
+MOST_HIDDEN: Final = 0.6
+"""Greatest share of a body's pixels that things hide."""
+
+BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things before a body."""
+BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things behind a body and beside it."""
+
+ATTEMPTS: Final = 16
+"""Draws until as much is hidden as asked for."""
+_NEAREST_M: Final = 0.5  # of the camera to a thing
+_GAP_M: Final = 0.05  # between a body and a thing, at least
+
+
+@dataclass(frozen=True)
+class Things:
+    """Things in a body's frame, and their renderer. hidden: the share of the body's pixels that they hide, 0 to 1."""
+
+    solid: Solid
+    step_m: float
+    hidden: float = 0.0
+    _renderer: Renderer = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        from bodyseg_data.rendering.raster import (
+            RasterRenderer,
+        )  # loads numba, which streaming and planning do not need
+
+        object.__setattr__(self, "_renderer", RasterRenderer(self.solid))
+
+    def render(self, camera: PlacedCamera) -> Surface:
+        """Render the things alone. What is farther than 16 bits hold is not measured."""
+        seen = self._renderer.render(camera)
+        beyond = seen.range > (float(FARTHEST_STEPS) - 0.5) * self.step_m
+        return Surface(np.where(beyond, 0, seen.range), np.where(beyond, -1, seen.face)) if beyond.any() else seen
+
+    def facing(self, faces: NDArray[np.int32], source: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mark `faces` [N] that turn their outside to a light at `source` [3], bool [N]."""
+        normals = self.solid.normals
+        towards = np.einsum("ij,ij->i", normals, source - self.solid.vertices[self.solid.faces[:, 0]])
+        return np.asarray(towards > 0).take(faces)
+
+
+def check_place(name: str) -> None:
+    """Raise BadConfig unless things can be placed there."""
+    if name not in get_args(ThingsPlace):
+        raise BadConfig(f"things must be one of {', '.join(get_args(ThingsPlace))}, found {name!r}")
+
+
+def nearest(body: Surface, things: Surface, faces: int) -> Surface:
+    """The nearer of two surfaces at every pixel; triangles of things count on from `faces`, the body's number."""
+    before = in_front(things, body)
+    numbers = things.face + np.int32(faces)
+    return Surface(np.where(before, things.range, body.range), np.where(before, numbers, body.face))
+
+
+def in_front(things: Surface, body: Surface) -> NDArray[np.bool_]:
+    """True where a thing is seen, and nearer than the body or beside it, bool [H, W]."""
+    return (things.face >= 0) & ((body.face < 0) | (things.range < body.range))
+
+
+def draw_things(
+    place: ThingsPlace,
+    key: str,
+    mesh: Mesh,
+    view: View,
+    camera: PlacedCamera,
+    seen: Surface,
+    step_m: float,
+    hidden: tuple[float, float] = (LEAST_HIDDEN, MOST_HIDDEN),
+    attempts: int = ATTEMPTS,
+) -> Things:
+    """Draw the things of a sample, which hide at most `hidden[1]` of the body's pixels.
+
+    seen: what `camera` sees of the body alone. step_m: of the rig. Up to `attempts` draws are made until the things
+    before the body hide at least `hidden[0]` of it; if none does, the one that hides most of it counts.
+    """
+    room = _Room(mesh, view, camera)
+    body = int(np.count_nonzero(seen.face >= 0))
+    best = Things(together([]), step_m)
+    for attempt in range(attempts):
+        numbers = Numbers(stream(0, 0, key, f"things {attempt}"))
+        solids = []
+        if place in ("before", "both"):
+            solids += [room.before(numbers) for _ in range(numbers.whole(1, 2))]
+        if place in ("behind", "both"):
+            solids += [room.behind(numbers) for _ in range(numbers.whole(1, 4))]
+        found = Things(together(solids), step_m)
+        share = int(np.count_nonzero(in_front(found.render(camera), seen) & (seen.face >= 0))) / max(body, 1)
+        if share <= hidden[1] and (share > best.hidden or not len(best.solid.faces)):
+            best = Things(found.solid, step_m, share)
+        if best.hidden >= hidden[0] or (place == "behind" and len(best.solid.faces)):
+            break
+    return best
+
+
+class _Room:
+    """A frame with the camera's direction on the floor as z and the body's lowest point on y = 0; the body's extent."""
+
+    def __init__(self, mesh: Mesh, view: View, camera: PlacedCamera) -> None:
+        right, down, forward = axes_at(view.azimuth_deg)
+        self._axes = np.stack([right, -down, forward])
+        points = mesh.surface_vertices
+        self._origin = np.array([mesh.centre[0], points[:, 1].min(), mesh.centre[2]])
+        local = (points - self._origin) @ self._axes.T
+        self._left, _, self._front = map(float, local.min(axis=0))
+        self._right, _, self._back = map(float, local.max(axis=0))
+        self._camera = float((camera.position - self._origin) @ forward)
+
+    def before(self, numbers: Numbers) -> Solid:
+        """A thing between body and camera, turned by up to 40 degrees."""
+        thing = _kind(BEFORE, numbers).turned(numbers.between(-0.7, 0.7))
+        low, high = thing.vertices.min(axis=0), thing.vertices.max(axis=0)
+        across = numbers.between(self._left - 0.8 * high[0], self._right - 0.8 * low[0])
+        nearest_z = self._camera + _NEAREST_M - low[2]
+        farthest_z = self._front - _GAP_M - high[2]
+        return self._put(thing, across, max(farthest_z - numbers.between(0.0, 0.8), min(nearest_z, farthest_z)))
+
+    def behind(self, numbers: Numbers) -> Solid:
+        """A thing behind the body or, one time in three, beside it, turned in any way."""
+        thing = _kind(BEHIND, numbers).turned(numbers.between(-np.pi, np.pi))
+        low, high = thing.vertices.min(axis=0), thing.vertices.max(axis=0)
+        gap = numbers.between(_GAP_M, 1.0)
+        if numbers.whole(0, 2):
+            return self._put(thing, numbers.between(self._left - 1.0, self._right + 1.0), self._back + gap - low[2])
+        on_left = numbers.whole(0, 1)
+        across = self._left - gap / 2 - high[0] if on_left else self._right + gap / 2 - low[0]
+        return self._put(thing, across, numbers.between(self._front, self._back + 0.5))
+
+    def _put(self, thing: Solid, across: float, away: float) -> Solid:
+        return thing.moved((across, 0.0, away)).placed(self._axes, self._origin)
+
+
+def _kind(names: tuple[str, ...], numbers: Numbers) -> Solid:
+    return FURNITURE[names[numbers.whole(0, len(names) - 1)]](numbers)

@@ -1,0 +1,191 @@
+"""Features of a surface of a body's size that tell a person from a thing: its shape, and a network's answer to it.
+
+Furniture is flat where bodies are curved: ranges are averaged over cells of 5 cm, and the second differences of
+neighbouring cells are near 0 on planes; noise, which is estimated from the pixels, is allowed for. A network that was
+trained on people is unsure of things, and gives them few and scattered parts.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
+from bodyseg_data.core.rig import Camera
+
+Floats = NDArray[np.float64]
+
+SHAPE_FEATURES: Final = (
+    "flat share",
+    "flat share down",
+    "flat share across",
+    "curvature down",
+    "curvature across",
+    "median curvature",
+    "upper quartile of curvature",
+    "log curved share",
+    "log hollow share",
+    "filled cells",
+    "width",
+    "height",
+    "depth",
+    "log area",
+    "area of bounding box",
+    "log area of height squared",
+)
+"""Features of the shape alone, in their order."""
+
+PART_FEATURES: Final = (
+    "mean confidence",
+    "share above 0.5",
+    "share above 0.7",
+    "share above 0.9",
+    "entropy of parts",
+    "parts above 1 %",
+    "borders",
+    "greatest part",
+    "log confident area",
+    *(f"root of share: {name}" for name in LANDMARKS),
+)
+"""Features of a network's answer in the 33 parts, in their order."""
+
+CELL_M: Final = 0.05
+"""Side of the cells over which ranges are averaged, metres."""
+
+_PIXELS_A_CELL: Final = 5  # a side: of larger cells, only every second, third ... pixel is read
+_FEW: Final = 4096  # of a network's labels, evenly spaced, no fewer are read
+_LEAST_FILLED: Final = 0.5
+_JUMP_M: Final = 0.15  # between cells on two surfaces
+_FLAT_M: Final = 0.003
+_SIGMAS: Final = 2.0
+_MOST_CURVED_M: Final = (0.05, 0.08)
+_LEAST_SHARE: Final = 0.02  # added before logarithms
+_MAD: Final = 0.6745 * np.sqrt(6.0)  # median of the second differences of normal noise, in standard deviations
+
+
+def shape_features(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> Floats:
+    """Describe the shape of a surface: `SHAPE_FEATURES`, float64 [16].
+
+    pixels: int [N], row * columns + column, ascending, at least one, all measured. range_m: float32 [H, W], metres.
+    camera: the frame's.
+    """
+    cell_px = max(2, round(CELL_M / _pixel_m(pixels, range_m, camera)))
+    step = max(1, cell_px // _PIXELS_A_CELL)
+    side = -(-cell_px // step)
+    shown = np.zeros(range_m.shape, np.bool_)
+    shown.ravel()[pixels] = True
+    coarse = np.ascontiguousarray(shown[::step, ::step])
+    rows, columns = np.divmod(np.flatnonzero(coarse), coarse.shape[1])
+    if not len(rows):  # a surface narrower than the step
+        return np.zeros(len(SHAPE_FEATURES))
+    z = range_m.ravel()[rows * (step * camera.columns) + columns * step].astype(np.float64)
+    cells = _Cells(rows, columns, z, side)
+    down, across = _second_differences(cells.means)
+    every = np.concatenate([down, across])
+    bent = np.abs(every)
+    limit = _FLAT_M + _SIGMAS * np.sqrt(6.0) * _noise(rows, columns, z) / side
+    x = (columns * step + 0.5 - camera.centre_px[0]) * z / camera.focal_px
+    y = (rows * step + 0.5 - camera.centre_px[1]) * z / camera.focal_px
+    width, height = max(float(np.ptp(x)), CELL_M), max(float(np.ptp(y)), CELL_M)
+    area = float(((step * z / camera.focal_px) ** 2).sum())
+    return np.array(
+        [
+            *(_share(np.abs(each) < limit, 1.0) for each in (every, down, across)),
+            *(100 * min(_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
+            100 * min(_at(bent, 0.5), _MOST_CURVED_M[0]),
+            100 * min(_at(bent, 0.75), _MOST_CURVED_M[1]),
+            *(np.log(_share(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
+            cells.filled_share,
+            width,
+            height,
+            _at(z, 0.97) - _at(z, 0.03),
+            np.log(area),
+            area / (width * height),
+            np.log(area / height**2),
+        ]
+    )
+
+
+def part_features(
+    pixels: NDArray[np.intp],
+    labels: NDArray[np.uint8],
+    confidence: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    camera: Camera,
+) -> Floats:
+    """Describe a network's answer to a surface: `PART_FEATURES`, float64 [42].
+
+    labels, confidence: uint8 and float32 [N], of each of `pixels`, the parts 0 to 32 whatever their confidence. The
+    rest as for `shape_features`. At most about 8 000 of the pixels are read, evenly spaced.
+    """
+    few = np.arange(0, len(pixels), max(1, len(pixels) // _FEW))
+    z, sure = range_m.ravel()[pixels[few]].astype(np.float64), confidence[few]
+    shares = np.bincount(labels[few], minlength=PART_COUNT)[:PART_COUNT] / len(few)
+    held = shares[shares > 0]
+    after = np.minimum(few + 1, len(pixels) - 1)
+    beside = pixels[after] == pixels[few] + 1
+    borders = _share((labels[after] != labels[few])[beside], 0.0)
+    area = (z / camera.focal_px) ** 2 * (len(pixels) / len(few))
+    return np.array(
+        [
+            float(sure.mean(dtype=np.float64)),
+            *(_share(sure > least, 0.0) for least in (0.5, 0.7, 0.9)),
+            -(held * np.log(held)).sum(),
+            float((shares > 0.01).sum()),
+            borders * CELL_M / _pixel_m(pixels, range_m, camera),
+            shares.max(),
+            np.log((area * sure).sum() + 1e-6),
+            *np.sqrt(shares),
+        ]
+    )
+
+
+def _pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
+    """Side of a pixel at the surface's median range, metres."""
+    some = range_m.ravel()[pixels[:: max(1, len(pixels) // _FEW)]]
+    return _at(some, 0.5) / camera.focal_px
+
+
+class _Cells:
+    """Squares of `side` x `side` pixels of a surface. means: their mean ranges [h, w], NaN where less than half of one
+    is measured. filled_share: of those measured at all, the share that is measured for a half or more.
+    """
+
+    def __init__(self, rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats, side: int) -> None:
+        down, across = (rows - rows.min()) // side, (columns - columns.min()) // side
+        shape = int(down.max()) + 1, int(across.max()) + 1
+        index = down * shape[1] + across
+        count = np.bincount(index, minlength=shape[0] * shape[1])
+        filled = count >= _LEAST_FILLED * side**2
+        means = np.bincount(index, z, minlength=len(count)) / np.maximum(count, 1)
+        self.means = np.where(filled, means, np.nan).reshape(shape)
+        self.filled_share = float(filled.sum() / np.count_nonzero(count))
+
+
+def _second_differences(means: Floats) -> tuple[Floats, Floats]:
+    """Second differences of cells down and across, metres, positive where the surface bulges towards the camera."""
+    found = []
+    for image in (means, means.T):
+        steps = np.diff(image, axis=0)
+        smooth = np.abs(steps) < _JUMP_M  # False beside an empty cell
+        found.append(np.diff(steps, axis=0)[smooth[:-1] & smooth[1:]])
+    return found[0], found[1]
+
+
+def _noise(rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats) -> float:
+    """Standard deviation of the noise of one pixel, metres, from second differences of neighbours in a row."""
+    beside = (np.diff(columns) == 1) & (np.diff(rows) == 0)
+    inner = beside[:-1] & beside[1:]
+    return float(_at(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner], 0.5) / _MAD)
+
+
+def _share(of: NDArray[np.bool_], without: float) -> float:
+    return float(np.count_nonzero(of) / len(of)) if len(of) else without
+
+
+def _at(values: NDArray[np.floating[Any]], share: float) -> float:
+    """The value below which a share of all lies; 0 without any."""
+    place = min(int(share * len(values)), len(values) - 1)
+    return float(np.partition(values, place)[place]) if len(values) else 0.0

@@ -1,0 +1,93 @@
+"""A score that tells people from things: logistic regression on features of a surface and of a network's answer to it.
+
+The weights in `person_score.json` were fitted on made rooms by `tools/bench people` (docs/things.md); the file names
+its source. There are two models: "parts" for networks that label the 33 parts, "shape" for all others.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.people.features import PART_FEATURES, SHAPE_FEATURES, part_features, shape_features
+
+FORMAT: Final = "bodyseg person score 1"
+FILE: Final = "person_score.json"
+
+Model = Literal["parts", "shape"]
+
+FEATURES: Final[dict[Model, tuple[str, ...]]] = {
+    "parts": (*SHAPE_FEATURES, *PART_FEATURES),
+    "shape": SHAPE_FEATURES,
+}
+"""Model -> names of its features, in their order."""
+
+
+@dataclass(frozen=True)
+class PersonScore:
+    """Probability that a surface is a person: 1 / (1 + exp(-(bias + weights . features))).
+
+    weights: float64 [F], one for each of `FEATURES[model]`. cutoff: least probability of a person, 0 to 1. Raises
+    BadConfig for another number of weights, or numbers out of range.
+    """
+
+    model: Model
+    weights: NDArray[np.float64] = field(repr=False)
+    bias: float
+    cutoff: float
+
+    def __post_init__(self) -> None:
+        if len(self.weights) != len(FEATURES[self.model]):
+            raise BadConfig(
+                f"the score {self.model!r} has {len(FEATURES[self.model])} weights, found {len(self.weights)}"
+            )
+        if not (np.isfinite(self.weights).all() and math.isfinite(self.bias) and 0 <= self.cutoff <= 1):
+            raise BadConfig(f"a score needs finite weights and a cutoff from 0 to 1, found cutoff {self.cutoff:g}")
+
+    def __call__(
+        self,
+        pixels: NDArray[np.intp],
+        range_m: NDArray[np.float32],
+        camera: Camera,
+        labels: NDArray[np.uint8],
+        confidence: NDArray[np.float32],
+    ) -> float:
+        """Score one surface, 0 to 1. Arguments as of `shape_features` and `part_features`."""
+        found = shape_features(pixels, range_m, camera)
+        if self.model == "parts":
+            found = np.concatenate([found, part_features(pixels, labels, confidence, range_m, camera)])
+        return self.probability(found)
+
+    def probability(self, features: NDArray[np.float64]) -> float:
+        """Score a surface of given features [F], 0 to 1."""
+        return 1 / (1 + math.exp(-min(max(self.bias + float(self.weights @ features), -700.0), 700.0)))
+
+    def to_json(self) -> dict[str, Any]:
+        """The model as plain JSON, weights by the names of their features."""
+        named = dict(zip(FEATURES[self.model], (round(weight, 6) for weight in self.weights.tolist()), strict=True))
+        return {"bias": round(self.bias, 6), "cutoff": round(self.cutoff, 4), "weights": named}
+
+
+def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
+    """Rebuild a score from what `PersonScore.to_json` gave. Raises BadConfig for other features."""
+    weights = tree["weights"]
+    if tuple(weights) != FEATURES[model]:
+        raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench people")
+    return PersonScore(model, np.array(list(weights.values()), np.float64), float(tree["bias"]), float(tree["cutoff"]))
+
+
+def shipped_score(model: Model = "parts") -> PersonScore:
+    """The score that ships with the package. Raises BadConfig for a file of another format."""
+    tree = json.loads((resources.files(__package__) / FILE).read_text())
+    if tree["format"] != FORMAT:
+        raise BadConfig(f"{FILE}: 'format' must be {FORMAT!r}, found {tree['format']!r}")
+    return score_from_json(model, tree["models"][model])

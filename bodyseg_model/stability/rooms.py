@@ -1,0 +1,178 @@
+"""Made rooms: frames of a range sensor that show people among tables, beds, chairs, machines and other things.
+
+A room has a floor and walls, up to three people and up to five things, all drawn by its number. People may stand behind
+things, touch them, or be cut by the frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.source import BodyRef, BodySource
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.randomness import generator, stream
+from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, cuboid, together
+from bodyseg_data.rendering.raster import RasterRenderer
+
+MOST_PEOPLE: Final = 3
+MOST_THINGS: Final = 5
+
+KINDS: Final = tuple(name for name in FURNITURE if name != "plank")
+"""Things that stand on a floor."""
+
+_KEPT: Final = 32  # bodies, once they are built
+_ATTEMPTS: Final = 12
+_NEAREST_M: Final = 0.7  # on the floor, where a camera sees the upper half of a person
+_FARTHEST_M: Final = 4.4
+_NOISE_M: Final = (0.0012, 0.0019, 0.4)
+"""Axial noise of a Kinect v1: a + b (z - c)^2 (Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
+reconstruction and tracking", 2012)."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """A frame and its truth. range_m: float32 [H, W], metres, with noise, 0 where nothing was measured.
+
+    person, thing: int32 [H, W], the number of the person or thing that a pixel sees, -1 elsewhere. labels: uint8
+    [H, W], the parts of people, 255 elsewhere. people, things: how many stand in the room, seen or not.
+    """
+
+    range_m: NDArray[np.float32] = field(repr=False)
+    person: NDArray[np.int32] = field(repr=False)
+    thing: NDArray[np.int32] = field(repr=False)
+    labels: NDArray[np.uint8] = field(repr=False)
+    people: int
+    things: int
+
+
+@dataclass(frozen=True)
+class _Person:
+    mesh: Mesh
+    parts: Partition | None
+
+
+class Rooms:
+    """Makes rooms by their numbers, with people drawn from `bodies` of one source. parts: label them, too."""
+
+    def __init__(
+        self, source: BodySource, bodies: Sequence[BodyRef], camera: Camera, seed: int, parts: bool = True
+    ) -> None:
+        self.camera = camera
+        self._source, self._bodies, self._seed, self._parts = source, bodies, seed, parts
+        self._built = lru_cache(maxsize=_KEPT)(self._build)
+
+    def __call__(self, number: int) -> Room:
+        """Make the room of a number. The same arguments give the same frame."""
+        key = f"room {number}"
+        numbers = Numbers(stream(self._seed, 0, key, "room"))
+        height, pitch = numbers.between(0.8, 2.0), numbers.between(-25.0, 5.0)
+        camera = PlacedCamera(self.camera, axes_at(0, pitch), np.array([0.0, height, 0.0]))
+        people, things = numbers.whole(0, MOST_PEOPLE), numbers.whole(0, MOST_THINGS)
+        floor = _Floor(self.camera)
+        layers = [_walls(numbers)]
+        bodies = []
+        for _ in range(people):
+            body = self._built(numbers.whole(0, len(self._bodies) - 1))
+            place = floor.place(Solid(body.mesh.vertices, body.mesh.faces), numbers)
+            if place is not None:
+                bodies.append((body, place))
+        for _ in range(things):
+            thing = FURNITURE[KINDS[numbers.whole(0, len(KINDS) - 1)]](numbers)
+            place = floor.place(thing, numbers)
+            if place is not None:
+                layers.append(place.of(thing))
+        return self._seen(key, camera, layers, bodies)
+
+    def _build(self, index: int) -> _Person:
+        built = self._source.build(self._bodies[index])
+        return _Person(built.mesh, partition(built.mesh, built.landmarks) if self._parts else None)
+
+    def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Place]]) -> Room:
+        shape = camera.camera.rows, camera.camera.columns
+        nearest = np.full(shape, np.inf, np.float32)
+        person, thing = np.full(shape, -1, np.int32), np.full(shape, -1, np.int32)
+        labels = np.full(shape, BACKGROUND, np.uint8)
+        rays = camera.camera.pixel_rays()
+        for number, solid in enumerate(layers):  # the first is the room itself
+            seen = RasterRenderer(solid).render(camera)
+            before = (seen.face >= 0) & (seen.range < nearest)
+            nearest[before], thing[before] = seen.range[before], number - 1
+        for number, (body, place) in enumerate(bodies):
+            seen = RasterRenderer(place.of(Solid(body.mesh.vertices, body.mesh.faces))).render(camera)
+            before = (seen.face >= 0) & (seen.range < nearest)
+            nearest[before], thing[before], person[before] = seen.range[before], -1, number
+            if body.parts is not None:
+                points = camera.to_body(rays[before] * seen.range[before][:, None])
+                labels[before] = body.parts.labels_at(body.mesh, seen.face[before], place.back(points))
+        range_m = _measured(nearest, generator(self._seed, 0, key, "noise"))
+        for image, empty in ((person, -1), (thing, -1), (labels, BACKGROUND)):
+            image[range_m == 0] = empty
+        return Room(range_m, person, thing, labels, len(bodies), len(layers) - 1)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A rotation about the vertical axis, then a move [3], metres."""
+
+    angle_rad: float
+    by_m: tuple[float, float, float]
+
+    def of(self, solid: Solid) -> Solid:
+        return solid.turned(self.angle_rad).moved(self.by_m)
+
+    def back(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points [N, 3] of the room in the frame of the solid that stands here."""
+        none = np.empty((0, 3), np.int32)
+        return Solid(points - np.asarray(self.by_m), none).turned(-self.angle_rad).vertices
+
+
+class _Floor:
+    """Places on the floor before a camera that are still free, as discs."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._taken: list[tuple[float, float, float]] = []
+        self._slope = camera.columns / 2 / camera.focal_px
+
+    def place(self, solid: Solid, numbers: Numbers) -> _Place | None:
+        """Find a free place for a solid, turned in any way; None if none is found."""
+        angle = numbers.between(-math.pi, math.pi)
+        turned = solid.turned(angle)
+        low, high = turned.vertices.min(axis=0), turned.vertices.max(axis=0)
+        centre, radius = (low + high) / 2, 0.45 * math.hypot(high[0] - low[0], high[2] - low[2])
+        for _ in range(_ATTEMPTS):
+            away = numbers.between(_NEAREST_M, _FARTHEST_M)
+            across = numbers.between(-1.0, 1.0) * self._slope * away
+            if all(math.hypot(across - x, away - z) > radius + taken for x, z, taken in self._taken):
+                self._taken.append((across, away, radius))
+                return _Place(angle, (across - float(centre[0]), -float(low[1]), -away - float(centre[2])))
+        return None
+
+
+def _walls(numbers: Numbers) -> Solid:
+    """A floor, a wall at the back, and one at a side or none."""
+    back, side = numbers.between(3.5, 6.0), numbers.between(1.4, 2.5)
+    walls = [cuboid((12.0, 0.1, 14.0), (0.0, -0.05, -5.0)), cuboid((12.0, 3.0, 0.1), (0.0, 1.5, -back - 0.05))]
+    where = numbers.whole(-1, 1)
+    if where:
+        walls.append(cuboid((0.1, 3.0, 14.0), (where * (side + 0.05), 1.5, -5.0)))
+    return together(walls)
+
+
+def _measured(nearest: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.float32]:
+    """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are."""
+    seen = np.where(np.isfinite(nearest), nearest, 0.0)
+    a, b, c = _NOISE_M
+    noisy = seen + draws.normal(0.0, 1.0, seen.shape) * (a + b * (seen - c) ** 2)
+    lost = (seen == 0) | (draws.random(seen.shape) < 0.02)
+    lost[:, 1:] |= np.abs(np.diff(seen, axis=1)) > 0.25
+    return np.where(lost, 0.0, np.maximum(np.rint(1000 * noisy), 0) / 1000).astype(np.float32)

@@ -1,0 +1,82 @@
+"""Furniture: closed surfaces that turn outwards, stand on the floor, and follow from their numbers."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from bodyseg_data.core.randomness import stream
+from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, cuboid, together, turned_solid
+
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+def numbers(seed: int) -> Numbers:
+    return Numbers(stream(seed, 0, "k", "test"))
+
+
+def volume(solid: Solid) -> float:
+    """Enclosed volume; negative if faces point inwards."""
+    a, b, c = np.moveaxis(solid.vertices[solid.faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def is_closed(solid: Solid) -> bool:
+    """True if every edge is traversed as often one way as the other."""
+    sides = Counter[tuple[int, int]]()
+    for a, b in solid.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist():
+        sides[min(a, b), max(a, b)] += 1 if a < b else -1
+    return not any(sides.values())
+
+
+def test_a_cuboid_has_its_size_and_its_place() -> None:
+    solid = cuboid((0.4, 2.0, 1.0), (1.0, 2.0, 3.0))
+    assert volume(solid) == pytest.approx(0.8) and is_closed(solid)
+    assert np.allclose(solid.vertices.min(axis=0), (0.8, 1.0, 2.5))
+    assert np.allclose(solid.vertices.max(axis=0), (1.2, 3.0, 3.5))
+    assert np.allclose(np.abs(solid.normals).sum(axis=0), [2 * 2 * 2.0, 2 * 2 * 0.4, 2 * 2 * 0.8])
+
+
+def test_a_turned_solid_has_the_volume_of_its_cones() -> None:
+    solid = turned_solid([(0.3, 0.0), (0.2, 0.5), (0.4, 0.6)])
+    of_circle = 24 / 2 * math.sin(2 * math.pi / 24) / math.pi  # of 24 segments
+    cones = [(0.3, 0.2, 0.5), (0.2, 0.4, 0.1)]
+    expected = sum(math.pi * height / 3 * (a * a + a * b + b * b) for a, b, height in cones)
+    assert volume(solid) == pytest.approx(of_circle * expected, rel=1e-9) and is_closed(solid)
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), MIRROR], ids=["rotation", "mirroring"])
+def test_normals_point_outwards_in_any_frame(axes: np.ndarray) -> None:
+    placed = cuboid((1.0, 1.0, 1.0), (0.0, 0.0, 5.0)).turned(0.4).moved((1.0, 0.0, 0.0)).placed(axes, np.ones(3))
+    assert volume(placed) == pytest.approx(1.0)
+    middle = placed.vertices.mean(axis=0)
+    outwards = placed.vertices[placed.faces].mean(axis=1) - middle
+    assert (np.einsum("ij,ij->i", outwards, placed.normals) > 0).all()
+
+
+@pytest.mark.parametrize("kind", FURNITURE)
+def test_things_are_closed_and_stand_on_the_floor(kind: str) -> None:
+    for seed in range(20):
+        thing = FURNITURE[kind](numbers(seed))
+        low, high = thing.vertices.min(axis=0), thing.vertices.max(axis=0)
+        assert is_closed(thing) and volume(thing) > 0
+        assert -1e-9 <= low[1] < (1.7 if kind == "plank" else 1e-9) and high[1] <= 2.2
+        assert max(high[0] - low[0], high[2] - low[2]) <= 2.3
+        again = FURNITURE[kind](numbers(seed))
+        assert np.array_equal(thing.vertices, again.vertices) and np.array_equal(thing.faces, again.faces)
+
+
+def test_numbers_are_those_of_the_stream() -> None:
+    drawn = numbers(1)
+    several = [drawn.between(-2.0, 3.0) for _ in range(400)] + [drawn.whole(1, 4) for _ in range(400)]
+    assert -2 <= min(several[:400]) < -1.9 and 2.9 < max(several[:400]) < 3
+    assert Counter(several[400:]).keys() == {1, 2, 3, 4} and min(Counter(several[400:]).values()) > 70
+    assert [numbers(1).between(0, 1) for _ in range(2)] == [(several[0] + 2) / 5] * 2
+
+
+def test_nothing_together_has_no_faces() -> None:
+    empty = together([])
+    assert empty.vertices.shape == (0, 3) and empty.faces.shape == (0, 3) and empty.faces.dtype == np.int32

@@ -1,0 +1,216 @@
+"""People and things: features of known shapes and answers, the score, and what a segmenter does with it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from folders import SHARED_DATA
+from label_networks import Places
+from numpy.typing import NDArray
+from PIL import Image
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera, load_sensor
+from bodyseg_model.networks.checkpoints import shipped_network
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.people import person_score
+from bodyseg_model.segmentation.people.features import (
+    PART_FEATURES,
+    SHAPE_FEATURES,
+    part_features,
+    shape_features,
+)
+from bodyseg_model.segmentation.people.person_score import (
+    FEATURES,
+    PersonScore,
+    score_from_json,
+    shipped_score,
+)
+from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_model.stability.people_and_things import rooms_of
+
+CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+Frame = NDArray[np.float32]
+
+
+def board(z: float = 2.0, slant: float = 0.3) -> Frame:
+    """A slanted board, 0.6 m wide and 1 m high."""
+    rays = CAMERA.pixel_rays()
+    depth = z / (1 + slant * rays[..., 0])
+    x, y = rays[..., 0] * depth, rays[..., 1] * depth
+    return np.where((abs(x) < 0.3) & (abs(y) < 0.5), depth, 0).astype(np.float32)
+
+
+def column(z: float = 2.0, radius: float = 0.15) -> Frame:
+    """An upright cylinder, 1 m high."""
+    rays = CAMERA.pixel_rays()
+    a, b, c = 1 + rays[..., 0] ** 2, z, z**2 - radius**2
+    root = b**2 - a * c
+    depth = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0)
+    return np.where(abs(rays[..., 1] * depth) < 0.5, depth, 0).astype(np.float32)
+
+
+def shape_of(frame: Frame) -> dict[str, float]:
+    found = shape_features(np.flatnonzero(frame), frame, CAMERA)
+    return dict(zip(SHAPE_FEATURES, found.tolist(), strict=True))
+
+
+def noisy(frame: Frame, sigma_m: float) -> Frame:
+    noise = np.random.default_rng(0).normal(0, sigma_m, frame.shape)
+    return np.where(frame > 0, frame + noise, 0).astype(np.float32)
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.003, 0.01])
+def test_boards_are_flat_and_columns_are_not(sigma_m: float) -> None:
+    flat, bent = shape_of(noisy(board(), sigma_m)), shape_of(noisy(column(), sigma_m))
+    assert flat["flat share"] > 0.93 and bent["flat share"] < 0.75
+    assert bent["flat share across"] < 0.5 and bent["flat share down"] > 0.9, "a column is straight from top to bottom"
+    # d² / r for cells of 5 cm on a radius of 15 cm, and more at the sides; in centimetres.
+    assert 1.3 < bent["curvature across"] < 4 and abs(flat["curvature across"]) < 0.5
+    assert bent["log curved share"] > flat["log curved share"] + 1
+
+
+def test_sizes_are_in_metres() -> None:
+    found = shape_of(board(slant=0.0))
+    assert found["width"] == pytest.approx(0.6, abs=0.03) and found["height"] == pytest.approx(1.0, abs=0.03)
+    assert found["depth"] == pytest.approx(0, abs=1e-6) and math.exp(found["log area"]) == pytest.approx(0.6, rel=0.05)
+    assert found["area of bounding box"] == pytest.approx(1, abs=0.05) and found["filled cells"] > 0.9
+    near, far = (math.exp(shape_of(board(z, 0.0))["log area"]) for z in (1.0, 3.0))
+    assert near == pytest.approx(far, rel=0.08), "whatever the distance, and however many pixels are read"
+
+
+@pytest.mark.parametrize("pixels", [[0], [5, 6], list(range(0, 76800, 320))])
+def test_slight_surfaces_have_features_too(pixels: list[int]) -> None:
+    frame = np.full((240, 320), 0.8, np.float32)
+    found = shape_features(np.array(pixels), frame, CAMERA)
+    assert np.isfinite(found).all()
+
+
+def answer_of(labels: list[int], confidence: list[float], step: int = 1) -> dict[str, float]:
+    pixels = 320 * 100 + step * np.arange(len(labels))
+    frame = np.full((240, 320), 2.625, np.float32)  # a pixel is 1 cm wide
+    values = part_features(pixels, np.array(labels, np.uint8), np.array(confidence, np.float32), frame, CAMERA)
+    return dict(zip(PART_FEATURES, values.tolist(), strict=True))
+
+
+def test_an_answer_is_described() -> None:
+    found = answer_of([3, 3, 3, 7], [0.95, 0.8, 0.6, 0.4])
+    assert found["mean confidence"] == pytest.approx(0.6875)
+    assert [found[f"share above {least}"] for least in (0.5, 0.7, 0.9)] == [0.75, 0.5, 0.25]
+    assert found["entropy of parts"] == pytest.approx(-(0.75 * math.log(0.75) + 0.25 * math.log(0.25)))
+    assert found["parts above 1 %"] == 2 and found["greatest part"] == 0.75
+    assert found["borders"] == pytest.approx(5 / 3), "of three pairs of neighbours one, over the pixels of 5 cm"
+    assert found["log confident area"] == pytest.approx(math.log(2.75e-4 + 1e-6))
+    assert found["root of share: Suprasternale"] == pytest.approx(math.sqrt(0.75))
+    assert answer_of([3, 7], [1.0, 1.0], step=2)["borders"] == 0, "they are no neighbours"
+    assert answer_of([32], [1.0])["greatest part"] == 1
+
+
+def test_of_many_pixels_some_are_read() -> None:
+    draws = np.random.default_rng(0)
+    labels, confidence = draws.integers(0, 33, 20_000), draws.random(20_000)
+    found = answer_of(labels.tolist(), confidence.tolist())
+    assert found["mean confidence"] == pytest.approx(0.5, abs=0.02) and found["parts above 1 %"] == 33
+    assert math.exp(found["log confident area"]) == pytest.approx(20_000 * 0.5e-4, rel=0.05)
+
+
+# The score.
+
+
+def flat_score(bias: float = 0.0, weight: float = 0.0, cutoff: float = 0.5) -> PersonScore:
+    weights = np.zeros(len(SHAPE_FEATURES))
+    weights[0] = weight
+    return PersonScore("shape", weights, bias, cutoff)
+
+
+def test_a_score_is_a_logistic_function() -> None:
+    features = np.zeros(len(SHAPE_FEATURES))
+    features[0] = 2.0
+    assert flat_score(1.0, -3.0).probability(features) == pytest.approx(1 / (1 + math.exp(5)))
+    assert flat_score(1e9).probability(features) == 1.0 and flat_score(-1e9).probability(features) < 1e-300
+
+
+def test_a_score_is_stored_with_the_names_of_its_features() -> None:
+    score = flat_score(0.25, -1.5, 0.125)
+    tree = json.loads(json.dumps(score.to_json()))
+    again = score_from_json("shape", tree)
+    assert (again.bias, again.cutoff) == (0.25, 0.125) and np.array_equal(again.weights, score.weights)
+    with pytest.raises(BadConfig, match="^the score 'parts' has other features than person_score.json: fit it again"):
+        score_from_json("parts", tree)
+    with pytest.raises(BadConfig, match="^the score 'shape' has 16 weights, found 3$"):
+        PersonScore("shape", np.zeros(3), 0.0, 0.5)
+    with pytest.raises(BadConfig, match="^a score needs finite weights and a cutoff from 0 to 1, found cutoff 2$"):
+        flat_score(cutoff=2.0)
+
+
+def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
+    assert tree["source"]["command"].startswith("tools/bench people") and tree["source"]["people"] > 100
+    assert {model: len(shipped_score(model).weights) for model in FEATURES} == {"parts": 58, "shape": 16}
+    (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg person score 0"}))
+    monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))
+    with pytest.raises(BadConfig, match="'format' must be 'bodyseg person score 1', found 'bodyseg person score 0'$"):
+        shipped_score()
+
+
+def test_a_segmenter_labels_people_alone() -> None:
+    frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
+    everything = Segmenter(Places(0, 10), CAMERA)(frame)
+    assert len(everything.bodies) == 2 and not everything.things and everything.bodies[0].person is None
+    found = Segmenter(Places(0, 10), CAMERA, people=flat_score(8.0, -10.0))(frame)
+    (person,), (thing,) = found.bodies, found.things
+    assert person.person is not None and thing.person is not None and thing.person < 0.5 <= person.person
+    assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
+    np.testing.assert_array_equal(
+        found.labels.ravel()[person.pixels], everything.labels.ravel()[everything.bodies[1].pixels]
+    )
+    assert found.pixels == len(person.pixels) and found.milliseconds["people"] > 0
+    kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=flat_score(-9.0))(frame)
+    assert len(kept.bodies) == 1 and not kept.things, "who keeps all that was measured has said what it is"
+
+
+def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    (maker, _) = rooms_of("open", "test", seed=7, parts=False, most=6)
+    segmenter = Segmenter(shipped_network().network, maker.camera, people=shipped_score())
+    people = lost = things = labelled = 0
+    for number in range(10):
+        room = maker(number)
+        result = segmenter(room.range_m)
+        for body, kept in [(body, True) for body in result.bodies] + [(body, False) for body in result.things]:
+            share = (room.person.ravel()[body.pixels] >= 0).mean()
+            people, lost = people + (share > 0.5), lost + (share > 0.5 and not kept)
+            things, labelled = things + (share < 0.1), labelled + (share < 0.1 and kept)
+    torch.set_num_threads(before)
+    assert people >= 8 and things >= 8 and lost <= 1 and labelled <= things / 3
+
+
+REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "names"),
+    [
+        ("kinect_v1", [f"{number:010d}_depth.png" for number in range(0, 100, 9)]),
+        ("kinect_v2", ["01.png", "02.png", "03.png"]),
+    ],
+)
+def test_real_people_are_kept(sequence: str, names: list[str]) -> None:
+    if not (REAL / sequence).is_dir():
+        pytest.skip(f"real frames are absent: no {sequence} in {REAL} (set BODYSEG_REAL to the folder that has it)")
+    camera = load_sensor(sequence).camera
+    segmenter = Segmenter(shipped_network().network, camera, people=shipped_score())
+    for name in names:
+        with Image.open(REAL / sequence / name) as picture:
+            found = segmenter((np.asarray(picture) / 1000).astype(np.float32))
+        assert found.bodies and len(found.bodies[0].pixels) > 19_000, name
