@@ -190,7 +190,7 @@ def test_a_broken_manifest_is_one_line_and_exit_status_1(
     assert len(capsys.readouterr().out.splitlines()) == 1
 
 
-def _with(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any]], dict[str, Any]]:
     def changed(tree: dict[str, Any]) -> dict[str, Any]:
         change(tree)
         return tree
@@ -228,21 +228,23 @@ def _with(change: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]]
         (_with(lambda tree: tree["shards"][0].pop("views")), "has not the fields of format"),
         (_with(lambda tree: tree["shards"][0]["body"].pop()), "'body' must have one entry a sample"),
         (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 0.0)), "'view' must hold int only"),
-        (_with(lambda tree: tree["shards"][0].update(bodies={})), "'bodies' must be a list of rows of 5"),
-        (_with(lambda tree: tree["shards"][0]["bodies"].__setitem__(0, "abcde")), "'bodies' must be a list of rows"),
-        (_with(lambda tree: tree["shards"][0]["views"][0].pop()), "'views' must be a list of rows of 5"),
-        (_with(lambda tree: tree["shards"][0]["bodies"][0].__setitem__(2, 3)), "'bodies' must hold str only"),
-        (_with(lambda tree: tree["shards"][0]["views"][0].__setitem__(2, True)), "'views' must hold int only"),
+        (_with(lambda tree: tree["shards"][0].update(bodies={})), "'bodies' must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0].update(views=[])), "'views' must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0]["bodies"].pop()), "'bodies' must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0]["bodies"].__setitem__(0, "ab")), "'bodies' must be 5 lists of one"),
+        (_with(lambda tree: tree["shards"][0]["views"][0].pop()), "'views' must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0]["bodies"][2].__setitem__(0, 3)), "'bodies' must hold str only"),
+        (_with(lambda tree: tree["shards"][0]["views"][2].__setitem__(0, True)), "'views' must hold int only"),
         (
             _with(lambda tree: tree["shards"][0]["views"][0].__setitem__(0, -(10**400))),
             "'views' must hold whole numbers of at most 32767",
         ),
         (
-            _with(lambda tree: tree["shards"][0]["views"].append(tree["shards"][0]["views"][0])),
+            _with(lambda tree: [column.append(column[0]) for column in tree["shards"][0]["views"]]),
             "'views' must hold each row once",
         ),
         (
-            _with(lambda tree: tree["shards"][0]["bodies"].append(["a", "b", "c", "d", "e"])),
+            _with(lambda tree: [column.append("a") for column in tree["shards"][0]["bodies"]]),
             "'body' must number the rows of 'bodies', all of them, in the order of their first use",
         ),
         (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 1)), "'view' must number the rows of 'views'"),
@@ -433,7 +435,7 @@ def test_a_description_that_differs_from_the_samples_own_is_a_fault(
 ) -> None:
     tree = json.loads((copy / MANIFEST_NAME).read_bytes())
     del tree["digest"]
-    tree["shards"][0][table][0][column] = value
+    tree["shards"][0][table][column][0] = value
     (copy / MANIFEST_NAME).write_text(json.dumps({**tree, "digest": _digest(tree)}))
     shard = read_manifest(copy).shards[0]
     row = shard.descriptions.body if table == "bodies" else shard.descriptions.view
