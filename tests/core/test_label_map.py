@@ -91,7 +91,7 @@ def test_colours_differ_also_without_colour(label_map: LabelMap) -> None:
     colours = label_map.colours
     assert colours.dtype == np.uint8 and colours.shape == (len(label_map), 3)
     apart = np.linalg.norm(colours[:, None].astype(float) - colours[None], axis=-1)
-    assert apart[np.triu_indices(len(colours), 1)].min() > 45
+    assert apart[np.triu_indices(len(colours), 1)].min() > 60
     grey = luma(colours)
     assert np.diff(np.sort(grey)).min() > 0.9 * 155 / len(colours)
     for label, side in enumerate(label_map.sides):
