@@ -171,9 +171,11 @@ class RangeImages(Dataset[dict[str, Any]]):
                 made = self.image(index, epoch)
                 image[...], labels[...] = made.range, made.labels
                 return
-            self.augmentation.into(self._sample(index, (image, labels)), epoch, image, labels)
+            sample = self._sample(index, (image, labels))
+            self.augmentation.into(sample, epoch, image, labels)
             if self._joins_parts:
-                self.label_map.write(labels)
+                known = sample.occupancy if self.augmentation.keeps_outline else None
+                self.label_map.write(labels, None if known is None else known.edges)
         except BadSample as error:
             shard, _, offset = self.location(index)
             raise BadShard(f"{shard}: offset {offset}: {error}") from error
