@@ -159,6 +159,11 @@ class Augmentation:
             _loops().compile_all(len(self.rig.projectors))
 
     @cached_property
+    def keeps_outline(self) -> bool:
+        """True if pixels outside the clean foreground are known to stay background; only compiled loops know it."""
+        return use_compiled() and self._covered == len(self.applied)
+
+    @cached_property
     def _covered(self) -> int:
         """The number of artifacts, from the first on, that are applied in one compiled call."""
         covered: int = _loops().covered(self.applied) if self.applied else 0

@@ -203,7 +203,8 @@ class RangeImages(Dataset[dict[str, Any]]):
         except BadTransform as error:
             raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
         if self._joins_parts:
-            self.label_map.write(made.labels)
+            known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
+            self.label_map.write(made.labels, None if known is None else known.edges)
         return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:

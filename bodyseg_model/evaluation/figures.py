@@ -66,9 +66,9 @@ def draw_parts(figures: Tree) -> Any:
         [(part["mean_over_images"], part["sd_over_images"]) for part in parts],
     )
     lower.axvline(figures["average_per_class_accuracy"] or 0, color="black", linewidth=0.9, linestyle="--", zorder=4)
-    lower.set_title("Accuracy of each part over all images; dashed: their average", loc="left", fontsize=11)
+    lower.set_title("Accuracy of each class over all images; dashed: their average", loc="left", fontsize=11)
     lower.set_xlabel(
-        "bar and number: right pixels among all of the part's pixels;\n"
+        "bar and number: right pixels among all of the class's pixels;\n"
         "dot and line: mean and standard deviation over images, each image counting once",
         fontsize=9,
     )
@@ -116,9 +116,10 @@ def draw_confusion(figures: Tree) -> Any:
     names = list(enumerate(label_map.names))
     axis.set_xticks(range(len(names)), [f"{label}  {name}" for label, name in names], fontsize=8, rotation=90)
     axis.set_yticks(range(len(names)), [f"{name}  {label}" for label, name in names], fontsize=8)
-    axis.set_xlabel("predicted part", fontsize=10)
-    axis.set_ylabel("true part", fontsize=10)
-    axis.set_title("Predicted parts of each true part's pixels, per cent (1 and more)", fontsize=12)
+    word = "part" if label_map == PARTS33 else "class"
+    axis.set_xlabel(f"predicted {word}", fontsize=10)
+    axis.set_ylabel(f"true {word}", fontsize=10)
+    axis.set_title(f"Prediction for the pixels of each true {word}, per cent (1 and more)", fontsize=12)
     bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
@@ -244,7 +245,7 @@ def draw_border_distance(figures: Tree) -> Any:
     )
     axis.set_ylim(0, max(1.16 * float(bottom.max(initial=0)), 0.01))
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
-    axis.set_xlabel("distance to the nearest pixel of another part", fontsize=10)
+    axis.set_xlabel("distance to the nearest pixel of another class", fontsize=10)
     axis.set_ylabel("wrong pixels among those at this distance", fontsize=10)
     axis.set_title("Wrong pixels by distance to a border", loc="left", fontsize=11)
     axis.legend(fontsize=9.5, framealpha=1, edgecolor="none", reverse=True)

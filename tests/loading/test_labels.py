@@ -60,6 +60,20 @@ def test_batches_have_the_classes_of_single_images(figures_set: Path, method: An
             assert torch.equal(labels, single[key])
 
 
+@pytest.mark.parametrize("sensor", ["paper", "kinect_v1"])
+@pytest.mark.parametrize("variant", ["none", "all"])
+def test_arrays_that_are_written_into_hold_the_classes(figures_set: Path, sensor: str, variant: str) -> None:
+    """Lateral noise of a Kinect labels pixels outside the clean silhouette, too."""
+    parts = RangeImages(figures_set, variant, sensor=sensor)
+    classes = RangeImages(figures_set, variant, sensor=sensor, labels="limbs14")
+    image, labels = np.empty(classes.shape, np.uint16), np.empty(classes.shape, np.uint8)
+    for index in range(0, 24, 5):
+        classes.write(index, 2, image, labels)
+        expected = parts.image(index, 2)
+        np.testing.assert_array_equal(labels, LIMBS.table[expected.labels])
+        np.testing.assert_array_equal(image, expected.range)
+
+
 def test_labels_are_joined_after_transforms(figures_set: Path) -> None:
     parts = RangeImages(figures_set, "none")
     turned = RangeImages(figures_set, "none", transform=Upside(), labels="limbs14")

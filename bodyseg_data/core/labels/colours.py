@@ -13,7 +13,13 @@ from bodyseg_data.core.parts import Side
 
 _DARKEST: Final = 70.0
 _LIGHTEST: Final = 225.0
-_SATURATION: Final = 0.75
+_STRONG: Final = 0.9
+_PALE: Final = 0.4
+"""Saturation of pairs, and of classes of the middle."""
+
+_ORDER: Final = ("right", "middle", "left")
+_GOLDEN: Final = 0.6180339887
+_ROOT: Final = 0.4142135624
 _LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
 
 
@@ -32,40 +38,39 @@ def class_colours(sides: Sequence[Side], pairs: Sequence[int]) -> NDArray[np.uin
     sides: of each class, "middle" for one that is its own mirror image. pairs: a number for each class, equal for the
     two classes of a pair.
 
-    Hues are spread evenly over the pairs, and each is as far from the one before as can be. Greys are spread evenly
-    over the classes: those of the right are the darkest, those of the left the lightest, so that no two classes look
+    Hues are spread evenly over the pairs, and over the classes of the middle, which are paler. Greys are spread evenly
+    over all classes: those of the right are the darkest, those of the left the lightest, so that no two classes look
     alike without colour, and exchanged sides show most.
     """
-    hues = {pair: place for place, pair in enumerate(dict.fromkeys(pairs))}
-    order = sorted(
-        range(len(sides)),
-        key=lambda at: (("right", "middle", "left").index(sides[at]), _scattered(hues[pairs[at]])),
-    )
+    middle = [side == "middle" for side in sides]
+    hues = {}
+    for among, offset in ((False, 0.0), (True, 0.5)):
+        chosen = list(dict.fromkeys(pair for pair, is_middle in zip(pairs, middle, strict=True) if is_middle == among))
+        for pair, place in zip(chosen, _scattered(len(chosen), _GOLDEN), strict=True):
+            hues[pair] = (place + offset) / len(chosen)
+    scatter = dict(zip(hues, _scattered(len(hues), _ROOT), strict=True))
+    order = sorted(range(len(sides)), key=lambda at: (_ORDER.index(sides[at]), scatter[pairs[at]]))
     greys = np.linspace(_DARKEST, _LIGHTEST, len(sides))
     colours = np.zeros((len(sides), 3), np.uint8)
-    for place, at in enumerate(order):
-        colours[at] = _of_grey(_golden(hues[pairs[at]]), float(greys[place]))
+    for at, grey in zip(order, greys.tolist(), strict=True):
+        colours[at] = _of_grey(hues[pairs[at]], _PALE if middle[at] else _STRONG, grey)
     return colours
 
 
-def _golden(place: int) -> float:
-    """Hue number `place` of a sequence that is spread evenly wherever it ends: steps of the golden ratio."""
-    return place * 0.6180339887 % 1
+def _scattered(count: int, step: float) -> list[int]:
+    """Numbers below `count`, neighbours far apart: the ranks of multiples of `step`, modulo 1."""
+    multiples = [number * step % 1 for number in range(count)]
+    return [sorted(multiples).index(each) for each in multiples]
 
 
-def _scattered(place: int) -> float:
-    """Sort key that puts neighbouring numbers apart: steps of the square root of two."""
-    return place * 0.41421356237 % 1
-
-
-def _of_grey(hue: float, grey: float) -> NDArray[np.uint8]:
-    """The colour of a hue, 0 to 1, whose luma is nearest to `grey`: it grows with lightness, which is bisected."""
+def _of_grey(hue: float, saturation: float, grey: float) -> NDArray[np.uint8]:
+    """The colour of a hue and saturation, 0 to 1, whose luma is nearest to `grey`; luma grows with lightness."""
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = (low + high) / 2
-        if float(255 * np.asarray(colorsys.hls_to_rgb(hue, middle, _SATURATION)) @ _LUMA) < grey:
+        if float(255 * np.asarray(colorsys.hls_to_rgb(hue, middle, saturation)) @ _LUMA) < grey:
             low = middle
         else:
             high = middle
-    colour: NDArray[np.uint8] = np.rint(255 * np.asarray(colorsys.hls_to_rgb(hue, low, _SATURATION))).astype(np.uint8)
+    colour: NDArray[np.uint8] = np.rint(255 * np.asarray(colorsys.hls_to_rgb(hue, low, saturation))).astype(np.uint8)
     return colour

@@ -86,9 +86,16 @@ class LabelMap:
     def _wide(self) -> NDArray[np.uint64]:
         return self.table.astype(np.uint64)
 
-    def write(self, labels: NDArray[np.uint8]) -> None:
-        """Replace part labels by class labels in place, uint8 [H, W], contiguous; no part becomes `BACKGROUND`."""
+    def write(self, labels: NDArray[np.uint8], edges: NDArray[np.int32] | None = None) -> None:
+        """Replace part labels by class labels in place; parts of no class become `BACKGROUND`.
+
+        labels: uint8 [H, W], contiguous. edges: int32 [2 N], flat indices in reading order where foreground begins,
+        ends, begins ...; all else must be background. None: not known.
+        """
         flat = labels.reshape(-1)
+        if edges is not None and use_compiled():
+            _loops().join_runs(flat, edges, self.table)
+            return
         if not use_compiled():
             # Bytes are translated faster than NumPy looks them up, for it first makes 64-bit numbers of them.
             flat[:] = np.frombuffer(flat.tobytes().translate(self._bytes), np.uint8)
@@ -98,8 +105,9 @@ class LabelMap:
         _loops().join(flat, words, first, self._wide)
 
     def prepare(self) -> None:
-        """Compile or load the loop of `write`, so that workers forked from this process have it too."""
-        self.write(np.zeros((1, 1), np.uint8))
+        """Compile or load the loops of `write`, so that workers forked from this process have them too."""
+        for edges in (None, np.zeros(2, np.int32)):
+            self.write(np.zeros((1, 1), np.uint8), edges)
 
     @cached_property
     def mirrored(self) -> NDArray[np.uint8]:
