@@ -195,7 +195,7 @@ class RangeImages(Dataset[dict[str, Any]]):
             sample = self._sample(index, (image, labels))
             made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
-                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample.info)
+                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample)
                 made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
         except BadSample as error:
             shard, _, offset = self.location(index)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from samples import GOOD
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import SampleInfo
 from bodyseg_data.loading.transforms import CameraImage
 
-INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 250, 0, "train")
+STORED = replace(GOOD, info=SampleInfo("open", "A", "A", "posture-00", "standing", 250, 0, "train"))
 
 
 def camera_image(
@@ -22,4 +25,4 @@ def camera_image(
     ranges[box] = random.integers(24_000, 26_000, size) * (random.random(size) < 0.95)
     labels[box] = np.where(ranges[box] > 0, random.integers(0, 33, size), BACKGROUND)
     middle = (columns / 2, rows / 2) if centre is None else centre
-    return CameraImage("open-A-posture-00-d250-a000", ranges, labels, {}, 1e-4, 500.0, middle, INFO)
+    return CameraImage("open-A-posture-00-d250-a000", ranges, labels, {}, 1e-4, 500.0, middle, STORED)

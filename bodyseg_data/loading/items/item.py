@@ -21,7 +21,7 @@ class ItemTensor(torch.Tensor):
     them on.
     """
 
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]  # as torch.nn.Parameter
 
 
 def item_tensor(array: NDArray[Any]) -> torch.Tensor:

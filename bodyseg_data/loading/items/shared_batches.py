@@ -30,7 +30,7 @@ class _SharedMemory:
     """Shared memory for one batch at a time."""
 
     def __init__(self, size: int) -> None:
-        self._whole = torch.empty(size + 1, dtype=torch.uint8).share_memory_()
+        self._whole = torch.empty(size + 1, dtype=torch.uint8).share_memory_()  # type: ignore[no-untyped-call]
         self._bytes = self._whole.numpy()
         self._array: weakref.ref[NDArray[Any]] | None = None
         self._sent = False
@@ -66,7 +66,7 @@ class _SharedMemory:
 class BatchTensor(torch.Tensor):
     """A batch in a worker's shared memory. What operations on it return are plain tensors."""
 
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]  # as torch.nn.Parameter
     memory: _SharedMemory
 
 
@@ -106,7 +106,8 @@ def empty_batch(count: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> Batc
     batches in use are too many.
     """
     each = math.prod(shape) * kind.itemsize
-    if get_worker_info() is None or get_sharing_strategy() != "file_descriptor" or not count * each:
+    strategy = get_sharing_strategy()  # type: ignore[no-untyped-call]
+    if get_worker_info() is None or strategy != "file_descriptor" or not count * each:
         return None
     kept = _memories.setdefault(each, [])
     free = [memory for memory in kept if memory.is_free]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rigs.camera import Camera
-from bodyseg_data.core.sample import SampleInfo
+from bodyseg_data.core.sample import Sample, SampleInfo
 
 Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""
@@ -24,13 +24,18 @@ class CameraImage(RangeImage):
     range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured. labels: uint8 [H, W],
     parts 0 to 32, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
     position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
-    column + 1. info: where the sample comes from, and the view it was rendered from.
+    column + 1. sample: the stored one, for `info`; its arrays may have been used for this image.
     """
 
     step_m: float
     focal_px: float
     centre_px: tuple[float, float]
-    info: SampleInfo
+    sample: Sample
+
+    @property
+    def info(self) -> SampleInfo:
+        """Where the sample comes from, and the view it was rendered from: as stored, whatever transforms do."""
+        return self.sample.info
 
     @property
     def metres(self) -> NDArray[np.float32]:
@@ -44,10 +49,10 @@ class CameraImage(RangeImage):
         return box_of(self.labels != BACKGROUND)
 
 
-def with_camera(image: RangeImage, camera: Camera, step_m: float, info: SampleInfo) -> CameraImage:
-    """A range image with the camera of its rig."""
+def with_camera(image: RangeImage, camera: Camera, step_m: float, sample: Sample) -> CameraImage:
+    """A range image of a stored sample with the camera of its rig."""
     return CameraImage(
-        image.key, image.range, image.labels, image.drawn, step_m, camera.focal_px, camera.centre_px, info
+        image.key, image.range, image.labels, image.drawn, step_m, camera.focal_px, camera.centre_px, sample
     )
 
 

@@ -45,15 +45,18 @@ def background(rows: int, columns: int) -> tuple[NDArray[np.uint16], NDArray[np.
 
 def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int) -> CameraImage:
     """A window of the image, in pixels as they are; what lies outside is background."""
-    height, width = image.range.shape
+    (height, width), (x, y) = image.range.shape, image.centre_px
+    centre_px = (x - left, y - top)
+    if 0 <= top <= height - rows and 0 <= left <= width - columns:
+        window = slice(top, top + rows), slice(left, left + columns)
+        return replace(image, range=image.range[window], labels=image.labels[window], centre_px=centre_px)
     ranges, labels = background(rows, columns)
     first, end = max(top, 0), min(top + rows, height)
     start, stop = max(left, 0), min(left + columns, width)
     if first < end and start < stop:
         ranges[first - top : end - top, start - left : stop - left] = image.range[first:end, start:stop]
         labels[first - top : end - top, start - left : stop - left] = image.labels[first:end, start:stop]
-    x, y = image.centre_px
-    return replace(image, range=ranges, labels=labels, centre_px=(x - left, y - top))
+    return replace(image, range=ranges, labels=labels, centre_px=centre_px)
 
 
 _BITS: Final = 20

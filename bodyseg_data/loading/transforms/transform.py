@@ -24,6 +24,7 @@ from types import FunctionType
 from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadSample, BadTransform
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
@@ -171,7 +172,7 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
         if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
-    ranges, labels = np.ascontiguousarray(found.range), np.ascontiguousarray(found.labels)
+    ranges, labels = _contiguous(found.range), found.labels
     above = np.subtract(
         labels, np.uint8(PART_COUNT), out=SCRATCH.empty(shape, np.uint8)
     )  # parts wrap around to what is larger than background
@@ -181,3 +182,12 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
     lost = (ranges == 0).view(np.uint8)
     np.negative(lost, out=lost)  # all bits, which are background's
     return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))
+
+
+def _contiguous(array: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The array, or a copy of it if its pixels do not lie one after the other in reading order."""
+    if array.flags.c_contiguous:
+        return array
+    found: NDArray[np.uint16] = SCRATCH.empty(array.shape, np.uint16)
+    found[...] = array
+    return found
