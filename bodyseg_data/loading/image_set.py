@@ -1,4 +1,4 @@
-"""Images that a loader reads, those of one set of shards or of a mixture, as a Protocol; and the batches it delivers."""
+"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers."""
 
 from __future__ import annotations
 
