@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from bodyseg_data.core.parts import BACKGROUND, PARTS
     from bodyseg_data.core.rig import Rig, load_rig
     from bodyseg_data.core.sample import Sample
+    from bodyseg_data.loading.image_set import Batch
     from bodyseg_data.loading.loader import Loader, loader
     from bodyseg_data.loading.mixtures.mixture import Mixture
-    from bodyseg_data.loading.range_images import Batch, RangeImages
+    from bodyseg_data.loading.range_images import RangeImages
 
     __version__: str
 
@@ -30,7 +31,7 @@ _HOME: Final = {
     "Rig": "core.rig",
     "load_rig": "core.rig",
     "Sample": "core.sample",
-    "Batch": "loading.range_images",
+    "Batch": "loading.image_set",
     "Loader": "loading.loader",
     "RangeImages": "loading.range_images",
     "loader": "loading.loader",

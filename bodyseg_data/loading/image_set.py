@@ -1,11 +1,12 @@
-"""Protocol of the images that a loader reads: those of one set of shards, or of a mixture of several."""
+"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.labels.label_map import LabelMap
@@ -29,6 +30,19 @@ class Requests:
     def part(self, first: int, end: int) -> list[Request]:
         """Requests of the positions from `first` to before `end`."""
         return list(zip(self.epochs[first:end].tolist(), self.indices[first:end].tolist(), strict=True))
+
+
+class Batch(TypedDict):
+    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
+
+    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
+    the B samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only.
+    """
+
+    range: torch.Tensor
+    labels: torch.Tensor
+    key: list[str]
+    epoch: list[int]
 
 
 @runtime_checkable
@@ -92,3 +106,12 @@ class ImageSet(Protocol):
     ) -> BatchOrder:
         """Return the assignment of samples to batches; options as for `loader`."""
         ...
+
+
+def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
+
+    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into.
+    """
+    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
+    return found

@@ -15,8 +15,7 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, BodysegError, check_int, with_text
 from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
-from bodyseg_data.loading.image_set import ImageSet, Request
-from bodyseg_data.loading.range_images import Batch, metres
+from bodyseg_data.loading.image_set import Batch, ImageSet, Request, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.worker_processes import ProcessWorkers, StartMethod

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.batch_order import BatchOrder
-from bodyseg_data.loading.image_set import Request, Requests
+from bodyseg_data.loading.image_set import Request, Requests, metres
 from bodyseg_data.loading.items.item import item_tensor
 from bodyseg_data.loading.selection.selection import Selection
 from bodyseg_data.loading.transforms.camera_image import with_camera
@@ -46,19 +46,6 @@ from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
-
-
-class Batch(TypedDict):
-    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
-
-    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
-    the B samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only.
-    """
-
-    range: torch.Tensor
-    labels: torch.Tensor
-    key: list[str]
-    epoch: list[int]
 
 
 class RangeImages(Dataset[dict[str, Any]]):
@@ -314,15 +301,6 @@ class RangeImages(Dataset[dict[str, Any]]):
     def urls(self) -> list[str]:
         """Return the paths of the shards that hold the chosen samples, in stored order."""
         return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._samples[:, 0])]
-
-
-def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
-
-    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into.
-    """
-    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
-    return found
 
 
 def _checked_path(path: str | Path) -> str:

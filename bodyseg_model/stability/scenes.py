@@ -21,7 +21,8 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
 from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.views import View
-from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.loading.image_set import metres
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.packing.sampler import Sampler

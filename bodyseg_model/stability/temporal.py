@@ -24,7 +24,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.loading.range_images import metres
+from bodyseg_data.loading.image_set import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict

@@ -21,9 +21,8 @@ from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.system.memory import peak_mb
-from bodyseg_data.loading.image_set import ImageSet
+from bodyseg_data.loading.image_set import Batch, ImageSet
 from bodyseg_data.loading.loader import Loader
-from bodyseg_data.loading.range_images import Batch
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, TRAINED, Checkpoint, load_network, save_network

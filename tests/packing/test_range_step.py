@@ -15,8 +15,9 @@ from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.pack import Packing
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_model.commands import cli

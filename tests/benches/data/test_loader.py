@@ -19,7 +19,8 @@ from benches.data.loader.pngs import DECODERS, by_pillow, png, time_decoders
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.loading.range_images import RangeImages
 
 # webdataset leaves the tars it has read to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")

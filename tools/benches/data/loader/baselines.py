@@ -20,7 +20,8 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 from benches.data.loader.pngs import Decode, by_pillow, png
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.rig import load_rig
-from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.loading.range_images import RangeImages
 
 STEP_M: Final = load_rig().range_step_m
 """One step of the images that are measured, metres: all are of the default rig."""

@@ -43,8 +43,9 @@ from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.loading.image_set import Batch
 from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import Batch, RangeImages
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.transforms import Flip
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
 from bodyseg_data.packing.pack import Packing, pack

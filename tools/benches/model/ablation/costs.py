@@ -24,7 +24,8 @@ from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.loading.image_set import metres
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.pack import evenly_sampled
 from bodyseg_data.packing.sampler import Sampler

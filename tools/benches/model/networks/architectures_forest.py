@@ -24,7 +24,8 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.randomness import generator
-from bodyseg_data.loading.range_images import RangeImages, metres
+from bodyseg_data.loading.image_set import metres
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 

@@ -10,7 +10,7 @@ from benches.measuring import mixed
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.range_images import metres
+from bodyseg_data.loading.image_set import metres
 from bodyseg_data.packing.pack import Packing, render_run
 from bodyseg_data.shards.sample_codec import decode_sample
 
