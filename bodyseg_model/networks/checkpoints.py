@@ -158,7 +158,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
     found = hashlib.sha256(data).hexdigest()
     if found != digest:
         raise BadConfig(f"{folder / name} is damaged: SHA-256 {found}, expected {digest}")
-    return Checkpoint(step, state, _parsed(data, folder / name))
+    return Checkpoint(step, state, _parse(data, folder / name))
 
 
 def _unfinished(folder: Path) -> bool:
@@ -196,10 +196,10 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
-    return _parsed(read_bytes(path), path)
+    return _parse(read_bytes(path), path)
 
 
-def _parsed(data: bytes, path: Path) -> dict[str, torch.Tensor]:
+def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
     try:
         return parse_tensors(data)
     except SafetensorError as error:
