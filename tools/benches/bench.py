@@ -62,6 +62,7 @@ BENCHES: Final = {
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
+    "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
     "architectures": Bench(
         "model.networks.architectures",
         None,
