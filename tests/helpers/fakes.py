@@ -37,8 +37,8 @@ class Figures:
         number = [known.mesh for known in self.bodies()].index(body.mesh)
         plain = figure(body.mesh)
         mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
-        # The first trunk vertex after every equal step down the list: far enough apart to be 33 parts.
-        return Body(mesh, np.linspace(0, 600, PART_COUNT).astype(np.int64))
+        # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
+        return Body(mesh, np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64))
 
 
 @dataclass(frozen=True)

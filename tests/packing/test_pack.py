@@ -357,32 +357,28 @@ def test_views_are_options_of_the_command(
     assert error or json.loads(said.out)["views_per_mesh"] == views
 
 
-COMMAND = ["-m", "bodyseg_data", "shard", "--source", "open", "--meshes", "4", "--views", "2", "--shard-samples", "3"]
-
-
 FIGURES = [str(HELPERS / "figure_command.py"), "shard", "--source", "open", "--views", "4", "--azimuth-span", "360"]
 FIGURES += ["--shard-samples", "5"]  # as the fixture figures_set
 
 
-def _shard(out: Path, workers: int, command: list[str] = COMMAND) -> list[str]:
-    return [sys.executable, *command, "--workers", str(workers), "--out", str(out)]
+def _shard(out: Path, workers: int) -> list[str]:
+    return [sys.executable, *FIGURES, "--workers", str(workers), "--out", str(out)]
 
 
-def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
-    """Real bodies, by the command with two workers and in this process."""
-    done = subprocess.run(_shard(tmp_path / "two", 2), capture_output=True, text=True, timeout=200, check=False)
+def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
+    """By the command with two processes, and in this one."""
+    environment = os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    command = _shard(tmp_path / "two", 2)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
-    assert "8 samples in 3 shards" in done.stdout
-    assert "packing: 8 of 8 views" in done.stderr
-    with ThreadPoolExecutor(1) as thread:
-        bodies = Packing("open", meshes=4, views=ViewGrid(count=2), shard_samples=3)
-        packing.pack(bodies, tmp_path / "here", thread, 1)
-    assert contents(tmp_path / "two") == contents(tmp_path / "here")
+    assert "24 samples in 6 shards" in done.stdout
+    assert "packing: 24 of 24 views" in done.stderr
+    assert contents(tmp_path / "two") == contents(figures_set)
 
 
 def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
-    command, environment = _shard(out, 2, FIGURES), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    command, environment = _shard(out, 2), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
     (tmp_path / "slow").touch()
     process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
@@ -414,7 +410,7 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: 
 def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     signals: list[signal.Signals], said: str, status: int, tmp_path: Path
 ) -> None:
-    command, environment = _shard(tmp_path / "shards", 2, FIGURES), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
+    command, environment = _shard(tmp_path / "shards", 2), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
     (tmp_path / "slow").touch()
     process = start_interruptible(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 60

@@ -63,6 +63,7 @@ BENCHES: Final = {
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "people": Bench("model.people.bench", None, "made rooms to fit to, 300", optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
+    "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
     "architectures": Bench(
         "model.networks.architectures",
         None,

@@ -1,0 +1,60 @@
+"""The tutorial's commands run as they are written, at small size."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Final
+
+import pytest
+from benches.model.tutorial import prepare, read_tutorial, smaller
+
+from bodyseg_model.commands.cli import COMMANDS
+from bodyseg_model.commands.cli import main as bodyseg_main
+
+SIZES: Final = {
+    "shard --meshes": "8",
+    "shard --views": "2",
+    "shard --workers": "1",
+    "train --steps": "2",
+    "train --batch-size": "2",
+    "train --num-workers": "0",
+    "train --val-every": "1",
+    "evaluate --images": "2",
+    "evaluate --frames": "1",
+    "evaluate --num-workers": "0",
+}
+"""Options that make the commands short."""
+
+
+def test_the_tutorial_runs_from_a_recording_to_labels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    tutorial = read_tutorial()
+    prepare(tmp_path, tutorial, 3)
+    monkeypatch.chdir(tmp_path)
+    for command in tutorial.commands:
+        assert bodyseg_main(smaller(command, SIZES)) == 0, (command, capfd.readouterr().err)
+    card = json.loads((tmp_path / "my_network.json").read_text())
+    assert (card["rig"]["name"], card["sensor"]["name"]) == ("my_rig", "my_sensor")
+    for out in ("labelled", "labelled_again"):
+        assert len(list((tmp_path / out / "overlay").glob("*.png"))) == 3
+    first, second = ((tmp_path / out / "labels" / "0000.png").read_bytes() for out in ("labelled", "labelled_again"))
+    assert first == second
+
+
+def test_the_tutorial_has_every_step_of_the_way() -> None:
+    tutorial = read_tutorial()
+    assert list(tutorial.files) == ["my_rig.toml"]
+    steps = [" ".join(command[:2]) if command[0] == "sensor" else command[0] for command in tutorial.commands]
+    assert steps[0] == "sensor fit"
+    assert {"shard", "train", "evaluate", "segment", "export"} <= set(steps)
+    assert {command[0] for command in tutorial.commands} <= {name.split()[0] for name in COMMANDS}
+
+
+def test_a_command_is_made_smaller_by_changed_and_added_options() -> None:
+    command = ("train", "--steps", "1200", "--out", "run")
+    assert smaller(command, {"train --steps": "2", "train --seed": "1", "shard --views": "2"}) == [
+        *("train", "--steps", "2", "--out", "run"),
+        *("--seed", "1"),
+    ]

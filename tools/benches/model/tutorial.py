@@ -1,0 +1,131 @@
+"""`bench tutorial`: the commands of docs/tutorial.md, one after the other, on a simulated recording; times and scores.
+
+The commands and files are read from the document, so that what is measured and tested is what a reader types.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from PIL import Image
+
+from benches.measuring import Progress, silent
+from benches.model.sensor_fit.recordings import Scene, Scenes
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.rig import load_rig
+
+DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorial.md"
+
+SENSOR: Final = "realsense_d435"
+"""The sensor that the simulated recording is made with."""
+
+_RIG_FILE: Final = "my_rig.toml"
+_BLOCK: Final = re.compile(r"```(bash|toml)\n(.*?)```", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Tutorial:
+    """A document's files, name -> content, and the words of its `bodyseg` commands in their order."""
+
+    files: Mapping[str, str]
+    commands: Sequence[tuple[str, ...]]
+
+
+def read_tutorial(document: Path = DOCUMENT) -> Tutorial:
+    """Read files (TOML blocks that begin with a comment of their name) and commands of a document."""
+    files, commands = {}, []
+    for language, text in _BLOCK.findall(document.read_text()):
+        if language == "toml":
+            files[text.partition("\n")[0].removeprefix("# ")] = text
+        else:
+            commands += [tuple(shlex.split(line)[1:]) for line in text.splitlines() if line.startswith("bodyseg ")]
+    return Tutorial(files, commands)
+
+
+def smaller(command: Sequence[str], sizes: Mapping[str, str]) -> list[str]:
+    """Return a command with other values for some of its options, and with those options added that it lacks.
+
+    sizes: "COMMAND --option" -> value.
+    """
+    words = list(command)
+    for place, value in sizes.items():
+        name, _, flag = place.partition(" ")
+        if words[0] != name:
+            continue
+        if flag in words:
+            words[words.index(flag) + 1] = value
+        else:
+            words += [flag, value]
+    return words
+
+
+def record(folder: Path, rig: Path, frames: int) -> None:
+    """Write frames of a body of `open` before a wall, as the rig and the sensor `SENSOR` see it: 16-bit PNGs in mm."""
+    placed = load_rig(rig)
+    source = open_source("open")
+    scenes = Scenes(source.build(source.bodies()[0]), placed)
+    folder.mkdir()
+    for frame in scenes.record(Scene(frames, wall=True), load_sensor_model(SENSOR)).frames:
+        buffer = io.BytesIO()
+        Image.fromarray(frame.stored).save(buffer, "PNG")
+        (folder / f"{int(frame.name):04d}.png").write_bytes(buffer.getvalue())
+    scenes.close()
+
+
+def prepare(folder: Path, tutorial: Tutorial, frames: int) -> None:
+    """Write the files of the tutorial and a recording of so many frames into a folder."""
+    for name, text in tutorial.files.items():
+        (folder / name).write_text(text)
+    record(folder / "recording", folder / _RIG_FILE, frames)
+
+
+def run_as_typed(words: Sequence[str], folder: Path) -> float:
+    """Run `bodyseg WORDS` in a folder and return its seconds. Raises BadConfig, with its last line, if it fails."""
+    command = [sys.executable, "-m", "bodyseg_model", *words]
+    start = time.perf_counter()
+    done = subprocess.run(command, cwd=folder, env=_environment(), capture_output=True, text=True)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise BadConfig(f"`bodyseg {' '.join(words)}` ended with status {done.returncode}: {last}")
+    return time.perf_counter() - start
+
+
+def _environment() -> dict[str, str]:
+    """Environment in which `python -m bodyseg_model` is this checkout's, wherever it runs."""
+    paths = [str(DOCUMENT.parents[1]), os.environ.get("PYTHONPATH", "")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+
+
+def bench_tutorial(views: int = 20, progress: Progress = silent) -> dict[str, Any]:
+    """Run the tutorial at its own size; views: frames of the recording. Raises BadConfig."""
+    check_int("--views", views, 2)
+    tutorial, seconds = read_tutorial(), []
+    with tempfile.TemporaryDirectory() as home:
+        folder = Path(home)
+        prepare(folder, tutorial, views)
+        for number, words in enumerate(tutorial.commands):
+            seconds.append({"command": " ".join(words), "seconds": round(run_as_typed(words, folder), 1)})
+            progress(number + 1, len(tutorial.commands))
+        scores = json.loads((folder / "scores.json").read_text())
+        summary = json.loads((folder / "labelled" / "summary.json").read_text())
+    return {
+        "sensor": SENSOR,
+        "frames": views,
+        "commands": seconds,
+        "average_per_class_accuracy": scores["average_per_class_accuracy"],
+        "frames_with_one_person": sum(len(frame["bodies"]) == 1 for frame in summary["frames"]),
+    }
