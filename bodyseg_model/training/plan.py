@@ -51,6 +51,7 @@ FLAGS: Final[dict[str, str]] = {
 _FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
     "--data": ("--data rig", "--only", "--where", "--val-share"),
     "--artifacts": ("--variant", "--sensor"),
+    "--settings": ("--labels",),
     "--val-share": ("--data", "--only", "--where", "--variant", "--seed", "--artifacts", "--sensor", "--labels"),
 }
 """Option -> options whose difference alters its fields as well, so that its own would be told twice."""
@@ -103,7 +104,9 @@ def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], re
         flag, rest = option_of(path)
         if path[0] == "validation" and flag in told:
             continue  # whether, and on what, follows from --val-share
-        told.setdefault(flag, []).append(" ".join([flag, *rest]) + f" was {_shown(path, was)}, now {_shown(path, now)}")
+        line = " ".join([flag, *rest]) + f" was {_shown(path, was)}, now {_shown(path, now)}"
+        if line not in told.setdefault(flag, []):  # a label map stands in the plan and in the images' identity
+            told[flag].append(line)
     if list(told) == ["--steps"]:
         raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {_steps(wanted)}")
     lines = [
@@ -170,7 +173,7 @@ def _shown(path: Path, value: Any) -> str:
     if value is _ABSENT:
         return "not given"
     if isinstance(value, dict):
-        return "given"
+        return json.dumps(value["name"]) if "name" in value else "given"
     if path == ("recipe", "bf16"):
         return "bfloat16" if value else "float32"
     return json.dumps(value)
