@@ -138,14 +138,18 @@ def _steps(plan: dict[str, Any]) -> Any:
 def differences(was: Any, now: Any, path: Path = ()) -> Iterator[tuple[Path, Any, Any]]:
     """Innermost fields in which two trees of JSON differ: their keys, and both values.
 
-    Entries of lists of objects are compared by their name, or else by their number.
+    Entries of lists of objects are compared by their name, or else by their number; if only their order differs, the
+    values are the names in both orders.
     """
-    was, now = _by_name(was), _by_name(now)
-    if isinstance(was, dict) and isinstance(now, dict):
-        for key in [*now, *sorted(was.keys() - now.keys())]:
-            yield from differences(was.get(key, _ABSENT), now.get(key, _ABSENT), (*path, key))
-    elif was != now:
-        yield path, was, now
+    named_was, named_now = _by_name(was), _by_name(now)
+    if not isinstance(named_was, dict) or not isinstance(named_now, dict):
+        if was != now:
+            yield path, was, now
+    elif isinstance(was, list) and named_was == named_now and [*named_was] != [*named_now]:
+        yield path, [*named_was], [*named_now]
+    else:
+        for key in [*named_now, *sorted(named_was.keys() - named_now.keys())]:
+            yield from differences(named_was.get(key, _ABSENT), named_now.get(key, _ABSENT), (*path, key))
 
 
 def _by_name(tree: Any) -> Any:
