@@ -25,11 +25,6 @@ from bodyseg_model.training.plan import FLAGS, check_plan, differences, option_o
 SELDOM = RunOptions(1, 100, 0)
 
 
-@pytest.fixture(scope="module")
-def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, shard_samples=8)
-
-
 def test_a_try_that_fails_before_its_first_step_leaves_the_folder_usable(small_set: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     with pytest.raises(BadConfig, match="they do not fill one batch of 64"):
