@@ -68,7 +68,9 @@ class Sampler:
         camera, _ = self._rig.placed(self._mesh.centre, view)
         seen, things = self._renderer.render(camera), None
         if self._place != "none":
-            things = draw_things(self._place, key, self._mesh, view, camera, seen, step_m)
+            placed = [test.rig.placed(self._mesh.centre, view)[1] for test in self._tests]
+            lights = [(projector, self._renderer.render(projector)) for projector in placed]
+            things = draw_things(self._place, key, self._mesh, view, camera, seen, step_m, projectors=lights)
             seen = nearest(seen, things.render(camera), len(self._mesh.faces))
         measured = np.flatnonzero(seen.face >= 0)
         pixels, faces = measured, seen.face.take(measured)

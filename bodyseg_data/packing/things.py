@@ -6,6 +6,7 @@ has the same bytes however it is packed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
@@ -27,7 +28,9 @@ ThingsPlace = Literal["none", "before", "behind", "both"]
 LEAST_HIDDEN: Final = 0.05
 """Least share of a body that things before it hide, unless no draw reaches it."""
 MOST_HIDDEN: Final = 0.6
-"""Greatest share of a body's pixels that things hide."""
+"""Greatest share of a body's pixels that things hide, from the camera or from every projector: a thing right before the
+projector would leave the whole image without range.
+"""
 
 BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
 """Kinds of things before a body."""
@@ -97,14 +100,15 @@ def draw_things(
     step_m: float,
     hidden: tuple[float, float] = (LEAST_HIDDEN, MOST_HIDDEN),
     attempts: int = ATTEMPTS,
+    projectors: Sequence[tuple[PlacedCamera, Surface]] = (),
 ) -> Things:
     """Draw the things of a sample, which hide at most `hidden[1]` of the body's pixels.
 
     seen: what `camera` sees of the body alone. step_m: of the rig. Up to `attempts` draws are made until the things
-    before the body hide at least `hidden[0]` of it; if none does, the one that hides most of it counts.
+    before the body hide at least `hidden[0]` of it; if none does, the one that hides most of it counts. projectors:
+    each with what it sees of the body alone; one of them, too, must have no more than `hidden[1]` of it hidden.
     """
     room = _Room(mesh, view, camera)
-    body = int(np.count_nonzero(seen.face >= 0))
     best = Things(together([]), step_m)
     for attempt in range(attempts):
         numbers = Numbers(stream(0, 0, key, f"things {attempt}"))
@@ -114,12 +118,19 @@ def draw_things(
         if place in ("behind", "both"):
             solids += [room.behind(numbers) for _ in range(numbers.whole(1, 4))]
         found = Things(together(solids), step_m)
-        share = int(np.count_nonzero(in_front(found.render(camera), seen) & (seen.face >= 0))) / max(body, 1)
-        if share <= hidden[1] and (share > best.hidden or not len(best.solid.faces)):
+        share = _hidden_share(found, camera, seen)
+        better = share <= hidden[1] and (share > best.hidden or not len(best.solid.faces))
+        if better and (not projectors or min(_hidden_share(found, *each) for each in projectors) <= hidden[1]):
             best = Things(found.solid, step_m, share)
         if best.hidden >= hidden[0] or (place == "behind" and len(best.solid.faces)):
             break
     return best
+
+
+def _hidden_share(things: Things, camera: PlacedCamera, seen: Surface) -> float:
+    """The share of the body's pixels that things hide from a camera; seen: what it sees of the body alone."""
+    body = seen.face >= 0
+    return int(np.count_nonzero(in_front(things.render(camera), seen) & body)) / max(int(np.count_nonzero(body)), 1)
 
 
 class _Room:

@@ -28,7 +28,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.furniture import Solid, cuboid, together
 from bodyseg_data.packing.pack import Packing, plan
 from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, nearest
+from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, in_front, nearest
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.rendering.renderer import Surface
 from bodyseg_data.shards.manifest import read_manifest
@@ -48,11 +48,12 @@ def taken(place: ThingsPlace, view: View, rig: Rig = SMALL, name: str = "P1-0") 
     return Sampler(RasterRenderer(MESH), rig, MESH, PARTS, "open", ref, place).take(view)
 
 
-def drawn(place: ThingsPlace, view: View, key: str) -> tuple[Things, Surface, Surface]:
-    """The things, and what the camera sees of the body and of the things."""
-    camera, _ = SMALL.placed(MESH.centre, view)
+def drawn(place: ThingsPlace, view: View, key: str, lit: bool = True) -> tuple[Things, Surface, Surface]:
+    """The things, and what the camera sees of the body and of the things; lit: whether the projector counts."""
+    camera, projector = SMALL.placed(MESH.centre, view)
     seen = RasterRenderer(MESH).render(camera)
-    things = draw_things(place, key, MESH, view, camera, seen, SMALL.range_step_m)
+    lights = [(projector, RasterRenderer(MESH).render(projector))] if lit else []
+    things = draw_things(place, key, MESH, view, camera, seen, SMALL.range_step_m, projectors=lights)
     return things, seen, things.render(camera)
 
 
@@ -73,6 +74,20 @@ def test_a_sample_shows_the_nearer_of_body_and_things(place: ThingsPlace, view: 
     hidden = (plain.range > 0) & thing
     assert (sample.range[hidden] <= plain.range[hidden]).all()
     assert sample.info.hidden_pct == round(100 * hidden.sum() / (plain.range > 0).sum()) == round(100 * things.hidden)
+
+
+def test_part_of_the_body_stays_lit() -> None:
+    view = View(215, 40)
+    _, projector = SMALL.placed(MESH.centre, view)
+    lit_body = RasterRenderer(MESH).render(projector)
+
+    def shaded(key: str, lit: bool) -> float:
+        things, _, _ = drawn("before", view, key, lit)
+        body = lit_body.face >= 0
+        return float((in_front(things.render(projector), lit_body) & body).sum() / body.sum())
+
+    keys = [f"k{number}" for number in range(12)]
+    assert max(shaded(key, True) for key in keys) <= MOST_HIDDEN < max(shaded(key, False) for key in keys)
 
 
 def test_body_and_things_are_rendered_as_one_mesh_would_be() -> None:
