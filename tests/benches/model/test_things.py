@@ -1,4 +1,4 @@
-"""`bench people`: the fit of the score, and what the bench writes."""
+"""`bench things`: the fit of the score, and what the bench writes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benches.model.people import bench
-from benches.model.people.bench import RIDGE, bench_people, cross_scores, logistic_fit
+from benches.model.things import bench
+from benches.model.things.bench import RIDGE, bench_things, cross_scores, logistic_fit
 
 from bodyseg_model.segmentation.people.features import PART_FEATURES, SHAPE_FEATURES
 from bodyseg_model.segmentation.people.person_score import score_from_json
@@ -58,7 +58,7 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = bench.Surfaces(features, person, np.arange(120))  # type: ignore[arg-type]
     monkeypatch.setattr(bench, "seen_surfaces", lambda network, count, progress: seen)
     monkeypatch.setattr(bench, "people_and_things", lambda network, score, count, progress: {"rooms": count})
-    figures = bench_people(views=50)
+    figures = bench_things(views=50)
     assert figures["test"] == {"rooms": 10}
     assert figures["score"]["source"]["people"] == person.sum()
     for model, quality in figures["cross_validation"].items():
