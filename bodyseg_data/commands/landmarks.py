@@ -24,7 +24,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.readers.files import read_mesh
 
 if TYPE_CHECKING:
-    from bodyseg_data.bodies.landmark_fitting.search import Proposal
+    from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
 
 EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
 

@@ -79,7 +79,8 @@ class FittedBody:
             motions = self.body.bone_motions(self.fit.turns(self.body)[None], self.fit.shape[None])
             blend = (skin.weights @ motions.flatten(2)).reshape(-1, 3, 4)[..., :3].numpy()
         left, _, right = np.linalg.svd(blend)  # the rotation nearest to a blend of rotations, which itself shrinks
-        return np.einsum("nij,ni->nj", left @ right, offsets)
+        turned: NDArray[np.float64] = np.einsum("nij,ni->nj", left @ right, offsets)
+        return turned
 
 
 def largest_piece(mesh: Mesh) -> NDArray[np.int64]:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
 from benches.measuring import Progress, silent
-from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
+from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
+from bodyseg_data.bodies.landmark_fitting.search import propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import LANDMARKS, PARTS
