@@ -28,7 +28,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
+from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402

@@ -10,16 +10,17 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points
-from bodyseg_data.bodies.landmark_fitting.surface import FEATURE
+from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
-POOR_M: Final = 0.1
-"""Distance of two surfaces (`fit.surface_distance`) above which a fit is poor, metres of position and reach."""
+POOR_M: Final = 0.05
+"""Gap of a fit above which it is poor, metres: 2 to 4 cm where every limb is in its place, 5 to 8 cm where one is not."""
 
+_GAP_SHARE: Final = 0.95
 _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
 
 
@@ -27,22 +28,27 @@ _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4
 class Proposal:
     """Landmarks for a person to check. distance_m: float64 [33], from the fitted body's landmark to the vertex.
 
-    poor: whether the fitted body is so far from the surface that the landmarks are not to be trusted.
+    gap_m: the fit's, see `FittedBody`.
     """
 
     landmarks: LandmarkSet
     distance_m: NDArray[np.float64]
-    poor: bool = False
+    gap_m: float = 0.0
+
+    @property
+    def poor(self) -> bool:
+        """Whether the fitted body is so far from the surface in places that limbs may be in the wrong place."""
+        return self.gap_m > POOR_M
 
 
 @dataclass(frozen=True)
 class FittedBody:
-    """The open body fitted to `mesh`. distance_m: of their surfaces, see `fit.surface_distance`."""
+    """The open body fitted to `mesh`. gap_m: the distance to the mesh that 95 % of the fitted body's points keep."""
 
     mesh: Mesh
     body: FittingBody
     fit: Fit
-    distance_m: float
+    gap_m: float
 
     def proposal(self, vertices: NDArray[np.int64]) -> Proposal:
         """Return the landmarks of the mesh, those of the open body being at its `vertices` [33].
@@ -54,7 +60,7 @@ class FittedBody:
         topology = f"meshes numbered like {self.mesh.name}; proposed, to be checked"
         counts = len(self.mesh.vertices), len(self.mesh.faces)
         landmarks = LandmarkSet("proposed", topology, *counts, tuple(found.tolist()))
-        return Proposal(landmarks, distance, self.distance_m > POOR_M)
+        return Proposal(landmarks, distance, self.gap_m)
 
     def carried(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where `points` [N, 3] on the mesh lie on the open body at rest, float64 [N, 3], body frame, metres.
@@ -81,6 +87,13 @@ class FittedBody:
         left, _, right = np.linalg.svd(blend)  # the rotation nearest to a blend of rotations, which itself shrinks
         turned: NDArray[np.float64] = np.einsum("nij,ni->nj", left @ right, offsets)
         return turned
+
+
+def gap_m(target: Points, own: Points) -> float:
+    """Return the distance to the points of `target` that 95 % of the points of the fitted body keep, metres."""
+    from scipy.spatial import KDTree
+
+    return float(np.quantile(KDTree(target.positions).query(own.positions)[0], _GAP_SHARE))
 
 
 def largest_piece(mesh: Mesh) -> NDArray[np.int64]:

@@ -28,7 +28,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody, Proposal, largest_piece
+from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody, Proposal, gap_m, largest_piece
 from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES
 from bodyseg_data.bodies.landmark_fitting.surface import Points, sample_surface
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
@@ -82,7 +82,7 @@ def fit_body(body: FittingBody, mesh: Mesh, tilts: Sequence[NDArray[np.float64]]
     with one_thread():
         target = sample_surface(mesh, _FINE_POINTS)
         fit = _fit_to(body, target, tilts)
-        return FittedBody(mesh, body, fit, surface_distance(target, fitted_surface(body, fit)))
+        return FittedBody(mesh, body, fit, gap_m(target, fitted_surface(body, fit)))
 
 
 def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float64]]) -> Fit:
@@ -93,11 +93,9 @@ def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float6
     def distance(fit: Fit) -> float:
         return surface_distance(target, fitted_surface(body, fit))
 
-    def closer(fits: Sequence[Fit], stages: Sequence[Stage]) -> list[Fit]:
-        return sorted(refine(body, some, fits, stages, _POINTS), key=distance)
-
     begun = list(_best_starts(_starts(body, few, poses, tilts)))
-    candidates = closer(_candidates(body, closer(begun, _CLOSE_IN)), _SETTLE)
+    closer = sorted(refine(body, few, begun, _CLOSE_IN, _ROUGH_POINTS), key=distance)
+    candidates = sorted(refine(body, some, _candidates(body, closer), _SETTLE, _POINTS), key=distance)
     candidates = [fit for fit in candidates if distance(fit) <= _CANDIDATE_SHARE * distance(candidates[0])]
     for limb in _LIMBS:
         others = [_other_limbs(body, few, fit, limb, limbs[limb[0]]) for fit in candidates]

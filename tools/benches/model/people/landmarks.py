@@ -88,7 +88,7 @@ def measured(bodies: Sequence[Fitted], body: FittingBody) -> dict[str, Any]:
         "placed": dict(zip(LANDMARKS, all_people.tolist(), strict=True)),
         **{name: _errors([error for way in pairs for error in _compared(*way)]) for name, pairs in ways.items()},
         "fits": {
-            one.of.name: {"distance_cm": round(100 * one.fitted.distance_m, 2), "seconds": round(one.seconds, 1)}
+            one.of.name: {"gap_mm": round(1000 * one.fitted.gap_m, 1), "seconds": round(one.seconds, 1)}
             for one in bodies
         },
     }
