@@ -104,8 +104,8 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
     sys.stdout.write(_table(proposal))
     if proposal.poor:
         sys.stderr.write(
-            f"a poor fit: parts of the open body are {100 * proposal.gap_m:.0f} cm from the mesh, so a limb may be in the "
-            "wrong place: check every landmark\n"
+            f"a poor fit: parts of the open body are {100 * proposal.gap_m:.0f} cm from the mesh, and a limb may be "
+            "in the wrong place: check every landmark\n"
         )
     sys.stderr.write(f"wrote {out}: compare it with the picture before using it\n")
     vertices = proposal.landmarks.for_mesh(mesh)

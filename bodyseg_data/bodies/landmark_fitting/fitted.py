@@ -18,7 +18,7 @@ from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
 POOR_M: Final = 0.05
-"""Gap of a fit above which it is poor, metres: 2 to 4 cm where every limb is in its place, 5 to 8 cm where one is not."""
+"""Gap of a fit above which it is poor, metres: 2 to 4 cm with every limb in its place, 5 to 8 cm without."""
 
 _GAP_SHARE: Final = 0.95
 _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
