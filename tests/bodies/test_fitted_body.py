@@ -83,17 +83,17 @@ def test_lengths_move_what_hangs_from_a_segment_and_nothing_else(body: FittingBo
     assert len(body.head_shapes) == _SHAPES + 9 == len(body.whole.shapes)
 
 
-def test_a_gap_is_that_of_the_farthest_twentieth() -> None:
-    line = np.stack([np.arange(101.0), np.zeros(101), np.zeros(101)], axis=1)
+def test_a_gap_is_that_of_the_farthest_hundredth() -> None:
+    line = np.stack([np.arange(1001.0), np.zeros(1001), np.zeros(1001)], axis=1)
 
     def points(positions: np.ndarray) -> Points:
         return Points(positions, np.zeros_like(positions), np.ones(len(positions)))
 
     own = line.copy()
     assert gap_m(points(line), points(own)) == 0
-    own[:5, 1] = 7  # five of 101 points: less than a twentieth
+    own[:9, 1] = 7  # nine of 1001 points: less than a hundredth
     assert gap_m(points(line), points(own)) == 0
-    own[:8, 1] = 7
+    own[:15, 1] = 7
     assert gap_m(points(line), points(own)) == pytest.approx(7)
 
 

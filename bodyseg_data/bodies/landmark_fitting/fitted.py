@@ -17,10 +17,10 @@ from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
-POOR_M: Final = 0.05
-"""Gap of a fit above which it is poor, metres: 2 to 4 cm with every limb in its place, 5 to 8 cm without."""
+POOR_M: Final = 0.045
+"""Gap of a fit above which it is poor, metres: on bare bodies 3 to 4 cm with every limb in its place, 4 to 6 without."""
 
-_GAP_SHARE: Final = 0.95
+_GAP_SHARE: Final = 0.99
 _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
 
 
@@ -43,7 +43,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class FittedBody:
-    """The open body fitted to `mesh`. gap_m: the distance to the mesh that 95 % of the fitted body's points keep."""
+    """The open body fitted to `mesh`. gap_m: the distance to the mesh that 99 % of the fitted body's points keep."""
 
     mesh: Mesh
     body: FittingBody
@@ -90,7 +90,7 @@ class FittedBody:
 
 
 def gap_m(target: Points, own: Points) -> float:
-    """Return the distance to the points of `target` that 95 % of the points of the fitted body keep, metres."""
+    """Return the distance to the points of `target` that 99 % of the points of the fitted body keep, metres."""
     from scipy.spatial import KDTree
 
     return float(np.quantile(KDTree(target.positions).query(own.positions)[0], _GAP_SHARE))
