@@ -18,7 +18,7 @@ from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
 POOR_M: Final = 0.045
-"""Gap of a fit above which it is poor, metres: on bare bodies 3 to 4 cm with every limb in its place, 4 to 6 without."""
+"""Gap of a fit above which it is poor, metres: of bare bodies 3 to 4 cm with every limb in place, 4 to 6 without."""
 
 _GAP_SHARE: Final = 0.99
 _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark

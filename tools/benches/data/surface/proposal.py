@@ -49,8 +49,8 @@ def bench_proposal(mit: Path | None = None, progress: Progress = silent) -> dict
     """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
 
     swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that
-    proposed landmarks label otherwise. gap_cm: the fit's (`FittedBody`). seconds: processor time. mit: folder of MIT frames, measured on as well.
-    Raises BadConfig for frames that are not there.
+    proposed landmarks label otherwise. gap_cm: the fit's (`FittedBody`). seconds: processor time. mit: folder of MIT
+    frames, measured on as well. Raises BadConfig for frames that are not there.
     """
     total = len(OPEN) + len(HARD) + (len(MIT) if mit else 0)
     bodies: dict[str, dict[str, Any]] = {}
