@@ -24,7 +24,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.readers.files import read_mesh
 
 if TYPE_CHECKING:
-    from bodyseg_data.bodies.landmark_fitting.search import Proposal
+    from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
 
 EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
 
@@ -102,6 +102,11 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
     proposal = propose(mesh, [_upright(axis).T for axis in upward])
     write_atomically(out, proposal.landmarks.to_json().encode())
     sys.stdout.write(_table(proposal))
+    if proposal.poor:
+        sys.stderr.write(
+            f"a poor fit: parts of the open body are {100 * proposal.gap_m:.0f} cm from the mesh, and a limb may be "
+            "in the wrong place: check every landmark\n"
+        )
     sys.stderr.write(f"wrote {out}: compare it with the picture before using it\n")
     vertices = proposal.landmarks.for_mesh(mesh)
     facing = _facing_front(mesh, vertices, upward)

@@ -28,7 +28,8 @@ from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.bodies.source import Body  # noqa: E402
@@ -210,7 +211,7 @@ def test_a_mesh_too_coarse_for_33_landmarks_is_refused() -> None:
         propose(ball(subdivisions=0))
 
 
-def small_proposal(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def small_proposal(monkeypatch: pytest.MonkeyPatch, gap_m: float = 0.03) -> list[int]:
     """In place of the search: the open body's own landmarks. Returns the numbers of tilts that were asked for."""
     asked: list[int] = []
 
@@ -218,7 +219,7 @@ def small_proposal(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         asked.append(len(tilts))
         counts = len(mesh.vertices), len(mesh.faces)
         landmarks = LandmarkSet("proposed", "proposed", *counts, load_landmarks("open").vertices)
-        return Proposal(landmarks, np.linspace(0, 0.05, 33))
+        return Proposal(landmarks, np.linspace(0, 0.05, 33), gap_m)
 
     monkeypatch.setattr(proposal_module, "propose", stand_in)
     return asked
@@ -254,6 +255,21 @@ def test_the_command_writes_landmarks_picture_and_table(
     assert table[1].split() == ["0", "Sellion", "0.0"]
     assert table[33].split() == ["32", "Lt.", "Digit", "II", "5.0", "look", "closely"]
     assert sum(line.endswith("look closely") for line in table) == 13
+
+
+@pytest.mark.parametrize("gap_m", [0.03, 0.07])
+def test_the_command_says_that_a_fit_is_poor(
+    tmp_path: Path, standing: Body, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], gap_m: float
+) -> None:
+    small_proposal(monkeypatch, gap_m)
+    scan = tmp_path / "scan.obj"
+    scan.write_text(obj(standing.mesh, 1))
+    words = ["landmarks", "--mesh", scan, "--propose", tmp_path / "x.json", "--out", tmp_path / "x.png"]
+    assert main([*map(str, words), "--height", "150", "--up", "y"]) == 0
+    said = "a poor fit: parts of the open body are 7 cm from the mesh, and a limb may be in the wrong place" in (
+        capsys.readouterr().err
+    )
+    assert said == (gap_m > 0.05)
 
 
 def test_a_source_without_landmarks_can_be_proposed_for(

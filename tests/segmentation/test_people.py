@@ -154,7 +154,7 @@ def test_a_score_is_stored_with_the_names_of_its_features() -> None:
 
 def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
-    assert tree["source"]["command"].startswith("tools/bench people") and tree["source"]["people"] > 100
+    assert tree["source"]["command"].startswith("tools/bench things") and tree["source"]["people"] > 100
     assert {model: len(shipped_score(model).weights) for model in FEATURES} == {"parts": 58, "shape": 16}
     (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg person score 0"}))
     monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))

@@ -61,7 +61,10 @@ BENCHES: Final = {
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
-    "people": Bench("model.people.bench", None, "made rooms to fit to, 300", optional=("runs",)),
+    "things": Bench("model.things.bench", None, "made rooms to fit to, 300", optional=("runs",)),
+    "people": Bench(
+        "model.people.bench", None, "views of each body, 6", required=("data",), optional=("runs", "poses", "alone")
+    ),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
     "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
     "architectures": Bench(
@@ -110,7 +113,7 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, sensors, people and failures: runs",
+        "folders of runs NAME-SEED; for network, sensors, things, people and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
@@ -131,7 +134,14 @@ class Options:
     forest: int | None = option(
         "for architectures: number of training images of a random forest (default 2000; 0: no forest)", None
     )
-    alone: bool = option("for variants: also sweep noise and missing data without the other artifacts", False)
+    poses: int | None = option(
+        "for people: meshes of each person in a folder without sub-folders, in the order of names (default 10)", None
+    )
+    alone: bool = option(
+        "for variants: also sweep noise and missing data without the other artifacts; for people: scores "
+        "alone, no landmarks",
+        False,
+    )
     scores: tuple[Path, ...] | None = option(
         "for network: JSON files of `bodyseg evaluate` on `all`, for the accuracies", None
     )

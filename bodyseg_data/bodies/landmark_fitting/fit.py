@@ -29,9 +29,10 @@ FINE_REACH_M: Final = 0.1
 
 _LIMIT_M: Final = 0.25  # a point without a counterpart counts as this far
 _MATCH_EVERY: Final = 5  # steps between searches for matches
-_ALONG: Final = 0.15  # weight of distance along the surface beside that across it
-_ANGLE_PRIOR: Final = 2e-6  # square metres added to the loss for one standard deviation of a movement
-_SHAPE_PRIOR: Final = 4e-6
+_ALONG: Final = 0.4  # weight of distance along the surface beside that across it
+_REMOTE: Final = 3  # power of the mean geodesic distance that weighs a point: hands and feet are small
+_ANGLE_PRIOR: Final = 1e-6  # square metres added to the loss for one standard deviation of a movement
+_SHAPE_PRIOR: Final = 1e-6
 _USUAL_SCALE: Final = 0.3  # of the size, beyond what shapes explain
 _ROOT: Final = 3  # movements of the root, which may turn freely
 
@@ -114,6 +115,8 @@ def refine(
     matcher = Matcher(target, reach_m)
     positions, facing = torch.from_numpy(target.positions), torch.from_numpy(target.normals)
     skin, mean_geodesic = body.surface.first(count), body.mean_geodesic[:count]
+    importance = torch.from_numpy(np.concatenate([mean_geodesic, target.mean_geodesic])) ** _REMOTE
+    importance = importance / importance.mean()
     start = torch.stack([fit.start for fit in fits])
     usual_scale = torch.log(torch.stack([fit.scale for fit in fits]))[:, None, None]
     angles = (torch.stack([fit.angles for fit in fits]) / body.joints.deviation).requires_grad_()
@@ -140,7 +143,8 @@ def refine(
                 [_squares(own - positions[there], facing[there]), _squares(returned - positions, facing)], 1
             )
             # Summed over fits: Adam's steps for one do not depend on the others.
-            loss = (reach**2 * squares / (reach**2 + squares)).mean(dim=1).sum()
+            robust = reach**2 * squares / (reach**2 + squares)
+            loss = (robust * importance).mean(dim=1).sum()
             loss = loss + _ANGLE_PRIOR * (angles[:, _ROOT:] ** 2).sum()
             loss = loss + _SHAPE_PRIOR * ((shape**2).sum() + (((log_scale - usual_scale) / _USUAL_SCALE) ** 2).sum())
             adam.zero_grad()

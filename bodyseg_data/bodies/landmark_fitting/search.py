@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,17 +24,15 @@ from bodyseg_data.bodies.landmark_fitting.fit import (
     Fit,
     Matcher,
     Stage,
-    fitted_points,
     fitted_surface,
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points, sample_surface
+from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody, Proposal, gap_m, largest_piece
+from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES
+from bodyseg_data.bodies.landmark_fitting.surface import Points, sample_surface
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
 from bodyseg_data.bodies.motions.legs import about_y
-from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet
 from bodyseg_data.meshes.mesh import Mesh
 
 UPRIGHT: Final = (np.eye(3),)
@@ -44,7 +42,7 @@ _TURNS: Final = 12  # directions to face that are tried, evenly around
 _STARTS: Final = 16
 _STARTS_FACING: Final = 2  # at most so many that face one direction
 _CANDIDATES: Final = 3
-_CANDIDATE_SHARE: Final = 1.5  # of the best one's distance: worse candidates are dropped
+_CANDIDATE_SHARE: Final = 1.25  # of the best one's distance: worse candidates are dropped
 _FINALISTS: Final = 2
 _APART_DEG: Final = 60.0  # smallest angle between the trunks of two candidates
 _LIMB_TRIES: Final = 2
@@ -57,20 +55,13 @@ _SETTLE: Final[tuple[Stage, ...]] = ((40, 0.10, 0.02), (40, 0.05, 0.012))
 _TRY: Final[tuple[Stage, ...]] = ((30, 0.20, 0.03), (30, 0.10, 0.02))
 _FINISH: Final[tuple[Stage, ...]] = ((60, 0.10, 0.015), (80, 0.05, 0.012))
 
-_NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
-_LIMBS: Final = tuple((kind, side) for kind in ("leg", "arm") for side in ("L", "R"))
+_LIMBS: Final = (("leg", "L"), ("leg", "R"), ("arm", "LR"), ("arm", "L"), ("arm", "R"))
+"""Limbs to try others for, in turn; hands before the body may be crossed in a fit, and only both arms undo that."""
+
 _BONES: Final = {
     "arm": ("clavicle", "shoulder", "upperarm", "lowerarm", "wrist", "finger", "metacarpal"),
     "leg": ("upperleg", "lowerleg", "foot", "toe"),
 }
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """Landmarks for a person to check. distance_m: float64 [33], from the fitted body's landmark to the vertex."""
-
-    landmarks: LandmarkSet
-    distance_m: NDArray[np.float64]
 
 
 def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Proposal:
@@ -80,32 +71,34 @@ def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Propo
     ten seconds of one processor. The same mesh gets the same landmarks. Raises BadMesh for a surface whose largest
     piece has fewer than 33 vertices, MissingLibrary without Anny or scipy, BadConfig if Anny's cache cannot be used.
     """
-    whole = _largest_piece(mesh)
+    largest_piece(mesh)  # before the work, not after it
     with one_thread():
         body = fitting_body()
-        fit = _fit_to(body, sample_surface(mesh, _FINE_POINTS), tilts)
-        positions, normals = fitted_points(body, fit, body.landmarks)
-    vertices, distance = _on_surface(mesh, whole, positions, normals)
-    topology = f"meshes numbered like {mesh.name}; proposed, to be checked"
-    counts = len(mesh.vertices), len(mesh.faces)
-    return Proposal(LandmarkSet("proposed", topology, *counts, tuple(vertices.tolist())), distance)
+        return fit_body(body, mesh, tilts).proposal(body.landmark_vertices)
+
+
+def fit_body(body: FittingBody, mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> FittedBody:
+    """Fit the open body to a mesh; see `propose`, which does this for one mesh alone."""
+    with one_thread():
+        target = sample_surface(mesh, _FINE_POINTS)
+        fit = _fit_to(body, target, tilts)
+        return FittedBody(mesh, body, fit, gap_m(target, fitted_surface(body, fit)))
 
 
 def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float64]]) -> Fit:
     poses = [body.start(pose) for _, pose in POSTURES]
+    limbs = {kind: [body.start(pose) for pose in poses] for kind, poses in LIMB_POSES.items()}
     some, few = target.thinned(_POINTS), target.thinned(_ROUGH_POINTS)
 
     def distance(fit: Fit) -> float:
         return surface_distance(target, fitted_surface(body, fit))
 
-    def closer(fits: Sequence[Fit], stages: Sequence[Stage]) -> list[Fit]:
-        return sorted(refine(body, some, fits, stages, _POINTS), key=distance)
-
     begun = list(_best_starts(_starts(body, few, poses, tilts)))
-    candidates = closer(_candidates(body, closer(begun, _CLOSE_IN)), _SETTLE)
+    closer = sorted(refine(body, few, begun, _CLOSE_IN, _ROUGH_POINTS), key=distance)
+    candidates = sorted(refine(body, some, _candidates(body, closer), _SETTLE, _POINTS), key=distance)
     candidates = [fit for fit in candidates if distance(fit) <= _CANDIDATE_SHARE * distance(candidates[0])]
     for limb in _LIMBS:
-        others = [_other_limbs(body, few, fit, limb, poses) for fit in candidates]
+        others = [_other_limbs(body, few, fit, limb, limbs[limb[0]]) for fit in candidates]
         tried = iter(refine(body, some, [other for each in others for other in each], _TRY, _POINTS))
         candidates = [
             min([fit, *itertools.islice(tried, len(each))], key=distance)
@@ -168,9 +161,12 @@ def _candidates(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
 def _other_limbs(
     body: FittingBody, target: Points, fit: Fit, limb: tuple[str, str], poses: Sequence[Tensor]
 ) -> list[Fit]:
-    """List fits with one arm or leg of another pose: the nearest to the target, with hand or foot elsewhere."""
-    kind, side = limb
-    own = [bone for bone in body.bones if bone.endswith(f".{side}") and bone.startswith(_BONES[kind])]
+    """List fits with an arm, a leg or both arms of another pose: those nearest to the target, with the hand or foot, or
+    one of the hands, in different places.
+    """
+    kind, sides = limb
+    ends = tuple(f".{side}" for side in sides)
+    own = [bone for bone in body.bones if bone.endswith(ends) and bone.startswith(_BONES[kind])]
     bones = torch.tensor([body.bones[bone] for bone in own])
     still = 1 - body.joints.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
     farthest_out = body.surface.weights[:, bones].sum(dim=1).numpy() * body.mean_geodesic
@@ -189,37 +185,6 @@ def _other_limbs(
         if len(chosen) < _LIMB_TRIES and all(distance > _LIMB_APART_M for distance in apart_m):
             chosen.append((position, other))
     return [other for _, other in chosen]
-
-
-def _largest_piece(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33, MissingLibrary."""
-    piece = mesh.pieces(FEATURE)
-    area = np.bincount(piece[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1))
-    used = np.unique(mesh.faces).astype(np.int64)
-    largest: NDArray[np.int64] = used[piece[used] == area.argmax()]
-    if len(largest) < PART_COUNT:
-        raise BadMesh(
-            f"mesh {mesh.name}: a body needs {PART_COUNT} vertices for its landmarks, found {len(largest)} in its "
-            "largest piece"
-        )
-    return largest
-
-
-def _on_surface(
-    mesh: Mesh, among: NDArray[np.int64], positions: NDArray[np.float64], normals: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return for each of 33 positions and normals [33, 3] a different vertex of `among`, and its distance, metres."""
-    from scipy.spatial import KDTree
-
-    facing = mesh.vertex_normals[among]
-    tree = KDTree(np.concatenate([mesh.vertices[among], _NORMAL_REACH_M * facing], axis=1))
-    # As many candidates as there are landmarks: one is always left.
-    nearest = tree.query(np.concatenate([positions, _NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]
-    chosen: list[int] = []
-    for candidates in among[nearest].tolist():
-        chosen.append(next(vertex for vertex in candidates if vertex not in chosen))
-    vertices = np.array(chosen, np.int64)
-    return vertices, np.linalg.norm(mesh.vertices[vertices] - positions, axis=1)
 
 
 def _centre_and_size(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

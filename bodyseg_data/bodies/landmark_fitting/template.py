@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.anny.people import person
 from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
+from bodyseg_data.bodies.landmark_fitting.lengths import length_shapes
 from bodyseg_data.bodies.landmark_fitting.surface import farthest, mean_geodesic
 from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
@@ -45,6 +46,11 @@ class Skin:
         """Return the first `count` points."""
         return Skin(self.weights[:count], self.rest[:count], self.normals[:count], self.shapes[:, :count])
 
+    def at(self, indices: NDArray[np.int64]) -> Skin:
+        """Return the points at `indices` [N]."""
+        at = torch.from_numpy(indices)
+        return Skin(self.weights[at], self.rest[at], self.normals[at], self.shapes[:, at].contiguous())
+
 
 @dataclass(frozen=True)
 class Joints:
@@ -59,12 +65,14 @@ class Joints:
 
 @dataclass(frozen=True)
 class FittingBody:
-    """Bones, joints, points spread over the surface, and the landmarks in the order of `parts.LANDMARKS`.
+    """Bones, joints, points spread over the surface, and the places of `parts.LANDMARKS`, in their order.
 
     bones: index of each by name, the root first and then by depth. levels: for each depth below the root, the slice of
     the bones one level above, and for each bone of that depth the index of its parent within the slice. heads:
     [bones, 3], positions at which bones begin; head_shapes: [shapes, bones, 3]. surface: ordered so that its first
-    points, however many, cover the body too. mean_geodesic: [N], of the surface's points.
+    points, however many, cover the body too. mean_geodesic: [N], of the surface's points. mesh: the mean person at
+    rest, with all its vertices as points in `whole`; skin: int64 [N], those on its largest piece. landmark_vertices:
+    int64 [33], where the landmarks are.
     """
 
     bones: Mapping[str, int]
@@ -73,8 +81,16 @@ class FittingBody:
     head_shapes: Tensor
     joints: Joints
     surface: Skin
-    landmarks: Skin
+    landmark_vertices: NDArray[np.int64]
     mean_geodesic: NDArray[np.float64]
+    mesh: Mesh
+    skin: NDArray[np.int64]
+    whole: Skin
+
+    @property
+    def landmarks(self) -> Skin:
+        """The points at `landmark_vertices`."""
+        return self.whole.at(self.landmark_vertices)
 
     def start(self, pose: Pose) -> Tensor:
         """Return the rotations [bones, 3, 3] of a pose."""
@@ -129,11 +145,10 @@ def fitting_body() -> FittingBody:
     mesh = Mesh("the open body", mean[0].numpy(), faces)
     normals = torch.from_numpy(mesh.vertex_normals)
 
-    def skin(chosen: NDArray[np.int64]) -> Skin:
-        at = torch.from_numpy(chosen)
-        return Skin(weights[at][:, order], mean[0][at], normals[at], shape_vertices[:, at].contiguous())
-
-    mean_heads = mean[1][order]
+    mean_heads, weights = mean[1][order], weights[:, order]
+    above = [order.index(parents[bone]) if parents[bone] >= 0 else -1 for bone in order]
+    lengths, head_lengths = length_shapes(bones, above, mean_heads, weights, mean[0])
+    everywhere = Skin(weights, mean[0], normals, torch.cat([shape_vertices, lengths]))
     landmarks = load_landmarks("open").for_mesh(mesh)
     body = mesh.pieces("fitting the open body")
     skin_vertices = np.flatnonzero(body == np.bincount(body[landmarks]).argmax())
@@ -142,11 +157,14 @@ def fitting_body() -> FittingBody:
         bones,
         levels,
         mean_heads,
-        shape_heads[:, order].contiguous(),
+        torch.cat([shape_heads[:, order], head_lengths]),
         _joints(bones, mean_heads),
-        skin(sampled),
-        skin(landmarks),
+        everywhere.at(sampled),
+        landmarks,
         mean_geodesic(mesh)[sampled],
+        mesh,
+        skin_vertices,
+        everywhere,
     )
 
 

@@ -1,6 +1,6 @@
 """A score that tells people from things: logistic regression on features of a surface and of a network's answer to it.
 
-The weights in `person_score.json` were fitted on made rooms by `tools/bench people` (docs/things.md); the file names
+The weights in `person_score.json` were fitted on made rooms by `tools/bench things` (docs/things.md); the file names
 its source. There are two models: "parts" for networks that label the 33 parts, "shape" for all others.
 """
 
@@ -81,7 +81,7 @@ def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
     """Rebuild a score from what `PersonScore.to_json` gave. Raises BadConfig for other features."""
     weights = tree["weights"]
     if tuple(weights) != FEATURES[model]:
-        raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench people")
+        raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench things")
     return PersonScore(model, np.array(list(weights.values()), np.float64), float(tree["bias"]), float(tree["cutoff"]))
 
 

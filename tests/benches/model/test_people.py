@@ -1,66 +1,185 @@
-"""`bench people`: the fit of the score, and what the bench writes."""
+"""`bench people`: reading annotated bodies, placing landmarks by them, intervals, and what the bench writes."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from benches.model.people import bench
-from benches.model.people.bench import RIDGE, bench_people, cross_scores, logistic_fit
 
-from bodyseg_model.segmentation.people.features import PART_FEATURES, SHAPE_FEATURES
-from bodyseg_model.segmentation.people.person_score import score_from_json
+torch = pytest.importorskip("torch")
+pytest.importorskip("anny")
 
+from benches.model.people import bench, landmarks  # noqa: E402
+from benches.model.people.bench import bench_people  # noqa: E402
+from benches.model.people.bodies import annotated_bodies  # noqa: E402
+from benches.model.people.intervals import interval, summed  # noqa: E402
+from benches.model.people.landmarks import placed  # noqa: E402
+from benches.model.people.scores import accuracy, by_groups  # noqa: E402
+from label_networks import Places  # noqa: E402
+from shapes import ball  # noqa: E402
 
-def clouds(count: int = 400) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    draws = np.random.default_rng(3)
-    person = draws.random(count) < 0.4
-    features = draws.normal(size=(count, 3)) * (1, 5, 0.1) + np.where(person[:, None], (1.5, 2.0, 0), 0) + (0, 100, 7)
-    return features, person
+from bodyseg_data.bodies.anny.library import one_thread  # noqa: E402
+from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
+from bodyseg_data.core.errors import BadConfig, BadLandmarks  # noqa: E402
+from bodyseg_data.core.parts import LANDMARKS, PARTS  # noqa: E402
+from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 
-
-def test_a_fit_is_where_the_penalised_likelihood_is_flat() -> None:
-    features, person = clouds()
-    weights, bias = logistic_fit(features, person)
-    likely = 1 / (1 + np.exp(-(features @ weights + bias)))
-    spread = features.std(axis=0)
-    standard = (features - features.mean(axis=0)) / spread
-    np.testing.assert_allclose(standard.T @ (person - likely), RIDGE * weights * spread, atol=1e-5)
-    assert (person - likely).sum() == pytest.approx(0, abs=1e-5)
-    assert ((likely > 0.5) == person).mean() > 0.75
-
-
-def test_a_feature_that_never_changes_has_no_weight() -> None:
-    features, person = clouds()
-    features[:, 2] = 4.0
-    weights, _ = logistic_fit(features, person)
-    assert weights[2] == pytest.approx(0, abs=1e-9) and np.isfinite(weights).all()
+MOVED = LANDMARKS.index("Rt. Acromion")
 
 
-def test_cross_scores_come_from_other_rooms() -> None:
-    features, person = clouds()
-    room = np.arange(len(person)) // 4
-    found = cross_scores(features, person, room)
-    held = room % 5 == 2
-    weights, bias = logistic_fit(features[~held], person[~held])
-    np.testing.assert_allclose(found[held], 1 / (1 + np.exp(-(features[held] @ weights + bias))))
-    assert ((found > 0.5) == person).mean() > 0.75
+@pytest.fixture(scope="module")
+def body() -> FittingBody:
+    with one_thread():
+        return fitting_body()
 
 
-def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
-    draws = np.random.default_rng(0)
-    person = draws.random(120) < 0.5
-    features = {
-        "parts": draws.normal(size=(120, len(SHAPE_FEATURES) + len(PART_FEATURES))) + person[:, None],
-        "shape": draws.normal(size=(120, len(SHAPE_FEATURES))) + person[:, None],
-    }
-    seen = bench.Surfaces(features, person, np.arange(120))  # type: ignore[arg-type]
-    monkeypatch.setattr(bench, "seen_surfaces", lambda network, count, progress: seen)
-    monkeypatch.setattr(bench, "people_and_things", lambda network, score, count, progress: {"rooms": count})
-    figures = bench_people(views=50)
-    assert figures["test"] == {"rooms": 10}
-    assert figures["score"]["source"]["people"] == person.sum()
-    for model, quality in figures["cross_validation"].items():
-        score = score_from_json(model, figures["score"]["models"][model])
-        assert quality["people_lost"] <= 0.04 and 0 <= quality["things_kept"] < 0.5 and 0 < score.cutoff < 1
+def known_fit(body: FittingBody, pose: str, scale: float) -> Fit:
+    zeros = [torch.zeros(count).double() for count in (len(body.joints.deviation), len(body.head_shapes))]
+    return Fit(body.start(dict(POSTURES)[pose]), torch.zeros(3).double(), torch.tensor(scale).double(), *zeros)
+
+
+def annotations(body: FittingBody) -> np.ndarray[Any, Any]:
+    """The open body's vertices, but both shoulders moved to vertices some centimetres away."""
+    vertices = body.landmark_vertices.copy()
+    rest = body.mesh.vertices
+    for label, across in ((MOVED, -1), (PARTS[MOVED].mirror, 1)):
+        wanted = rest[vertices[label]] + (across * 0.04, -0.03, 0)
+        vertices[label] = body.skin[np.linalg.norm(rest[body.skin] - wanted, axis=1).argmin()]
+    return vertices
+
+
+def write(folder: Path, name: str, mesh: Mesh, points: np.ndarray[Any, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [" ".join(f"{value:.6f}" for value in vertex) for vertex in mesh.vertices]
+    rows += [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
+    (folder / f"{name}.off").write_text("\n".join(["OFF", f"{len(mesh.vertices)} {len(mesh.faces)} 0", *rows, ""]))
+    table = dict(zip(LANDMARKS, points.tolist(), strict=True)) | {"Crotch": [0.0, 0.0, 0.0]}
+    (folder / f"{name}_landmarks.json").write_text(json.dumps(table))
+
+
+def test_people_and_poses_follow_from_names_and_folders(tmp_path: Path) -> None:
+    mesh = ball()
+    for name in ("a", "b", "c", "d"):
+        write(tmp_path, name, mesh, mesh.vertices[:33])
+    (tmp_path / "unannotated.off").write_text((tmp_path / "a.off").read_text())
+    for name in ("x", "y"):
+        write(tmp_path / "ann", name, mesh, mesh.vertices[:33])
+    bodies = annotated_bodies(tmp_path, 2)
+    assert [(one.name, one.person, one.pose) for one in bodies] == [
+        ("a", "person 0", "pose 0"),
+        ("b", "person 0", "pose 1"),
+        ("c", "person 1", "pose 0"),
+        ("d", "person 1", "pose 1"),
+        ("x", "ann", "pose 0"),
+        ("y", "ann", "pose 1"),
+    ]
+    np.testing.assert_allclose(bodies[0].points, mesh.vertices[:33], atol=1e-6)
+
+
+def test_folders_that_cannot_be_measured_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="needs meshes with landmarks: NAME_landmarks.json, found none in"):
+        annotated_bodies(tmp_path, 10)
+    with pytest.raises(
+        BadConfig, match="the number of poses of a person must be a whole number of at least 1, found 0"
+    ):
+        annotated_bodies(tmp_path, 0)
+    write(tmp_path, "a", ball(), ball().vertices[:33])
+    for text, message in (("{}", "'Sellion', 'Nuchale'"), ("x", "'points' must map names to coordinates")):
+        (tmp_path / "a_landmarks.json").write_text(text)
+        with pytest.raises(BadLandmarks, match=f"a_landmarks.json: .*{message}"):
+            annotated_bodies(tmp_path, 10)
+
+
+def test_an_interval_holds_the_mean_and_narrows_with_more_groups() -> None:
+    draws = np.random.default_rng(0).normal(0.7, 0.1, 64)
+
+    def mean(sums: np.ndarray[Any, Any]) -> float:
+        return float(sums[0] / sums[1])
+
+    for count in (16, 64):
+        some = draws[:count]
+        found = interval([np.array([value, 1.0]) for value in some], mean)
+        assert found is not None and found[0] < some.mean() < found[1]
+        assert found[1] - found[0] == pytest.approx(2 * 1.96 * some.std() / count**0.5, rel=0.15)
+    assert interval([np.array([0.5, 1.0])], mean) is None
+    assert interval([np.array([0.5, 1.0])] * 3, mean) == [0.5, 0.5]
+
+
+def test_arrays_are_added_up_by_name() -> None:
+    found = summed({("a", 1): np.array([1]), ("b", 1): np.array([2]), ("a", 2): np.array([4])}, lambda key: key[0])
+    assert {name: array.tolist() for name, array in found.items()} == {"a": [5], "b": [2]}
+
+
+def test_scores_by_person_and_pose() -> None:
+    right, wrong = np.zeros((33, 33), np.int64), np.zeros((33, 33), np.int64)
+    right[0, 0] = right[1, 1] = 10
+    wrong[0, 0] = wrong[1, 2] = 10
+    counts = {("p", "one", "a"): right, ("p", "two", "b"): wrong, ("q", "one", "c"): right, ("q", "two", "d"): wrong}
+    found = by_groups(counts)
+    assert accuracy(right) == 1 and accuracy(wrong) == 0.5
+    assert (found["images"], found["accuracy"]) == (4, 0.75)
+    assert found["interval"] == [0.5, 1]  # two poses: each may be drawn twice
+    assert found["people"] == {name: {"accuracy": 0.75, "interval": [0.5, 1]} for name in ("p", "q")}
+    assert list(found["poses"].items()) == [
+        ("two", {"accuracy": 0.5, "interval": [0.5, 0.5]}),
+        ("one", {"accuracy": 1.0, "interval": [1.0, 1.0]}),
+    ]
+    assert found["bodies"]["q, two"] == 0.5 and found["parts"]["Nuchale"] == 0.5
+
+
+def test_what_the_bench_finds_on_bodies_with_known_landmarks(
+    body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits, true = {}, annotations(body)
+    for name, pose, scale in (("one", "standing", 1.0), ("two", "a_pose", 1.1)):
+        fit = known_fit(body, pose, scale)
+        vertices = fitted_points(body, fit, body.whole)[0]
+        fits[name] = fit
+        write(tmp_path, name, Mesh(name, vertices, body.mesh.faces), vertices[true])
+    monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fits[mesh.name], 0.06))
+    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 10)))
+    steps: list[tuple[int, int]] = []
+    figures = bench_people(str(tmp_path), views=1, poses=1, progress=lambda done, total: steps.append((done, total)))
+    assert (figures["bodies"], figures["people"], figures["network"]) == (2, 2, "shipped")
+    assert steps[-1] == (6, 6)
+    found = figures["landmarks"]
+    assert found["poor_fits"] == ["one", "two"]
+    shipped, placed_by_all, placed_by_other = (found[name] for name in ("shipped", "all_people", "other_people"))
+    error = 1000 * np.linalg.norm(body.mesh.vertices[true] - body.mesh.vertices[body.landmark_vertices], axis=1)[MOVED]
+    moved = shipped["landmarks"]["Rt. Acromion"]
+    assert moved["mean_mm"] == pytest.approx(1.05 * error, rel=0.2)
+    assert moved["up_mm"] > 10 and moved["left_mm"] > 15  # the shipped one is too high and too far in
+    assert shipped["landmarks"]["Lt. Acromion"]["left_mm"] < -15
+    assert shipped["largest_mean_offset"].endswith("Acromion")
+    for better in (placed_by_all, placed_by_other):
+        assert better["mean_mm"] < 0.5 * shipped["mean_mm"]
+        assert better["wrong_surface"] < 0.5 * shipped["wrong_surface"]
+        assert better["landmarks"]["Rt. Acromion"]["mean_mm"] < 8
+    assert set(shipped["people"]) == {"person 0", "person 1"} and set(shipped["meshes"]) == {"one", "two"}
+    for variant in ("all", "none"):
+        scores = figures["scores"][variant]
+        assert scores["images"] == 2 and 0 < scores["accuracy"] < 0.5
+        assert scores["calibration_error"] > 0.5  # this network is always sure
+        assert set(scores["people"]) == {"person 0", "person 1"} and set(scores["poses"]) == {"pose 0"}
+
+
+def test_placed_landmarks_are_the_same_left_and_right(
+    body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = known_fit(body, "t_pose", 1.0)
+    mesh = Mesh("one", fitted_points(body, fit, body.whole)[0], body.mesh.faces)
+    points = mesh.vertices[annotations(body)]
+    points[MOVED] += (0.01, 0.02, 0)  # on one side alone
+    write(tmp_path, "one", mesh, points)
+    monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fit, 0.0))
+    vertices = placed([landmarks.fitted_to(body, one) for one in annotated_bodies(tmp_path, 1)])
+    rest = body.mesh.vertices[vertices]
+    mirror = [part.mirror for part in PARTS]
+    np.testing.assert_allclose(rest[mirror] * (-1, 1, 1), rest, atol=0.004)

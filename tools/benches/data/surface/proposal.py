@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
 from benches.measuring import Progress, silent
-from bodyseg_data.bodies.landmark_fitting.search import Proposal, propose
+from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
+from bodyseg_data.bodies.landmark_fitting.search import propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import LANDMARKS, PARTS
@@ -48,8 +49,8 @@ def bench_proposal(mit: Path | None = None, progress: Progress = silent) -> dict
     """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
 
     swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that
-    proposed landmarks label otherwise. seconds: processor time. mit: folder of MIT frames, measured on as well.
-    Raises BadConfig for frames that are not there.
+    proposed landmarks label otherwise. gap_cm: the fit's (`FittedBody`). seconds: processor time. mit: folder of MIT
+    frames, measured on as well. Raises BadConfig for frames that are not there.
     """
     total = len(OPEN) + len(HARD) + (len(MIT) if mit else 0)
     bodies: dict[str, dict[str, Any]] = {}
@@ -83,6 +84,7 @@ def measure(mesh: Mesh, positions: NDArray[np.float64], proposal: Proposal) -> d
         "beyond_8_cm": int((error > 8).sum()),
         "swapped": int(swapped.sum()),
         "wrong_surface": round(float(part_areas(mesh, differ)[1]), 3),
+        "gap_cm": round(100 * proposal.gap_m, 1),
     }
 
 

@@ -1,1 +1,1 @@
-"""The score that tells people from things: fitted on made rooms, and measured on others."""
+"""People with annotated landmarks: proposals of landmarks and a network's scores, measured on their bodies."""

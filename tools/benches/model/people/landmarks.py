@@ -1,0 +1,158 @@
+"""Proposed landmarks of people against annotated ones, by landmarks that are placed on the open body in three ways.
+
+shipped: those of the open body as it ships. other people: placed by the annotations of all people but the one measured.
+all people: placed by everybody's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.data.surface.areas import part_areas
+from benches.model.people.bodies import Annotated
+from benches.model.people.intervals import interval, summed
+from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody
+from bodyseg_data.bodies.landmark_fitting.search import fit_body
+from bodyseg_data.bodies.landmark_fitting.template import FittingBody
+from bodyseg_data.core.parts import LANDMARKS, PARTS
+from bodyseg_data.meshes.landmarks.by_point import snap
+from bodyseg_data.meshes.landmarks.by_vertex import check_distinct
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+
+_MIRROR: Final = [part.mirror for part in PARTS]
+_ACROSS: Final = np.array([-1.0, 1.0, 1.0])
+_AXES: Final = ("left_mm", "up_mm", "forward_mm")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A body, the open body fitted to it, and the processor seconds that took. true: its partition by annotations."""
+
+    of: Annotated
+    fitted: FittedBody
+    seconds: float
+    true: Partition
+
+
+def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
+    """Fit the open body to an annotated one, whose annotations the fit does not use. Raises as `fit_body`."""
+    start = time.process_time()
+    fitted = fit_body(body, annotated.mesh)
+    seconds = time.process_time() - start
+    landmarks, _ = snap(annotated.mesh, annotated.points)
+    return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks))
+
+
+def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
+    """Place the landmarks on the open body by annotated bodies fitted to it: vertices, int64 [33], the same left and
+    right.
+
+    Each annotation is carried over; the median of all bodies and both sides, by coordinate, is snapped to the nearest
+    vertex. Raises BadLandmarks if two landmarks fall on one.
+    """
+    from scipy.spatial import KDTree
+
+    body = bodies[0].fitted.body
+    carried = np.stack([one.fitted.carried(one.of.points) for one in bodies])
+    middle = np.median(np.concatenate([carried, carried[:, _MIRROR] * _ACROSS]), axis=0)
+    tree = KDTree(body.mesh.vertices[body.skin])
+    vertices: NDArray[np.int64] = body.skin[tree.query(middle)[1]]
+    for part in PARTS:
+        if part.landmark.startswith("Rt."):
+            there = body.mesh.vertices[vertices[part.label]] * _ACROSS
+            vertices[part.mirror] = body.skin[tree.query(there)[1]]
+    check_distinct(vertices.tolist(), "landmarks placed by people's")
+    return vertices
+
+
+def measured(bodies: Sequence[Fitted], body: FittingBody) -> dict[str, Any]:
+    """All figures: of each way to place landmarks, and of each fit."""
+    people = list(dict.fromkeys(one.of.person for one in bodies))
+    all_people = placed(bodies)
+    ways = {"shipped": [(body.landmark_vertices, list(bodies))], "all_people": [(all_people, list(bodies))]}
+    if len(people) > 1:
+        ways["other_people"] = [
+            (placed([one for one in bodies if one.of.person != who]), [one for one in bodies if one.of.person == who])
+            for who in people
+        ]
+    seconds = [one.seconds for one in bodies]
+    return {
+        "seconds": {"mean": round(float(np.mean(seconds)), 1), "most": round(max(seconds), 1)},
+        "poor_fits": [one.of.name for one in bodies if one.fitted.proposal(all_people).poor],
+        "placed": dict(zip(LANDMARKS, all_people.tolist(), strict=True)),
+        **{name: _errors([error for way in pairs for error in _compared(*way)]) for name, pairs in ways.items()},
+        "fits": {
+            one.of.name: {"gap_mm": round(1000 * one.fitted.gap_m, 1), "seconds": round(one.seconds, 1)}
+            for one in bodies
+        },
+    }
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Errors of one body. away: [33], metres. upright: [33, 3], offsets as on the body at rest. wrong: share."""
+
+    of: Annotated
+    away: NDArray[np.float64]
+    upright: NDArray[np.float64]
+    wrong: float
+
+
+def _compared(vertices: NDArray[np.int64], bodies: Sequence[Fitted]) -> Iterator[_Compared]:
+    for one in bodies:
+        mesh = one.of.mesh
+        found = one.fitted.proposal(vertices).landmarks.for_mesh(mesh)
+        offsets = mesh.vertices[found] - one.of.points
+        differ = (partition(mesh, found).labels != one.true.labels).astype(np.uint8)
+        wrong = float(part_areas(mesh, differ)[1])
+        yield _Compared(one.of, np.linalg.norm(offsets, axis=1), one.fitted.upright(offsets, vertices), wrong)
+
+
+def _errors(errors: Sequence[_Compared]) -> dict[str, Any]:
+    away = 1000 * np.stack([one.away for one in errors])
+    offset = 1000 * np.stack([one.upright for one in errors]).mean(axis=0)
+    size = np.linalg.norm(offset, axis=1)
+    largest = int(size.argmax())
+    poses = summed({(n, one.of.pose): np.array([one.away.sum(), 33]) for n, one in enumerate(errors)}, _pose)
+    return {
+        "mean_mm": round(float(away.mean()), 1),
+        "interval_mm": _interval_mm(list(poses.values())),
+        "median_mm": round(float(np.median(away)), 1),
+        "worst_mm": round(float(away.max()), 1),
+        "largest_mean_offset_mm": round(float(size[largest]), 1),
+        "largest_mean_offset": LANDMARKS[largest],
+        "wrong_surface": round(float(np.mean([one.wrong for one in errors])), 4),
+        "people": {
+            person: round(float(np.mean([1000 * one.away.mean() for one in errors if one.of.person == person])), 1)
+            for person in dict.fromkeys(one.of.person for one in errors)
+        },
+        "landmarks": {
+            name: {"mean_mm": round(float(away[:, n].mean()), 1), "offset_mm": round(float(size[n]), 1)}
+            | {axis: round(float(value), 1) for axis, value in zip(_AXES, offset[n], strict=True)}
+            for n, name in enumerate(LANDMARKS)
+        },
+        "meshes": {
+            one.of.name: {
+                "mean_mm": round(1000 * float(one.away.mean()), 1),
+                "worst_mm": round(1000 * float(one.away.max()), 1),
+                "worst": LANDMARKS[int(one.away.argmax())],
+                "wrong_surface": round(one.wrong, 4),
+            }
+            for one in errors
+        },
+    }
+
+
+def _pose(key: tuple[int, str]) -> str:
+    return key[1]
+
+
+def _interval_mm(poses: list[NDArray[np.float64]]) -> list[float] | None:
+    found = interval(poses, lambda sums: 1000 * float(sums[0] / sums[1]))
+    return None if found is None else [round(value, 1) for value in found]

@@ -1,0 +1,139 @@
+"""Scores of a network on views of people, by person and pose, with intervals."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.model.people.bodies import Annotated
+from benches.model.people.intervals import interval, summed
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.core.views import ViewGrid, split_key
+from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
+from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.sampler import body_key
+from bodyseg_model.evaluation.evaluation import Extra, PredictedImage, evaluate, open_images
+from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
+from bodyseg_model.networks.network import Network
+
+VARIANTS: Final = ("all", "none")
+
+_EXTRAS: Final[tuple[Extra, ...]] = ("confidences",)
+_SOURCE: Final = "folder"
+_SPAN_DEG: Final = 360
+_AZIMUTHS: Final = 36
+
+Counts = NDArray[np.int64]
+Key = tuple[str, str, str]
+"""Person, pose and key of an image."""
+
+
+def packed_views(bodies: Sequence[Annotated], views: int, folder: Path) -> dict[str, Annotated]:
+    """Pack test images of the bodies, from all round, into `folder`/set; returns the beginning of keys -> body.
+
+    Raises the errors of `pack`.
+    """
+    meshes = folder / "meshes"
+    by_file: dict[str, Annotated] = {}
+    for number, body in enumerate(bodies):
+        home = meshes / "test" / f"p{number:03d}"
+        home.mkdir(parents=True)
+        suffixes = "".join(body.path.suffixes[-2:] if body.path.suffix == ".gz" else body.path.suffixes[-1:])
+        (home / f"body{suffixes}").symlink_to(body.path.resolve())
+        points = dict(zip(LANDMARKS, body.points.tolist(), strict=True))
+        table = {"format": LANDMARKS_FORMAT, "units": "m", "points": points}
+        (home / "body.json").write_text(json.dumps(table), encoding="utf-8")
+        by_file[home.name] = body
+    grid = ViewGrid(azimuths=_AZIMUTHS, span_deg=_SPAN_DEG, count=views)
+    packing = Packing(_SOURCE, path=meshes, units="m", up="y", views=grid)
+    with ThreadPoolExecutor(1) as executor:
+        pack(packing, folder / "set", executor, 1)
+    listed = open_source(_SOURCE, meshes, None, "m", "y").bodies()
+    return {body_key(_SOURCE, ref): by_file[ref.subject] for ref in listed}
+
+
+def scored(
+    network: Network,
+    folder: Path,
+    bodies: dict[str, Annotated],
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Scores of every variant of the packed views."""
+    results: dict[str, Any] = {}
+    for number, variant in enumerate(VARIANTS):
+        images = open_images(str(folder / "set"), variant)
+        counts: dict[Key, Counts] = {}
+
+        def watch(image: PredictedImage, accuracy: float, counts: dict[Key, Counts] = counts) -> None:
+            if not math.isnan(accuracy):
+                body = bodies[split_key(image.key)[0]]
+                counts[body.person, body.pose, image.key] = count_pairs(pairs_of(image.labels, image.predicted))
+
+        def show(done: int, total: int, before: int = number * len(images)) -> None:
+            progress(before + done, len(VARIANTS) * total)
+
+        evaluation = evaluate(network, images, extras=_EXTRAS, progress=show, watch=watch)
+        confidences = evaluation.total().confidences
+        calibration = None if confidences is None else _rounded(confidences.ece())
+        results[variant] = by_groups(counts) | {"calibration_error": calibration}
+    return results
+
+
+def by_groups(counts: dict[Key, Counts]) -> dict[str, Any]:
+    """Average per-class accuracy of all images, of each person and of each pose, with intervals, and of each body.
+
+    counts: int64 [33, 33] of each image. The interval of all images draws poses, with all who took them; that of a
+    person the poses; that of a pose its images.
+    """
+    everything = list(counts.values())
+    total = accuracy(np.sum(everything, axis=0)) if everything else float("nan")
+    bodies = summed(counts, lambda key: f"{key[0]}, {key[1]}")
+    poses = _each((key[1] for key in counts), lambda name: [one for key, one in counts.items() if key[1] == name])
+    return {
+        "images": len(counts),
+        "accuracy": _rounded(total),
+        "interval": interval(list(summed(counts, lambda key: str(key[1])).values()), accuracy),
+        "people": _each(
+            (key[0] for key in counts),
+            lambda name: list(
+                summed({k: one for k, one in counts.items() if k[0] == name}, lambda k: str(k[1])).values()
+            ),
+        ),
+        "poses": dict(sorted(poses.items(), key=lambda item: float(item[1]["accuracy"] or 0))),
+        "bodies": {name: _rounded(accuracy(one)) for name, one in bodies.items()},
+        "parts": {
+            name: _rounded(float(value))
+            for name, value in zip(LANDMARKS, _matrix(np.sum(everything, axis=0)).per_class_accuracy(), strict=True)
+        },
+    }
+
+
+def accuracy(counts: NDArray[Any]) -> float:
+    """Average per-class accuracy of counts [33, 33]."""
+    return _matrix(counts).average_per_class_accuracy()
+
+
+def _matrix(counts: NDArray[Any]) -> ConfusionMatrix:
+    matrix = ConfusionMatrix()
+    matrix.counts = counts
+    return matrix
+
+
+def _each(names: Iterable[str], groups: Callable[[str], list[Counts]]) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name in dict.fromkeys(names):
+        parts = groups(name)
+        found[name] = {"accuracy": _rounded(accuracy(np.sum(parts, axis=0))), "interval": interval(parts, accuracy)}
+    return found
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 4)
