@@ -27,10 +27,13 @@ from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.core.splits import split_by_motion, split_by_order
 from bodyseg_data.meshes.mesh import Mesh
 
-class MadeBodies(ListedBodies[Callable[[], Figure]]):
+Maker = Callable[[], Figure]
+
+
+class MadeBodies(ListedBodies[Maker]):
     """Bodies that are made on demand, each from its figure."""
 
-    def __init__(self, name: str, figures: Mapping[BodyRef, Callable[[], Figure]]) -> None:
+    def __init__(self, name: str, figures: Mapping[BodyRef, Maker]) -> None:
         """figures: called for one body at a time, so that listing bodies computes no pose."""
         super().__init__(figures)
         self.name = name
@@ -42,14 +45,25 @@ class MadeBodies(ListedBodies[Callable[[], Figure]]):
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of persons, poses, outfits, landmarks and the version of Anny. Raises MissingLibrary."""
+        figures = [self.figure(body) for body in bodies]
+        return hashlib.sha256(repr((*self.shaping(), figures)).encode()).hexdigest()
+
+    def shaping(self) -> tuple[str, tuple[int, ...]]:
+        """Return what shapes all made bodies: the version of Anny, and the landmarks. Raises MissingLibrary."""
         from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 
         try:
             version = importlib.metadata.version("anny")
         except importlib.metadata.PackageNotFoundError as error:
             raise no_anny(error) from error
-        figures = [self.figure(body) for body in bodies]
-        return hashlib.sha256(repr((version, load_landmarks("open").vertices, figures)).encode()).hexdigest()
+        return version, load_landmarks("open").vertices
+
+    @property
+    def model(self) -> AnnyModel:
+        """The body model, loaded when it is first asked for. Raises the errors of `build`."""
+        if self._model is None:
+            self._model = AnnyModel()
+        return self._model
 
     def build(self, body: BodyRef, dressed: bool = True) -> Body:
         """Build a mesh of 13 718 vertices and 27 420 triangles over the origin, its lowest point at y = height_m.
@@ -61,9 +75,7 @@ class MadeBodies(ListedBodies[Callable[[], Figure]]):
         from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 
         figure = self.figure(body)
-        if self._model is None:
-            self._model = AnnyModel()
-        vertices, faces = self._model.surface(figure, dressed)
+        vertices, faces = self.model.surface(figure, dressed)
         return Body(Mesh(body.mesh, vertices, faces), np.array(load_landmarks("open").vertices, np.int64))
 
 
