@@ -23,6 +23,8 @@ _JITTER_DEG: Final = 12.0
 
 _KINDS: Final = {"touch": 0.66, "other hand": 0.05, "air": 0.2, "free": 0.09}
 
+_SEAT: Final = 0.08  # chance of a hand on the seat where there is one
+
 # Places that a hand or forearm touches: of the trunk and head, of the same side, of the other side.
 _MIDDLE: Final = {
     "face": 1.3, "crown": 0.5, "back of the head": 0.6, "neck": 0.6, "chest": 1.3, "belly": 1.2, "lower back": 0.9,
@@ -97,23 +99,26 @@ class ArmTask:
         return replace(preset, **angles, fist=self.fist)
 
 
-def drawn(body: Body, floor_hands: float, draws: np.random.Generator) -> ArmTask:
-    """Draw a task. floor_hands: chance of the floor."""
+def drawn_kind(body: Body, floor_hands: float, draws: np.random.Generator) -> str:
+    """Draw what kind of task an arm has. floor_hands: chance of the floor."""
     if draws.random() < floor_hands:
-        return _on_floor(body, draws)
-    if body.seat and draws.random() < 0.08:
-        return _on_seat(body, draws)
+        return "floor"
+    if body.seat and draws.random() < _SEAT:
+        return "seat"
     kind = chosen(_KINDS, draws)
-    if kind == "other hand" and body.other_placed:
+    return "touch" if kind == "other hand" and not body.other_placed else kind
+
+
+def drawn(kind: str, body: Body, draws: np.random.Generator) -> ArmTask:
+    """Draw a task of a kind."""
+    if kind == "other hand":
         by = "palm" if draws.random() < 0.7 else "fingertips"
         on = "palm" if draws.random() < 0.5 else "back of the hand"
         return _touching(body, by, on, _across(body.side), draws)
-    if kind == "air":
-        return _in_the_air(body, draws)
     if kind == "free":
         relaxed = Arm(**within(_RELAXED, draws))
         return ArmTask("free", [], uniform(draws, 0, 0.6), (relaxed,), ARM)
-    return _on_body(body, draws)
+    return {"floor": _on_floor, "seat": _on_seat, "air": _in_the_air, "touch": _on_body}[kind](body, draws)
 
 
 def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:

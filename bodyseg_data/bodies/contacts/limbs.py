@@ -22,7 +22,7 @@ _FINGERS: Final = tuple(
 _LEG_BONES: Final = ("upperleg01", "upperleg02", "lowerleg01", "lowerleg02", "foot")
 _TOES: Final = tuple(f"toe{toe}-{part}" for toe in range(1, 6) for part in (1, 2, 3))
 _TORSO_BONES: Final = 2  # clavicle and shoulder01, whose skin is the trunk's
-_PROBES: Final = 70
+_PROBES: Final = 40
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class Limb:
         along = self._offsets(np.flatnonzero(middle)) @ bone / (bone @ bone)
         self.far: NDArray[np.bool_] = beyond.copy()
         self.far[np.flatnonzero(middle)[along > 0.6]] = True
-        self.probes = _spread(person.modelled, np.flatnonzero(self.far), _PROBES)
+        end = np.isin(person.owner, self._bones[upper.index("wrist" if kind == "arm" else "foot") :])
+        self.probes = np.concatenate([_spread(person.modelled, np.flatnonzero(of), _PROBES) for of in (self.far & ~end, end)])
 
     def _offsets(self, vertices: NDArray[np.int64]) -> Floats:
         person, own = self._person, self._person.owner[vertices]

@@ -76,6 +76,7 @@ class Places:
             ("inner shin", shin, out < -0.5),
             ("calf", shin, z < -0.4),
             ("instep", (f"foot.{side}",), y > 0.4),
+            ("foot", (f"foot.{side}", *(f"toe{toe}-{part}.{side}" for toe in range(1, 6) for part in (1, 2, 3))), True),
             ("sole", (f"foot.{side}",), y < -0.8),
             ("outer ankle", (f"foot.{side}", shin[1]), (out > 0.5) & self._near(heads, person, f"foot.{side}")),
             ("upper arm", (f"upperarm01.{side}", f"upperarm02.{side}"), (out > 0.2) | (z > 0.4)),

@@ -6,6 +6,7 @@ floor, and, weakly, of the distance from a preferred posture, which settles what
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -53,10 +54,20 @@ class Reach:
     """One search: a limb on its base, among obstacles."""
 
     def __init__(
-        self, limb: Limb, base: Base, normals: Floats, goals: list[Goal], obstacles: Skin | None, floor: float | None
+        self,
+        limb: Limb,
+        base: Base,
+        normals: Floats,
+        goals: Sequence[Goal],
+        obstacles: Skin,
+        floor: float,
+        resting: Sequence[NDArray[np.int64]] = (),
     ) -> None:
-        """normals: [V, 3], of the modelled surface. floor: height in metres, or None for no floor."""
-        self._limb, self._base, self._obstacles, self._floor, self._goals = limb, base, obstacles, floor, goals
+        """normals: [V, 3], of the modelled surface. floor: its height, metres. resting: groups of the limb's vertices,
+        of each of which the lowest touches the floor.
+        """
+        self._limb, self._base, self._obstacles, self._floor = limb, base, obstacles, floor
+        self._resting = [limb.points(group, normals[group]) for group in resting]
         vertices = np.array([goal.vertex for goal in goals], np.int64)
         self._points = limb.points(vertices, normals[vertices])
         self._probes: Points = limb.points(limb.probes, normals[limb.probes])
@@ -102,14 +113,17 @@ class Reach:
         """Return the largest distance of a point from its goal along the axes that matter, metres."""
         turns, heads = self._limb.bones(angles, self._base)
         off = (self._points.moved(turns, heads) - self._places) * (self._axes > 0)
-        return float(np.linalg.norm(off, axis=1).max(initial=0))
+        above = np.abs(self._above_floor(turns, heads))
+        return max(float(np.linalg.norm(off, axis=1).max(initial=0)), float(above.max(initial=0)))
 
     def depth_m(self, angles: Arm | Leg) -> float:
         """Return the depth to which a limb goes into the body, metres, 0 if it does not."""
-        if self._obstacles is None:
-            return 0.0
         heights = self._obstacles.heights(self._probes.moved(*self._limb.bones(angles, self._base)))
         return max(0.0, -float(heights.min()))
+
+    def _above_floor(self, turns: Floats, heads: Floats) -> Floats:
+        """Return the height of the lowest point of each resting group above the floor, metres."""
+        return np.array([points.moved(turns, heads)[:, 1].min() - self._floor for points in self._resting])
 
     def _residuals(self, angles: Arm | Leg) -> Floats:
         turns, heads = self._limb.bones(angles, self._base)
@@ -119,10 +133,9 @@ class Reach:
             facing = self._points.facing(turns)
             parts.append(np.array([_FACING * (1 - float(facing[index] @ look)) for index, look in self._looks]))
         probes = self._probes.moved(turns, heads)
-        if self._obstacles is not None:
-            parts.append(np.maximum(_GAP_M - self._obstacles.heights(probes), 0) / _NEAR_M)
-        if self._floor is not None:
-            parts.append(np.maximum(self._floor + _GAP_M - probes[:, 1], 0) / _NEAR_M)
+        parts.append(np.maximum(_GAP_M - self._obstacles.heights(probes), 0) / _NEAR_M)
+        parts.append(np.maximum(self._floor - probes[:, 1], 0) / _NEAR_M)
+        parts.append(self._above_floor(turns, heads) / _NEAR_M)
         if isinstance(angles, Arm):
             parts.append(np.array([max(angles.flex + max(angles.abduct, 0) - MOST_RAISED, 0) / _RAISED_DEG]))
         return np.concatenate(parts)

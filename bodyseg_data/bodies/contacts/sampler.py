@@ -28,10 +28,13 @@ _GAP_M: Final = 0.004
 _PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
 _BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
 _ATTEMPTS: Final = 40
-_ARM_TRIES: Final = 5
+_ARM_TRIES: Final = 6
 _ALL: Final = np.ones(3)
-_HEIGHT: Final = np.array([0.0, 1.0, 0.0])
-_UP: Final = np.array([0.0, 1.0, 0.0])
+_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
+_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
+_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
+_PAIRS: Final = 10
+_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Sampler:
         self._legs: dict[Side, Limb] = {"L": Limb(person, "leg", "L"), "R": Limb(person, "leg", "R")}
         self._arms: dict[Side, Limb] = {"L": Limb(person, "arm", "L"), "R": Limb(person, "arm", "R")}
         limbs = [*self._legs.values(), *self._arms.values()]
+        self._far = np.any([limb.far for limb in limbs], axis=0)
         self._trunk = self._places.solid & ~np.any([limb.vertices for limb in limbs], axis=0)
         lifted = np.any(
             [*(leg.far for leg in self._legs.values()), *(arm.vertices for arm in self._arms.values())], axis=0
@@ -86,9 +90,12 @@ class Sampler:
         contacts: dict[Side, str] = {}
         first: Side = "L" if draws.random() < 0.5 else "R"
         for side in (first, _other(first)):
-            pose, contacts[side] = self._with_arm(pose, side, stance, floor, side != first, draws)
+            placed = self._with_arm(pose, side, stance, floor, side != first, draws)
+            if placed is None:
+                return None
+            pose, contacts[side] = placed
         vertices, normals = self._posed(pose)
-        if vertices[self._places.solid, 1].min() < floor - _BELOW_M:
+        if vertices[self._far, 1].min() < floor - _BELOW_M or vertices[self._places.solid, 1].min() < floor - _SHOULDER_M:
             return None
         limbs = [*self._legs.values(), *self._arms.values()]
         return pose, (contacts["L"], contacts["R"]), deepest_m(vertices, normals, limbs, self._places.solid)
@@ -105,65 +112,82 @@ class Sampler:
         pose = Pose(trunk, Arm(), Arm(), starts["L"], starts["R"])
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
-        if stance.pelvis is not None:
-            floor = float(heads[0, 1]) - uniform(draws, *stance.pelvis) * self._leg_m
-        else:
+        feet = {side: self._foot(task, side, stance, heads, draws) for side, task in tasks.items()}
+        if stance.pelvis is None:
             floor = float(vertices[self._resting, 1].min()) + _PRESSED_M
-        chest = heads[self._person.numbers["spine02"]] - heads[0]
-        under = 0.8 * chest[[0, 2]] if stance.balanced else np.zeros(2)
+        else:
+            floor = float(heads[0, 1]) - uniform(draws, *stance.pelvis) * self._leg_m
+            floor = max([floor, *(self._lowest(heads, side, tasks[side], feet[side]) for side in feet)])
         done = self._trunk.copy()
         for side in (_other(first), first):  # the first one may touch the other
-            limb, task = self._legs[side], tasks[side]
+            limb, task, at = self._legs[side], tasks[side], feet[side]
             vertices, normals = self._posed(pose)
-            goals = self._leg_goals(task, side, heads, under, floor, vertices, normals, draws)
             base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
+            goals = []
+            if at is not None:
+                goals.append(Goal(_middle(self._places.on("sole", side)), np.array([at[0], floor, at[1]]), _ALL))
+            if task.by:
+                goals.append(self._touch(task, side, limb.bones(starts[side], base), vertices, normals, draws))
             ranges = {name: LEG[name] for name in ("flex", "abduct", "twist", "knee")}
             if "planted" in task.start:
                 ranges["ankle"] = LEG["ankle"]
             if task.start.get("twist", (0, 0))[1] > LEG["twist"][1]:
                 ranges["twist"] = CROSSED_TWIST
-            obstacles = Skin(vertices, normals, done & self._places.solid)
-            reached = Reach(limb, base, self._normals, goals, obstacles, floor)(starts[side], ranges)
-            if reached.miss_m > _MISS_M:
+            resting = [self._places.on(name, side) for name in task.floor]
+            reach = Reach(limb, base, self._normals, goals, Skin(vertices, normals, done), floor, resting)
+            reached = reach(starts[side], ranges)
+            if reached.miss_m > _MISS_M or reach.depth_m(reached.angles) > DEEPEST_M:
                 return None
             pose = replace(pose, **{"left_leg" if side == "L" else "right_leg": reached.angles})
             done |= limb.vertices
         return pose, floor
 
-    def _leg_goals(
+    def _foot(
+        self, task: LegTask, side: Side, stance: Stance, heads: Floats, draws: np.random.Generator
+    ) -> tuple[float, float] | None:
+        """Return x and z of a sole that is flat on the floor, metres, or None if this one is not."""
+        if task.out is None:
+            return None
+        hip, chest = heads[self._person.numbers[f"upperleg01.{side}"]], heads[self._person.numbers["spine02"]]
+        under = _CENTRE * (chest - heads[0]) if stance.balanced else np.zeros(3)
+        out, ahead = uniform(draws, *task.out), uniform(draws, *task.ahead)
+        return float(hip[0] + under[0] + (out if side == "L" else -out)), float(hip[2] + under[2] + ahead)
+
+    def _lowest(self, heads: Floats, side: Side, task: LegTask, at: tuple[float, float] | None) -> float:
+        """Return the height of the lowest floor that a leg's sole or knee reaches, -inf for a leg in the air."""
+        person, hip = self._person, self._person.numbers[f"upperleg01.{side}"]
+        if at is not None:
+            length = self._leg_m - float(person.heads[0, 1] - person.heads[hip, 1])
+            across = float(np.hypot(heads[hip, 0] - at[0], heads[hip, 2] - at[1]))
+            return float(heads[hip, 1] - np.sqrt(max((_STRETCHED * length) ** 2 - across**2, 0)))
+        if "knee" in task.floor:
+            thigh = float(np.linalg.norm(person.heads[person.numbers[f"lowerleg01.{side}"]] - person.heads[hip]))
+            return float(heads[hip, 1]) - thigh - _KNEE_M
+        return -np.inf
+
+    def _touch(
         self,
         task: LegTask,
         side: Side,
-        heads: Floats,
-        under: Floats,
-        floor: float,
+        bones: tuple[Floats, Floats],
         vertices: Floats,
         normals: Floats,
         draws: np.random.Generator,
-    ) -> list[Goal]:
-        goals = []
-        if task.out is not None:
-            hip = heads[self._person.numbers[f"upperleg01.{side}"]]
-            sign = 1 if side == "L" else -1
-            x = hip[0] + under[0] + sign * uniform(draws, *task.out)
-            z = hip[2] + under[1] + uniform(draws, *task.ahead)
-            sole = self._places.on("sole", side)
-            middle = sole[len(sole) // 2]
-            goals.append(Goal(int(middle), np.array([x, floor, z]), _ALL))
-        for name in task.floor:
-            vertex = _one_of(self._places.on(name, side), draws)
-            goals.append(Goal(vertex, np.array([0, floor, 0]), _HEIGHT, -_UP))
-        if task.by:
-            vertex = _one_of(self._places.on(task.by, side), draws)
-            name = task.touch[int(draws.random() * len(task.touch))]
-            at = _one_of(self._places.on(name, _other(side)), draws)
-            goals.append(Goal(vertex, vertices[at] + _GAP_M * normals[at], _ALL, -normals[at]))
-        return goals
+    ) -> Goal:
+        """Return the nearest of a few drawn pairs of a point of this leg and a point of the other one."""
+        own = self._places.on(task.by, side)
+        on = self._places.on(task.touch[int(draws.random() * len(task.touch))], _other(side))
+        mine = np.array([_one_of(own, draws) for _ in range(_PAIRS)])
+        theirs = np.array([_one_of(on, draws) for _ in range(_PAIRS)])
+        here = self._legs[side].points(mine, self._normals[mine]).moved(*bones)
+        best = int(np.linalg.norm(here - vertices[theirs], axis=1).argmin())
+        at = theirs[best]
+        return Goal(int(mine[best]), vertices[at] + _GAP_M * normals[at], _ALL, -normals[at])
 
     def _with_arm(
         self, pose: Pose, side: Side, stance: Stance, floor: float, other_placed: bool, draws: np.random.Generator
-    ) -> tuple[Pose, str]:
-        """Return the pose with one arm sent to a place, and the place; hanging if five places cannot be reached."""
+    ) -> tuple[Pose, str] | None:
+        """Return the pose with one arm sent to a place, and the place; None if none of six can be reached."""
         limb, other = self._arms[side], self._arms[_other(side)]
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
@@ -178,14 +202,15 @@ class Sampler:
             side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_placed,
             heads[self._person.numbers[f"upperarm01.{side}"]], heads[chest],
         )  # fmt: skip
+        kind = arms.drawn_kind(body, stance.floor_hands, draws)
         for _ in range(_ARM_TRIES):
-            task = arms.drawn(body, stance.floor_hands, draws)
+            task = arms.drawn(kind, body, draws)
             reach = Reach(limb, base, self._normals, task.goals, obstacles, floor)
             start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)
             reached = reach(start, task.ranges)
             if reached.miss_m <= _MISS_M and reach.depth_m(reached.angles) <= DEEPEST_M:
                 return replace(pose, **{"left_arm" if side == "L" else "right_arm": reached.angles}), task.name
-        return pose, "hanging"
+        return None
 
     def _posed(self, pose: Pose) -> tuple[Floats, Floats]:
         vertices = self._person.vertices(*self._person.placed(bone_rotations(pose)))
@@ -198,3 +223,7 @@ def _other(side: Side) -> Side:
 
 def _one_of(vertices: NDArray[np.int64], draws: np.random.Generator) -> int:
     return int(vertices[int(draws.random() * len(vertices))])
+
+
+def _middle(vertices: NDArray[np.int64]) -> int:
+    return int(vertices[len(vertices) // 2])

@@ -95,14 +95,14 @@ _FEET_CROSSED: Final = LegTask(
 )  # fmt: skip
 
 _STRETCHED: Final = LegTask(
-    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE, floor=("calf",)
+    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE, floor=("foot",)
 )
 _KNEE_UP: Final = LegTask(
-    {"flex": (85, 128), "abduct": (-4, 20), "twist": (-5, 20), "knee": (70, 132), "ankle": (0, 40)} | _FREE, floor=("sole",)
+    {"flex": (85, 128), "abduct": (-4, 20), "twist": (-5, 20), "knee": (70, 132), "ankle": (0, 40)} | _FREE, floor=("foot",)
 )
 _FOLDED: Final = LegTask(
     {"flex": (65, 100), "abduct": (22, 44), "twist": (40, 74), "knee": (85, 132), "ankle": (10, 40)} | _FREE,
-    floor=("outer ankle",),
+    floor=("foot",),
 )
 _SOLE_ON_THIGH: Final = LegTask(
     {"flex": (65, 100), "abduct": (20, 42), "twist": (35, 70), "knee": (95, 132), "ankle": (10, 35)} | _FREE,
@@ -111,7 +111,7 @@ _SOLE_ON_THIGH: Final = LegTask(
 
 _KNEELING: Final = LegTask(
     {"flex": (-5, 60), "abduct": (-2, 16), "twist": (-8, 8), "knee": (80, 134), "ankle": (25, 46)} | _FREE,
-    floor=("knee", "instep"),
+    floor=("knee", "foot"),
 )
 _HALF: Final = LegTask(
     {"flex": (70, 110), "abduct": (0, 15), "twist": (0, 15), "knee": (75, 110)}, out=(-0.04, 0.14), ahead=(0.2, 0.45)
@@ -121,7 +121,7 @@ _LYING_FLAT: Final = LegTask(
     {"flex": (-2, 8), "abduct": (-2, 22), "twist": (0, 38), "knee": (0, 12), "ankle": (10, 42)} | _FREE
 )
 _LYING_UP: Final = LegTask(
-    {"flex": (30, 75), "abduct": (-5, 20), "twist": (-10, 25), "knee": (60, 125), "ankle": (5, 45)} | _FREE, floor=("sole",)
+    {"flex": (30, 75), "abduct": (-5, 20), "twist": (-10, 25), "knee": (60, 125), "ankle": (5, 45)} | _FREE, floor=("foot",)
 )
 _TO_CHEST: Final = LegTask(
     {"flex": (85, 125), "abduct": (-5, 20), "twist": (-5, 20), "knee": (60, 130), "ankle": (0, 40)} | _FREE
@@ -171,7 +171,7 @@ STANCES: Final[dict[str, Stance]] = {
     ),
     "crouching": Stance(
         {"lean": (10, 48), "bend": (5, 48), "side": (-12, 12), "twist": (-22, 22)} | _HEAD | {"nod": (-35, 20)},
-        ((_CROUCHED, _CROUCHED), (_CROUCHED, _STEP_AHEAD)), (0.32, 0.72), floor_hands=0.12,
+        ((_CROUCHED, _CROUCHED), (_CROUCHED, _STEP_AHEAD)), (0.42, 0.76), floor_hands=0.12,
     ),
     "sitting_on_a_chair": Stance(
         {"lean": (-18, 32), "bend": (-2, 38), "side": (-14, 14), "twist": (-26, 26)} | _HEAD,
@@ -191,10 +191,10 @@ STANCES: Final[dict[str, Stance]] = {
     ),
     "kneeling": Stance(
         {"lean": (-6, 32), "bend": (-4, 38), "side": (-12, 12), "twist": (-24, 24)} | _HEAD,
-        ((_KNEELING, _KNEELING), (_HALF, _KNEELING)), (0.3, 0.58), balanced=False, floor_hands=0.08,
+        ((_KNEELING, _KNEELING), (_HALF, _KNEELING)), (0.42, 0.58), balanced=False, floor_hands=0.08,
     ),
     "on_all_fours": Stance(
-        {"lean": (66, 100), "bend": (-14, 30), "side": (-10, 10), "twist": (-15, 15)} | _HEAD | {"nod": (-42, 15)},
+        {"lean": (74, 98), "bend": (-14, 26), "side": (-10, 10), "twist": (-15, 15)} | _HEAD | {"nod": (-42, 15)},
         ((_KNEELING, _KNEELING),), (0.44, 0.56), balanced=False, floor_hands=0.82,
     ),
     "lying_on_the_back": Stance(
