@@ -19,9 +19,10 @@ Floats = NDArray[np.float64]
 _GAP_M: Final = 0.004
 _ALL: Final = np.ones(3)
 _UP: Final = np.array([0.0, 1.0, 0.0])
+_AROUND: Final = np.array([0.3, 1.0, 0.3])  # the height matters, the place not much
 _JITTER_DEG: Final = 12.0
 
-_KINDS: Final = {"touch": 0.66, "other hand": 0.05, "air": 0.2, "free": 0.09}
+_KINDS: Final = {"touch": 0.73, "other hand": 0.06, "air": 0.16, "free": 0.05}
 
 _SEAT: Final = 0.08  # chance of a hand on the seat where there is one
 
@@ -152,7 +153,7 @@ def _on_floor(body: Body, draws: np.random.Generator) -> ArmTask:
     else:
         by, fist = "inner forearm", uniform(draws, 0, 0.8)
     own = body.places.on(by, body.side)
-    goal = Goal(int(own[int(draws.random() * len(own))]), place, np.array([0.5, 1.0, 0.5]), -_UP)
+    goal = Goal(int(own[int(draws.random() * len(own))]), place, _AROUND, -_UP)
     return ArmTask(f"{by} on the floor", [goal], fist, tuple(_PRESETS.values()), ranges)
 
 
@@ -160,7 +161,7 @@ def _on_seat(body: Body, draws: np.random.Generator) -> ArmTask:
     sign = 1 if body.side == "L" else -1
     place = body.heads[0] + [sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)]
     own = body.places.on("palm", body.side)
-    goal = Goal(int(own[int(draws.random() * len(own))]), place, np.array([0.6, 1.0, 0.6]), -_UP)
+    goal = Goal(int(own[int(draws.random() * len(own))]), place, _AROUND, -_UP)
     return ArmTask("palm on the seat", [goal], uniform(draws, 0, 0.4), tuple(_PRESETS.values()), ARM | {"wrist": LOADED_WRIST})
 
 

@@ -25,6 +25,7 @@ _FACING: Final = 1.2  # weight of skin that lies flat on its goal
 _PREFERRED_DEG: Final = 90.0  # so far from the preferred posture counts as much as a point 1 cm from its goal
 _RAISED_DEG: Final = 10.0
 _GAP_M: Final = 0.004  # between skin and skin, and between skin and floor
+_RESTING: Final = 0.7  # weight of the height above the floor of what rests on it, as flesh gives way there
 _ROUNDS: Final = 14
 _STEP_DEG: Final = 0.5
 _DONE: Final = 1e-3  # relative gain of a round below which the search ends
@@ -44,7 +45,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Reached:
-    """Result of a search. angles: the limb's. miss_m: the largest distance of a point from its goal, metres."""
+    """Result of a search. angles: the limb's. miss_m: the largest weighted distance of a point from its goal, metres."""
 
     angles: Arm | Leg
     miss_m: float
@@ -110,10 +111,10 @@ class Reach:
         return Reached(angles, self.miss_m(angles))
 
     def miss_m(self, angles: Arm | Leg) -> float:
-        """Return the largest distance of a point from its goal along the axes that matter, metres."""
+        """Return the largest distance of a point from its goal, metres, weighted by the goal's axes."""
         turns, heads = self._limb.bones(angles, self._base)
-        off = (self._points.moved(turns, heads) - self._places) * (self._axes > 0)
-        above = np.abs(self._above_floor(turns, heads))
+        off = (self._points.moved(turns, heads) - self._places) * self._axes
+        above = _RESTING * np.abs(self._above_floor(turns, heads))
         return max(float(np.linalg.norm(off, axis=1).max(initial=0)), float(above.max(initial=0)))
 
     def depth_m(self, angles: Arm | Leg) -> float:

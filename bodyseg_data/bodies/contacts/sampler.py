@@ -28,7 +28,8 @@ _GAP_M: Final = 0.004
 _PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
 _BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
 _ATTEMPTS: Final = 40
-_ARM_TRIES: Final = 6
+_ARM_TRIES: Final = 8
+_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
 _ALL: Final = np.ones(3)
 _CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
 _STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
@@ -187,7 +188,7 @@ class Sampler:
     def _with_arm(
         self, pose: Pose, side: Side, stance: Stance, floor: float, other_placed: bool, draws: np.random.Generator
     ) -> tuple[Pose, str] | None:
-        """Return the pose with one arm sent to a place, and the place; None if none of six can be reached."""
+        """Return the pose with one arm sent to a place, and the place; None if none of eight can be reached."""
         limb, other = self._arms[side], self._arms[_other(side)]
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
@@ -202,8 +203,10 @@ class Sampler:
             side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_placed,
             heads[self._person.numbers[f"upperarm01.{side}"]], heads[chest],
         )  # fmt: skip
-        kind = arms.drawn_kind(body, stance.floor_hands, draws)
-        for _ in range(_ARM_TRIES):
+        kind = ""
+        for index in range(_ARM_TRIES):
+            if index % _SAME_KIND == 0:
+                kind = arms.drawn_kind(body, stance.floor_hands, draws)
             task = arms.drawn(kind, body, draws)
             reach = Reach(limb, base, self._normals, task.goals, obstacles, floor)
             start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)
