@@ -49,6 +49,9 @@ class Limb:
         self._bones = np.array([person.numbers[f"{bone}.{side}"] for bone in self._names])
         local = {bone: index for index, bone in enumerate(self._bones)}
         self._parents = [local.get(person.parents[bone], -1) for bone in self._bones]
+        self._upper = len(upper)
+        self._bone_offsets = person.heads[self._bones] - person.heads[person.parents[self._bones]]
+        self._ends: dict[float, tuple[Floats, Floats]] = {}
         self.base_bone = int(person.parents[self._bones[0]])
         self._local = np.full(len(person.bones), -1)
         self._local[self._bones] = np.arange(len(self._bones))
@@ -79,18 +82,34 @@ class Limb:
         """Return turns [B, 3, 3] and heads [B, 3] of this limb's bones in the body frame."""
         mirrored = self.side == "R"
         if isinstance(angles, Arm):
-            rotations = arm_rotations(angles) | finger_rotations(angles)
+            rotations = arm_rotations(angles)
         else:
             rotations = leg_rotations(angles, _MIRROR @ base.root @ _MIRROR if mirrored else base.root)
-        heads_at_rest = self._person.heads
         turns, heads = np.empty((len(self._names), 3, 3)), np.empty((len(self._names), 3))
-        for index, (name, parent) in enumerate(zip(self._names, self._parents, strict=True)):
-            above, at = (base.turn, base.head) if parent < 0 else (turns[parent], heads[parent])
-            bone = self._bones[index]
-            heads[index] = at + above @ (heads_at_rest[bone] - heads_at_rest[self._person.parents[bone]])
-            own = rotations.get(name)
-            turns[index] = above if own is None else above @ (_MIRROR @ own @ _MIRROR if mirrored else own)
+        for index in range(self._upper):
+            above, at = (base.turn, base.head) if index == 0 else (turns[index - 1], heads[index - 1])
+            own = rotations[self._names[index]] if self._names[index] in rotations else np.eye(3)
+            heads[index] = at + above @ self._bone_offsets[index]
+            turns[index] = above @ (_MIRROR @ own @ _MIRROR if mirrored else own)
+        end_turns, end_heads = self._end(angles.fist if isinstance(angles, Arm) else angles.toes)
+        last = turns[self._upper - 1]
+        turns[self._upper :] = last @ end_turns
+        heads[self._upper :] = heads[self._upper - 1] + end_heads @ last.T
         return turns, heads
+
+    def _end(self, bend: float) -> tuple[Floats, Floats]:
+        """Return turns and heads of the fingers or toes relative to hand or foot. bend: fist or toes."""
+        if bend not in self._ends:
+            arm = self.kind == "arm"
+            rotations = finger_rotations(Arm(fist=bend)) if arm else leg_rotations(Leg(toes=bend), np.eye(3))
+            turns, heads = np.empty((len(self._names), 3, 3)), np.empty((len(self._names), 3))
+            turns[self._upper - 1], heads[self._upper - 1] = np.eye(3), 0
+            for index in range(self._upper, len(self._names)):
+                parent, own = self._parents[index], rotations.get(self._names[index], np.eye(3))
+                heads[index] = heads[parent] + turns[parent] @ self._bone_offsets[index]
+                turns[index] = turns[parent] @ (_MIRROR @ own @ _MIRROR if self.side == "R" else own)
+            self._ends[bend] = turns[self._upper :], heads[self._upper :]
+        return self._ends[bend]
 
 
 @dataclass(frozen=True)

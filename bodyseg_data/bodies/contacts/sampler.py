@@ -53,9 +53,9 @@ class Drawn:
 class Sampler:
     """Poses of one person."""
 
-    def __init__(self, person: Posable) -> None:
-        self._person = person
-        self._places = Places(person)
+    def __init__(self, person: Posable, places: Places) -> None:
+        """places: found on any person, since all have the same vertices."""
+        self._person, self._places = person, places
         self._normals = vertex_normals(person.modelled, person.faces)
         self._legs: dict[Side, Limb] = {"L": Limb(person, "leg", "L"), "R": Limb(person, "leg", "R")}
         self._arms: dict[Side, Limb] = {"L": Limb(person, "arm", "L"), "R": Limb(person, "arm", "R")}

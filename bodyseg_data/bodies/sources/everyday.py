@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Final
 
 from bodyseg_data.bodies.anny.model import Figure
-from bodyseg_data.bodies.anny.people import person
+from bodyseg_data.bodies.anny.people import SUBJECT_A, person
+from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.sampler import Drawn, Sampler
 from bodyseg_data.bodies.contacts.stances import STANCES
 from bodyseg_data.bodies.source import BodyRef
@@ -40,7 +41,11 @@ class EverydayBodies(MadeBodies):
         self.entry(body)
         index = int(body.subject[1:])
         draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
-        return Sampler(self.model.posable(person(_FIRST_PERSON + index))).draw(body.pose, draws)
+        return Sampler(self.model.posable(person(_FIRST_PERSON + index)), self._places).draw(body.pose, draws)
+
+    @cached_property
+    def _places(self) -> Places:
+        return Places(self.model.posable(SUBJECT_A))
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of the bodies' names and of all that shapes them. Draws no pose. Raises MissingLibrary."""
