@@ -13,7 +13,7 @@ from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotati
 from bodyseg_data.bodies.contacts import arms
 from bodyseg_data.bodies.contacts.limbs import Base, Limb, Side
 from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.ranges import CROSSED_TWIST, LEG, uniform, within
+from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, mostly_middle, uniform, within
 from bodyseg_data.bodies.contacts.reaching import Goal, Reach
 from bodyseg_data.bodies.contacts.stances import STANCES, LegTask, Stance
 from bodyseg_data.bodies.contacts.surface import Skin, deepest_m, vertex_normals
@@ -30,6 +30,7 @@ _BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
 _ATTEMPTS: Final = 40
 _ARM_TRIES: Final = 8
 _SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
+_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
 _ALL: Final = np.ones(3)
 _CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
 _STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
@@ -91,7 +92,7 @@ class Sampler:
         contacts: dict[Side, str] = {}
         first: Side = "L" if draws.random() < 0.5 else "R"
         for side in (first, _other(first)):
-            placed = self._with_arm(pose, side, stance, floor, side != first, draws)
+            placed = self._with_arm(pose, side, stance, floor, contacts.get(first), draws)
             if placed is None:
                 return None
             pose, contacts[side] = placed
@@ -103,17 +104,23 @@ class Sampler:
 
     def _with_legs(self, stance: Stance, draws: np.random.Generator) -> tuple[Pose, float] | None:
         """Return a pose with hanging arms and the floor's height, or None if a leg does not reach."""
-        trunk = Trunk(**within(stance.trunk, draws))
+        trunk = Trunk(**mostly_middle(stance.trunk, draws))
         first: Side = "L" if draws.random() < 0.5 else "R"
         if trunk.roll:  # the leg on top lies on the other
             first = "R" if trunk.roll > 0 else "L"
         pair = stance.legs[int(draws.random() * len(stance.legs))]
         tasks: dict[Side, LegTask] = {first: pair[0], _other(first): pair[1]}
         starts = {side: Leg(**within(task.start, draws)) for side, task in tasks.items()}
+        alike = pair[0] is pair[1] and draws.random() < _ALIKE
+        if alike:
+            starts[_other(first)] = starts[first]
         pose = Pose(trunk, Arm(), Arm(), starts["L"], starts["R"])
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
-        feet = {side: self._foot(task, side, stance, heads, draws) for side, task in tasks.items()}
+        shifts = {side: _shift(task, draws) for side, task in tasks.items()}
+        if alike:
+            shifts[_other(first)] = shifts[first]
+        feet = {side: self._foot(shift, side, stance, heads) for side, shift in shifts.items()}
         if stance.pelvis is None:
             floor = float(vertices[self._resting, 1].min()) + _PRESSED_M
         else:
@@ -139,20 +146,23 @@ class Sampler:
             reached = reach(starts[side], ranges)
             if reached.miss_m > _MISS_M or reach.depth_m(reached.angles) > DEEPEST_M:
                 return None
-            pose = replace(pose, **{"left_leg" if side == "L" else "right_leg": reached.angles})
+            pose = _with(pose, side, reached.angles)
             done |= limb.vertices
         return pose, floor
 
     def _foot(
-        self, task: LegTask, side: Side, stance: Stance, heads: Floats, draws: np.random.Generator
+        self, shift: tuple[float, float] | None, side: Side, stance: Stance, heads: Floats
     ) -> tuple[float, float] | None:
-        """Return x and z of a sole that is flat on the floor, metres, or None if this one is not."""
-        if task.out is None:
+        """Return x and z of a sole that is flat on the floor, metres, or None if this one is not.
+
+        shift: outwards of the hip and in front of it, metres.
+        """
+        if shift is None:
             return None
         hip, chest = heads[self._person.numbers[f"upperleg01.{side}"]], heads[self._person.numbers["spine02"]]
         under = _CENTRE * (chest - heads[0]) if stance.balanced else np.zeros(3)
-        out, ahead = uniform(draws, *task.out), uniform(draws, *task.ahead)
-        return float(hip[0] + under[0] + (out if side == "L" else -out)), float(hip[2] + under[2] + ahead)
+        out = shift[0] if side == "L" else -shift[0]
+        return float(hip[0] + under[0] + out), float(hip[2] + under[2] + shift[1])
 
     def _lowest(self, heads: Floats, side: Side, task: LegTask, at: tuple[float, float] | None) -> float:
         """Return the height of the lowest floor that a leg's sole or knee reaches, -inf for a leg in the air."""
@@ -186,23 +196,32 @@ class Sampler:
         return Goal(int(mine[best]), vertices[at] + _GAP_M * normals[at], _ALL, -normals[at])
 
     def _with_arm(
-        self, pose: Pose, side: Side, stance: Stance, floor: float, other_placed: bool, draws: np.random.Generator
+        self, pose: Pose, side: Side, stance: Stance, floor: float, other_task: str | None, draws: np.random.Generator
     ) -> tuple[Pose, str] | None:
-        """Return the pose with one arm sent to a place, and the place; None if none of eight can be reached."""
+        """Return the pose with one arm sent to a place, and the place; None if none of eight can be reached.
+
+        other_task: what the other arm does, None if it is not in its place yet.
+        """
         limb, other = self._arms[side], self._arms[_other(side)]
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
         normals = vertex_normals(vertices, self._person.faces)
         solid = self._places.solid & ~limb.vertices
-        if not other_placed:
+        if other_task is None:
             solid &= ~other.vertices
         obstacles = Skin(vertices, normals, solid)
         base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
         chest = self._person.numbers["spine02"]
         body = arms.Body(
-            side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_placed,
+            side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_task is not None,
             heads[self._person.numbers[f"upperarm01.{side}"]], heads[chest],
         )  # fmt: skip
+        if other_task is not None and draws.random() < _ALIKE:
+            same = pose.right_arm if side == "L" else pose.left_arm  # angles are those of a left arm for both
+            reach = Reach(limb, base, self._normals, [], obstacles, floor)
+            reached = reach(same, ARM | {"wrist": LOADED_WRIST})
+            if reach.depth_m(reached.angles) <= DEEPEST_M:
+                return _with(pose, side, reached.angles), other_task
         kind = ""
         for index in range(_ARM_TRIES):
             if index % _SAME_KIND == 0:
@@ -212,12 +231,22 @@ class Sampler:
             start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)
             reached = reach(start, task.ranges)
             if reached.miss_m <= _MISS_M and reach.depth_m(reached.angles) <= DEEPEST_M:
-                return replace(pose, **{"left_arm" if side == "L" else "right_arm": reached.angles}), task.name
+                return _with(pose, side, reached.angles), task.name
         return None
 
     def _posed(self, pose: Pose) -> tuple[Floats, Floats]:
         vertices = self._person.vertices(*self._person.placed(bone_rotations(pose)))
         return vertices, vertex_normals(vertices, self._person.faces)
+
+
+def _shift(task: LegTask, draws: np.random.Generator) -> tuple[float, float] | None:
+    """Draw how far a flat sole is outwards of its hip and in front of it, metres; None for a foot that is not flat."""
+    return None if task.out is None else (uniform(draws, *task.out), uniform(draws, *task.ahead))
+
+
+def _with(pose: Pose, side: Side, angles: Arm | Leg) -> Pose:
+    limb = "arm" if isinstance(angles, Arm) else "leg"
+    return replace(pose, **{f"{'left' if side == 'L' else 'right'}_{limb}": angles})
 
 
 def _other(side: Side) -> Side:
