@@ -18,8 +18,8 @@ class Posable:
 
     bones: names, parents before children. parents: int [B], -1 for the root. heads: float64 [B, 3], where bones begin
     in the reference pose; modelled_heads: the same of the modelled surface. reference: float64 [B, 3, 3], the turn of
-    each bone from there to the reference pose. modelled: float64 [V, 3]. faces: int32 [F, 3]. skin: int [V, K], the bones that move each vertex. weights: float64
-    [V, K], which sum to 1.
+    each bone from there to the reference pose. modelled: float64 [V, 3]. faces: int32 [F, 3]. skin: int [V, K], the
+    bones that move each vertex. weights: float64 [V, K], which sum to 1.
     """
 
     bones: tuple[str, ...]

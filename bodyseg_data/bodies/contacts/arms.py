@@ -32,15 +32,22 @@ _MIDDLE: Final = {
     "upper back": 0.2,
 }  # fmt: skip
 _SAME: Final = {
-    "side of the head": 0.6, "shoulder": 0.2, "waist": 0.6, "hip": 0.9, "buttock": 0.5, "thigh": 0.9, "inner thigh": 0.2,
-    "back of the thigh": 0.2, "knee": 0.6, "shin": 0.5, "calf": 0.3, "instep": 0.4, "sole": 0.2,
+    "side of the head": 0.6, "shoulder": 0.2, "waist": 0.6, "hip": 0.9, "buttock": 0.5, "thigh": 0.9,
+    "inner thigh": 0.2, "back of the thigh": 0.2, "knee": 0.6, "shin": 0.5, "calf": 0.3, "instep": 0.4, "sole": 0.2,
 }  # fmt: skip
 _ACROSS: Final = {
     "side of the head": 0.3, "shoulder": 0.8, "waist": 0.5, "hip": 0.4, "upper arm": 0.9, "elbow": 0.5, "forearm": 0.9,
     "thigh": 0.4, "knee": 0.4, "shin": 0.3, "instep": 0.2, "sole": 0.1,
 }  # fmt: skip
 
-_BY: Final = {"palm": 0.36, "fingertips": 0.22, "back of the hand": 0.09, "knuckles": 0.07, "inner forearm": 0.2, "elbow": 0.06}
+_BY: Final = {
+    "palm": 0.36,
+    "fingertips": 0.22,
+    "back of the hand": 0.09,
+    "knuckles": 0.07,
+    "inner forearm": 0.2,
+    "elbow": 0.06,
+}
 _FISTS: Final = {"palm": (0.0, 0.45), "fingertips": (0.0, 0.4), "back of the hand": (0.0, 1.0), "knuckles": (0.9, 1.0)}
 
 _PRESETS: Final[dict[str, Arm]] = {
@@ -58,7 +65,8 @@ _PRESETS: Final[dict[str, Arm]] = {
     "to the side": Arm(flex=5, abduct=85, twist=20, elbow=25),
 }
 _RELAXED: Final[Ranges] = {
-    "flex": (-20, 30), "abduct": (6, 24), "twist": (-25, 10), "elbow": (5, 50), "supinate": (-40, 20), "wrist": (-10, 15),
+    "flex": (-20, 30), "abduct": (6, 24), "twist": (-25, 10), "elbow": (5, 50), "supinate": (-40, 20),
+    "wrist": (-10, 15),
 }  # fmt: skip
 
 
@@ -127,9 +135,7 @@ def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:
     weights |= {(name, body.side): weight for name, weight in _SAME.items()}
     arm = ("upper arm", "elbow", "forearm")
     weights |= {
-        (name, _across(body.side)): weight
-        for name, weight in _ACROSS.items()
-        if body.other_placed or name not in arm
+        (name, _across(body.side)): weight for name, weight in _ACROSS.items() if body.other_placed or name not in arm
     }
     name, side = chosen({f"{name}/{side}": weight for (name, side), weight in weights.items()}, draws).split("/")
     return _touching(body, chosen(_BY, draws), name, side, draws)
@@ -145,7 +151,7 @@ def _touching(body: Body, by: str, name: str, side: str, draws: np.random.Genera
 
 
 def _on_floor(body: Body, draws: np.random.Generator) -> ArmTask:
-    place = body.shoulder + [uniform(draws, -0.3, 0.3), 0, uniform(draws, -0.35, 0.35)]
+    place = body.shoulder + np.array([uniform(draws, -0.3, 0.3), 0, uniform(draws, -0.35, 0.35)])
     place[1] = body.floor + _GAP_M
     ranges = ARM | {"wrist": LOADED_WRIST}
     if draws.random() < 0.75:
@@ -162,7 +168,9 @@ def _on_seat(body: Body, draws: np.random.Generator) -> ArmTask:
     place = body.heads[0] + [sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)]
     own = body.places.on("palm", body.side)
     goal = Goal(int(own[int(draws.random() * len(own))]), place, _AROUND, -_UP)
-    return ArmTask("palm on the seat", [goal], uniform(draws, 0, 0.4), tuple(_PRESETS.values()), ARM | {"wrist": LOADED_WRIST})
+    return ArmTask(
+        "palm on the seat", [goal], uniform(draws, 0, 0.4), tuple(_PRESETS.values()), ARM | {"wrist": LOADED_WRIST}
+    )
 
 
 def _in_the_air(body: Body, draws: np.random.Generator) -> ArmTask:

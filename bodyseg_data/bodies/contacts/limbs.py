@@ -17,7 +17,9 @@ Side = Literal["L", "R"]
 _MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 _ARM_BONES: Final = ("clavicle", "shoulder01", "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist")
 _FINGERS: Final = tuple(
-    bone for finger in range(1, 6) for bone in (f"metacarpal{finger}", *(f"finger{finger}-{part}" for part in (1, 2, 3)))
+    bone
+    for finger in range(1, 6)
+    for bone in (f"metacarpal{finger}", *(f"finger{finger}-{part}" for part in (1, 2, 3)))
 )
 _LEG_BONES: Final = ("upperleg01", "upperleg02", "lowerleg01", "lowerleg02", "foot")
 _TOES: Final = tuple(f"toe{toe}-{part}" for toe in range(1, 6) for part in (1, 2, 3))
@@ -65,7 +67,9 @@ class Limb:
         self.far: NDArray[np.bool_] = beyond.copy()
         self.far[np.flatnonzero(middle)[along > 0.6]] = True
         end = np.isin(person.owner, self._bones[upper.index("wrist" if kind == "arm" else "foot") :])
-        self.probes = np.concatenate([_spread(person.modelled, np.flatnonzero(of), _PROBES) for of in (self.far & ~end, end)])
+        self.probes = np.concatenate(
+            [_spread(person.modelled, np.flatnonzero(of), _PROBES) for of in (self.far & ~end, end)]
+        )
 
     def _offsets(self, vertices: NDArray[np.int64]) -> Floats:
         person, own = self._person, self._person.owner[vertices]

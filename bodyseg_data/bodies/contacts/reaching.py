@@ -45,7 +45,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Reached:
-    """Result of a search. angles: the limb's. miss_m: the largest weighted distance of a point from its goal, metres."""
+    """Result of a search. angles: the limb's. miss_m: the largest, weighted distance of a point from its goal, metres."""
 
     angles: Arm | Leg
     miss_m: float
@@ -91,8 +91,10 @@ class Reach:
         damping = 0.05
         for _ in range(_ROUNDS):
             steps = np.where(values + _STEP_DEG > high, -_STEP_DEG, _STEP_DEG)
+            units = np.eye(len(names))
             slopes = np.stack(
-                [(residuals(values + step * unit) - now) / step for step, unit in zip(steps, np.eye(len(names)))], axis=1
+                [(residuals(values + step * unit) - now) / step for step, unit in zip(steps, units, strict=True)],
+                axis=1,
             )
             gained = 0.0
             for _ in range(4):

@@ -97,7 +97,10 @@ class Sampler:
                 return None
             pose, contacts[side] = placed
         vertices, normals = self._posed(pose)
-        if vertices[self._far, 1].min() < floor - _BELOW_M or vertices[self._places.solid, 1].min() < floor - _SHOULDER_M:
+        if (
+            vertices[self._far, 1].min() < floor - _BELOW_M
+            or vertices[self._places.solid, 1].min() < floor - _SHOULDER_M
+        ):
             return None
         limbs = [*self._legs.values(), *self._arms.values()]
         return pose, (contacts["L"], contacts["R"]), deepest_m(vertices, normals, limbs, self._places.solid)
@@ -245,8 +248,9 @@ def _shift(task: LegTask, draws: np.random.Generator) -> tuple[float, float] | N
 
 
 def _with(pose: Pose, side: Side, angles: Arm | Leg) -> Pose:
-    limb = "arm" if isinstance(angles, Arm) else "leg"
-    return replace(pose, **{f"{'left' if side == 'L' else 'right'}_{limb}": angles})
+    if isinstance(angles, Arm):
+        return replace(pose, left_arm=angles) if side == "L" else replace(pose, right_arm=angles)
+    return replace(pose, left_leg=angles) if side == "L" else replace(pose, right_leg=angles)
 
 
 def _other(side: Side) -> Side:

@@ -53,8 +53,12 @@ _BENT: Final[Ranges] = {"flex": (30, 100), "abduct": (0, 20), "twist": (0, 25), 
 _STANDING: Final = LegTask(_STRAIGHT, out=(-0.05, 0.14), ahead=(-0.1, 0.1))
 _UNDER: Final = LegTask(_STRAIGHT, out=(-0.1, -0.05), ahead=(-0.02, 0.02))
 _CROSSED: Final = LegTask(_STRAIGHT | {"abduct": (-18, -10)}, out=(-0.24, -0.16), ahead=(0.06, 0.16))
-_STEP_AHEAD: Final = LegTask({"flex": (15, 60), "twist": (0, 15), "knee": (5, 70)}, out=(-0.06, 0.1), ahead=(0.12, 0.42))
-_STEP_BACK: Final = LegTask({"flex": (-15, 10), "twist": (0, 25), "knee": (10, 50)}, out=(-0.06, 0.1), ahead=(-0.3, -0.05))
+_STEP_AHEAD: Final = LegTask(
+    {"flex": (15, 60), "twist": (0, 15), "knee": (5, 70)}, out=(-0.06, 0.1), ahead=(0.12, 0.42)
+)
+_STEP_BACK: Final = LegTask(
+    {"flex": (-15, 10), "twist": (0, 25), "knee": (10, 50)}, out=(-0.06, 0.1), ahead=(-0.3, -0.05)
+)
 _CROUCHED: Final = LegTask(_BENT, out=(-0.02, 0.16), ahead=(-0.08, 0.14))
 
 _RAISED_KNEE: Final = LegTask(
@@ -95,10 +99,12 @@ _FEET_CROSSED: Final = LegTask(
 )  # fmt: skip
 
 _STRETCHED: Final = LegTask(
-    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE, floor=("foot",)
+    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE,
+    floor=("foot",),
 )
 _KNEE_UP: Final = LegTask(
-    {"flex": (85, 128), "abduct": (-4, 20), "twist": (-5, 20), "knee": (70, 132), "ankle": (0, 40)} | _FREE, floor=("foot",)
+    {"flex": (85, 128), "abduct": (-4, 20), "twist": (-5, 20), "knee": (70, 132), "ankle": (0, 40)} | _FREE,
+    floor=("foot",),
 )
 _FOLDED: Final = LegTask(
     {"flex": (65, 100), "abduct": (22, 44), "twist": (40, 74), "knee": (85, 132), "ankle": (10, 40)} | _FREE,
@@ -121,7 +127,8 @@ _LYING_FLAT: Final = LegTask(
     {"flex": (-2, 8), "abduct": (-2, 22), "twist": (0, 38), "knee": (0, 12), "ankle": (10, 42)} | _FREE
 )
 _LYING_UP: Final = LegTask(
-    {"flex": (30, 75), "abduct": (-5, 20), "twist": (-10, 25), "knee": (60, 125), "ankle": (5, 45)} | _FREE, floor=("foot",)
+    {"flex": (30, 75), "abduct": (-5, 20), "twist": (-10, 25), "knee": (60, 125), "ankle": (5, 45)} | _FREE,
+    floor=("foot",),
 )
 _TO_CHEST: Final = LegTask(
     {"flex": (85, 125), "abduct": (-5, 20), "twist": (-5, 20), "knee": (60, 130), "ankle": (0, 40)} | _FREE
@@ -176,8 +183,8 @@ STANCES: Final[dict[str, Stance]] = {
     "sitting_on_a_chair": Stance(
         {"lean": (-18, 32), "bend": (-2, 38), "side": (-14, 14), "twist": (-26, 26)} | _HEAD,
         (
-            (_SEATED, _SEATED), (_SEATED, _SEATED), (_KNEE_OVER, _SEATED), (_KNEE_OVER, _SEATED), (_ANKLE_ON_KNEE, _SEATED),
-            (_FEET_CROSSED, _SEATED),
+            (_SEATED, _SEATED), (_SEATED, _SEATED), (_KNEE_OVER, _SEATED), (_KNEE_OVER, _SEATED),
+            (_ANKLE_ON_KNEE, _SEATED), (_FEET_CROSSED, _SEATED),
         ),
         (0.5, 0.62), balanced=False, seat=True,
     ),

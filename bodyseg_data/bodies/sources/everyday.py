@@ -15,6 +15,7 @@ from typing import Final
 
 from bodyseg_data.bodies.anny.model import Figure
 from bodyseg_data.bodies.anny.people import SUBJECT_A, person
+from bodyseg_data.bodies.clothes.outfits import drawn_outfit
 from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.sampler import Drawn, Sampler
 from bodyseg_data.bodies.contacts.stances import STANCES
@@ -28,6 +29,15 @@ POSES_VERSION: Final = 1
 """Raised whenever a change of the sampler changes a pose, so that packed sets are told from each other."""
 
 _FIRST_PERSON: Final = 3000  # beyond those of the other sets
+
+_DRESSED: Final = 0.4
+_ON_CLOTHES: Final = tuple(
+    f"on {place}"
+    for place in (
+        "chest", "belly", "waist", "lower back", "upper back", "shoulder", "upper arm", "elbow", "forearm", "hip",
+        "buttock", "thigh", "knee", "shin", "calf",
+    )
+)  # fmt: skip
 
 
 class EverydayBodies(MadeBodies):
@@ -59,4 +69,9 @@ class EverydayBodies(MadeBodies):
             yield ref, partial(self._figure, ref, index)
 
     def _figure(self, body: BodyRef, index: int) -> Figure:
-        return Figure(person(_FIRST_PERSON + index), self.drawn(body).pose)
+        drawn = self.drawn(body)
+        draws = generator(0, 0, f"everyday/{body.mesh}", "clothes")
+        dressed = draws.random() < _DRESSED
+        # A hand on the body would be hidden in loose cloth, which does not know of it.
+        close = any(contact.endswith(_ON_CLOTHES) for contact in drawn.contacts)
+        return Figure(person(_FIRST_PERSON + index), drawn.pose, outfit=drawn_outfit(draws, close) if dressed else None)

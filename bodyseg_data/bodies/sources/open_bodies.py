@@ -9,18 +9,15 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Final, Literal
+from functools import partial
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.library import no_anny
 from bodyseg_data.bodies.anny.model import AnnyModel, Figure
-from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, Person, person, standing_pose
+from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, person, standing_pose
 from bodyseg_data.bodies.anny.postures import POSTURES
-from bodyseg_data.bodies.anny.skeleton import Pose
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
