@@ -45,7 +45,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Reached:
-    """Result of a search. angles: the limb's. miss_m: the largest, weighted distance of a point from its goal, metres."""
+    """Result of a search. angles: the limb's. miss_m: the largest distance of a point from its goal, metres."""
 
     angles: Arm | Leg
     miss_m: float
