@@ -45,13 +45,17 @@ class EverydayBodies(MadeBodies):
 
     def __init__(self) -> None:
         super().__init__("everyday", dict(self._listed()))
+        self._latest: tuple[BodyRef, Drawn] | None = None
 
     def drawn(self, body: BodyRef) -> Drawn:
         """Draw the pose of one of `bodies()`, with how it was found. Raises BadConfig for a body of another source."""
         self.entry(body)
-        index = int(body.subject[1:])
-        draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
-        return Sampler(self.model.posable(person(_FIRST_PERSON + index)), self._places).draw(body.pose, draws)
+        if self._latest is None or self._latest[0] != body:
+            index = int(body.subject[1:])
+            draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
+            sampler = Sampler(self.model.posable(person(_FIRST_PERSON + index)), self._places)
+            self._latest = body, sampler.draw(body.pose, draws)
+        return self._latest[1]
 
     @cached_property
     def _places(self) -> Places:
