@@ -13,6 +13,7 @@ import checked_arrays  # noqa: F401  # checks the arrays of all that is imported
 import pytest
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
+from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
@@ -83,3 +84,9 @@ def pack_figures() -> Callable[..., Path]:
 def figures_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
     """A set of 24 samples (16 train, 8 test) in shards of 5. Tests must not change it."""
     return pack_figures(tmp_path_factory.mktemp("figures") / "shards", shard_samples=5)
+
+
+@pytest.fixture(scope="session")
+def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    """The same samples in a sixteenth of the pixels, for trainings; in shards of 8. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, shard_samples=8)

@@ -133,7 +133,8 @@ def _fit(picture: NDArray[np.uint8]) -> Image.Image:
 
 def _caption(sample: Sample) -> str:
     info = sample.info
-    return f"{info.subject}, {info.pose}, {info.view.words} ({info.split}, {sample.key})"
+    things = f", things {info.things}: {info.hidden_pct} % hidden" if info.things else ""
+    return f"{info.subject}, {info.pose}, {info.view.words}{things} ({info.split}, {sample.key})"
 
 
 def _legend(width: int, label_map: LabelMap) -> Image.Image:

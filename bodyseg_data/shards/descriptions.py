@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, Final
 
@@ -97,8 +97,12 @@ def _table(record: dict[str, Any], name: str, width: int, kind: type, where: str
 
 
 def difference(stored: SampleInfo, listed: SampleInfo) -> str | None:
-    """Return one line on the first field in which a sample's own description differs from the manifest's, or None."""
-    for (field, own), other in zip(asdict(stored).items(), asdict(listed).values(), strict=True):
+    """Return one line on the first field in which a sample's own description differs from the manifest's, or None.
+
+    Fields that the manifest does not hold are the sample's own.
+    """
+    for field in (*BODY_FIELDS, *VIEW_FIELDS, "split"):
+        own, other = getattr(stored, field), getattr(listed, field)
         if own != other:
             return f"{field!r} is {own!r}, in the manifest {other!r}"
     return None

@@ -51,6 +51,7 @@ FLAGS: Final[dict[str, str]] = {
 _FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
     "--data": ("--data rig", "--only", "--where", "--val-share"),
     "--artifacts": ("--variant", "--sensor"),
+    "--settings": ("--labels",),
     "--val-share": ("--data", "--only", "--where", "--variant", "--seed", "--artifacts", "--sensor", "--labels"),
 }
 """Option -> options whose difference alters its fields as well, so that its own would be told twice."""
@@ -103,7 +104,9 @@ def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], re
         flag, rest = option_of(path)
         if path[0] == "validation" and flag in told:
             continue  # whether, and on what, follows from --val-share
-        told.setdefault(flag, []).append(" ".join([flag, *rest]) + f" was {_shown(path, was)}, now {_shown(path, now)}")
+        line = " ".join([flag, *rest]) + f" was {_shown(path, was)}, now {_shown(path, now)}"
+        if line not in told.setdefault(flag, []):  # a label map stands in the plan and in the images' identity
+            told[flag].append(line)
     if list(told) == ["--steps"]:
         raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {_steps(wanted)}")
     lines = [
@@ -135,14 +138,18 @@ def _steps(plan: dict[str, Any]) -> Any:
 def differences(was: Any, now: Any, path: Path = ()) -> Iterator[tuple[Path, Any, Any]]:
     """Innermost fields in which two trees of JSON differ: their keys, and both values.
 
-    Entries of lists of objects are compared by their name, or else by their number.
+    Entries of lists of objects are compared by their name, or else by their number; if only their order differs, the
+    values are the names in both orders.
     """
-    was, now = _by_name(was), _by_name(now)
-    if isinstance(was, dict) and isinstance(now, dict):
-        for key in [*now, *sorted(was.keys() - now.keys())]:
-            yield from differences(was.get(key, _ABSENT), now.get(key, _ABSENT), (*path, key))
-    elif was != now:
-        yield path, was, now
+    named_was, named_now = _by_name(was), _by_name(now)
+    if not isinstance(named_was, dict) or not isinstance(named_now, dict):
+        if was != now:
+            yield path, was, now
+    elif isinstance(was, list) and named_was == named_now and [*named_was] != [*named_now]:
+        yield path, [*named_was], [*named_now]
+    else:
+        for key in [*named_now, *sorted(named_was.keys() - named_now.keys())]:
+            yield from differences(named_was.get(key, _ABSENT), named_now.get(key, _ABSENT), (*path, key))
 
 
 def _by_name(tree: Any) -> Any:
@@ -170,7 +177,7 @@ def _shown(path: Path, value: Any) -> str:
     if value is _ABSENT:
         return "not given"
     if isinstance(value, dict):
-        return "given"
+        return json.dumps(value["name"]) if "name" in value else "given"
     if path == ("recipe", "bf16"):
         return "bfloat16" if value else "float32"
     return json.dumps(value)

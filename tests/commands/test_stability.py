@@ -23,6 +23,7 @@ from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.stability import accuracies
 from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs
@@ -213,6 +214,28 @@ def test_other_parts_are_sections(
     assert asked_for == [["all-0", "all-1", "none-0"], ("all", "test", 2), ("all", "test", 2)]
     assert [row["TC, %"] for row in figures["tables"]["motion"]] == ["50.0 ± 0.0", "50.0"]
     assert "groups" not in figures and not (tmp_path / "out" / "stability.png").exists()
+
+
+def test_people_and_things_are_counted_for_each_group(
+    figures_set: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def counted(network: Any, score: PersonScore, count: int, progress: Any) -> dict[str, Any]:
+        assert score.model == "parts"
+        progress(count, count)
+        row = {"found": 0.9, "things": 7, "thing_pixels": 5000, "accuracy": None}
+        return {"rooms": count, "before": row, "after": {**row, "things": 1}}
+
+    monkeypatch.setattr(command, "people_and_things", counted)
+    assert command.run(asked(figures_set, runs, tmp_path / "out", parts=("things",))) == 0
+    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
+    assert {label: (each["run"], each["rooms"]) for label, each in figures["things"].items()} == {
+        "all": ("all-0", 2),
+        "none": ("none-0", 2),
+    }
+    assert [[*row.values()] for row in figures["tables"]["things"]][:2] == [
+        ["all", "every surface", "90.0", "7", "5000", "–"],
+        ["all", "people", "90.0", "1", "5000", "–"],
+    ]
 
 
 def test_without_a_reference_there_is_no_mce(

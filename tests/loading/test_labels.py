@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels import label_map as module
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.loading.transforms import CameraImage
 from bodyseg_data.loading.transforms.transform import Transform
 
 LIMBS = load_label_map("limbs14")
@@ -29,9 +29,9 @@ class Upside(Transform):
 
     name = "upside"
 
-    def __call__(self, image: RangeImage, random: np.random.Generator) -> RangeImage:
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         assert len(np.unique(image.labels)) > 15, "labels are joined after transforms"
-        return RangeImage(image.key, image.range[::-1].copy(), image.labels[::-1].copy(), image.drawn)
+        return replace(image, range=image.range[::-1].copy(), labels=image.labels[::-1].copy())
 
 
 @pytest.mark.parametrize("variant", ["none", "all"])

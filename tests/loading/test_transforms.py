@@ -148,7 +148,7 @@ def test_a_state_of_other_transforms_is_refused(figures_set: Path) -> None:
     state = json.loads(json.dumps(batches(Flip(), BodyCrop(64, 32, 0.2)).state_dict()))
     batches(Flip(), BodyCrop(64, 32, 0.2)).load_state_dict(state)
     for others in ((), (Flip(0.4), BodyCrop(64, 32, 0.2)), (BodyCrop(64, 32, 0.2), Flip())):
-        with pytest.raises(BadConfig, match="^the state belongs to another run: transforms "):
+        with pytest.raises(BadConfig, match=r"^the state belongs to another run: transforms( |\[)"):
             batches(*others).load_state_dict(state)
 
 

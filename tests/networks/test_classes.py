@@ -58,7 +58,7 @@ def test_33_classes_are_not_written_and_change_no_bit(name: str) -> None:
     ("classes", "message"),
     [
         (0, "classes must be a whole number of at least 1, found 0"),
-        ("14", "classes must be a whole number of at least 1, found '14'"),
+        ("14", "classes must be a whole number.*, found '14'"),
         (256, "classes must be at most 255, found 256"),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_damaged_label_map_is_named(tmp_path: Path) -> None:
     card = json.loads((run / "network.json").read_text())
     card["labels"]["classes"][0]["landmarks"] = ["Nose"]
     (run / "network.json").write_text(json.dumps(card))
-    with pytest.raises(BadConfig, match=r"network\.json, labels: .*'Nose' is none of the 33 landmarks"):
+    with pytest.raises(BadConfig, match=r"network\.json: labels: .*'Nose' is none of the 33 landmarks"):
         load_network(run)
 
 

@@ -18,7 +18,7 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     assert SHIPPED.stat().st_size <= 5_000_000
     trained = shipped_network()
     card = trained.card
-    assert (trained.rig, trained.sensor) == (load_rig(), load_sensor_model())
+    assert (trained.rig, trained.sensor.artifacts) == (load_rig(), load_sensor_model().artifacts)
     assert {"rig", "sensor", "weights_sha256"} <= card.keys()
     assert card["network"] == "compact"
     assert card["variant"] == "all"

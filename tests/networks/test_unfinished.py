@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,11 +18,6 @@ from bodyseg_model.networks import checkpoints
 from bodyseg_model.networks.checkpoints import load_network, read_tensors
 from bodyseg_model.training.loop import RunOptions
 from bodyseg_model.training.run_folder import RunFolder
-
-
-@pytest.fixture(scope="module")
-def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL)
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from shapes import evenly_drawn, figure
 from small_rig import SMALL
 
@@ -16,6 +17,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.rig import Rig
@@ -184,11 +186,18 @@ def test_a_contact_sheet_shows_things_in_grey(among_things: Path) -> None:
     assert (sheet == (112, 116, 124)).all(axis=-1).sum() > 100
 
 
+def test_a_gallery_shows_things_in_grey(among_things: Path, tmp_path: Path) -> None:
+    assert cli.main(["gallery", str(among_things), "--views", "6", "--out", str(tmp_path / "gallery.png")]) == 0
+    with Image.open(tmp_path / "gallery.png") as picture:
+        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB")).astype(int), -1, 0)
+    assert ((abs(red - green) <= 6) & (abs(blue - green) <= 12) & (green > 50) & (green < 125)).sum() > 500
+
+
 def test_a_plan_with_things_is_another_one(
     among_things: Path, pack_figures: Callable[..., Path], tmp_path: Path
 ) -> None:
     plain = read_manifest(pack_figures(tmp_path / "plain", rig=SMALL))
     assert plain.plan != read_manifest(among_things).plan
     assert plan(Packing("open", meshes=1, things="both")) == plan(Packing("open", meshes=1))
-    with pytest.raises(BadConfig, match="^things must be one of none, before, behind, both, found 'above'$"):
+    with pytest.raises(BadConfig, match="things must be 'none' or 'before' or 'behind' or 'both', found 'above'$"):
         Packing("open", things="above")  # type: ignore[arg-type]

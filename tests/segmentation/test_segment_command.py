@@ -28,6 +28,7 @@ from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
 from bodyseg_model.segmentation.files.camera_files import cameras_beside
 from bodyseg_model.segmentation.frames import find_frames
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.undistortion import Undistortion
 
 Frame = NDArray[np.uint16]
@@ -365,6 +366,34 @@ def test_an_out_that_cannot_be_written_is_named(
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--help") == 0
     assert segment.EXAMPLE in capsys.readouterr().out
+
+
+def test_a_block_is_no_person(
+    recording: Path, tmp_path: Path, network: Places, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network.sure_m = 1.0  # so it is unsure of the block, as networks are of things
+    assert run(recording, "--focal", "100", "--out", tmp_path / "all") == 0
+    assert report(tmp_path / "all")["person_score"] is None and report(tmp_path / "all")["things"] == 0
+    assert "person" not in report(tmp_path / "all")["each"][0]["bodies"][0]
+    capsys.readouterr()
+    out = tmp_path / "out"
+    assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
+    facts = report(out)
+    assert facts["person_score"] == {"model": "parts", "cutoff": shipped_score().cutoff}
+    assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
+    (thing,) = facts["each"][0]["things"]
+    assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26] and 0 <= thing["person"] < 0.1
+    assert (pixels(out / "labels" / "7.png") == BACKGROUND).all()
+    assert "1 things a frame got no label: --keep-things labels them, too" in capsys.readouterr().err
+
+
+def test_things_of_other_classes_are_told_by_their_shape(
+    recording: Path, tmp_path: Path, network: Places, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"labels": {"name": "limbs14"}}))
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
+    assert report(tmp_path / "out")["person_score"]["model"] == "shape"
+    assert report(tmp_path / "out")["things"] == 5
 
 
 REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))

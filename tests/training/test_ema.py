@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
-from small_rig import SMALL
 from small_training import train
 
 from bodyseg_data.core.errors import BadConfig
@@ -40,13 +38,10 @@ def test_averages_follow_their_formula() -> None:
     assert repr(averaged) == "AveragedNetwork(Compact, decay=0.5)"
 
 
-def test_an_averaged_training_saves_the_averages_and_trains_as_without(
-    tmp_path: Path, pack_figures: Callable[..., Path]
-) -> None:
-    data = pack_figures(tmp_path / "shards", rig=SMALL)
-    train(data, tmp_path / "plain", steps=3)
-    losses = [metrics.loss for metrics in train(data, tmp_path / "averaged", steps=3, ema=0.9)]
-    assert losses == [metrics.loss for metrics in train(data, tmp_path / "again", steps=3)]
+def test_an_averaged_training_saves_the_averages_and_trains_as_without(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "plain", steps=3)
+    losses = [metrics.loss for metrics in train(small_set, tmp_path / "averaged", steps=3, ema=0.9)]
+    assert losses == [metrics.loss for metrics in train(small_set, tmp_path / "again", steps=3)]
     (checkpoint,) = (tmp_path / "averaged").glob("checkpoint-*.safetensors")
     plain, averaged = (load_network(tmp_path / name).network.state_dict() for name in ("plain", "averaged"))
     assert any(not torch.equal(plain[name], averaged[name]) for name in plain)

@@ -30,9 +30,9 @@ TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}
 LIMBS = load_label_map("limbs14")
 
 
-def test_classes_are_learned(figures_set: Path, tmp_path: Path) -> None:
+def test_classes_are_learned(small_set: Path, tmp_path: Path) -> None:
     halves = LabelMap("halves", (("above", LIMBS.classes[0][1] + LIMBS.classes[1][1]), ("below", _legs())))
-    images = RangeImages(figures_set, "none", "train", labels=halves)
+    images = RangeImages(small_set, "none", "train", labels=halves)
     recipe = recipe_for(
         "compact",
         steps=60,

@@ -9,19 +9,15 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from folders import HELPERS
-from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig, Diverged
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
@@ -88,12 +84,9 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name.startswith("network")}
 
 
-def test_four_bodies_are_learned(tmp_path: Path) -> None:
-    bodies = Packing("open", meshes=4, views=ViewGrid((215,), azimuths=4, span_deg=120), rig=SMALL)
-    with ThreadPoolExecutor(1) as executor:
-        pack(bodies, tmp_path / "shards", executor, 1)
+def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
     changes = {
-        "steps": 300,
+        "steps": 100,
         "batch_size": 8,
         "learning_rate": 6e-3,
         "mirror": False,
@@ -101,7 +94,7 @@ def test_four_bodies_are_learned(tmp_path: Path) -> None:
     }
     torch.manual_seed(3)
     network = build("compact", {"patch": 4, "widths": [32, 48, 64], "blocks": [1, 1, 1]})
-    images = RangeImages(tmp_path / "shards", "occ")
+    images = RangeImages(small_set, "occ", "train")
     run_options = RunOptions(100, 1000, 0)
     Training(
         network,
@@ -118,14 +111,14 @@ def test_four_bodies_are_learned(tmp_path: Path) -> None:
         image = images.image(index)
         range_m = torch.from_numpy(image.range.astype("float32") * images.step_m)[None, None]
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
-    assert matrix.average_per_class_accuracy() > 0.95
+    assert matrix.average_per_class_accuracy() > 0.9
     assert trained.card["variant"] == "occ"
 
 
 @pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
-def test_a_training_carries_on_with_the_same_bits(figures_set: Path, tmp_path: Path, optimiser: Any) -> None:
+def test_a_training_carries_on_with_the_same_bits(small_set: Path, tmp_path: Path, optimiser: Any) -> None:
     recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser == "adamw")
-    train(figures_set, tmp_path / "whole", recipe)
+    train(small_set, tmp_path / "whole", recipe)
     cut = tmp_path / "cut"
 
     class CutError(Exception):
@@ -136,20 +129,20 @@ def test_a_training_carries_on_with_the_same_bits(figures_set: Path, tmp_path: P
             raise CutError  # after the checkpoint of step 2, before that of step 4
 
     torch.manual_seed(3)
-    images = RangeImages(figures_set, "all", "train")
+    images = RangeImages(small_set, "all", "train")
     made = Training(
         build("compact", TINY), "compact", images, recipe, RunFolder(cut), ONE, run_options=RunOptions(2, 2, 0)
     )
     with pytest.raises(CutError):
         made.run(False, stop, {})
     assert json.loads((cut / "checkpoint.json").read_text())["step"] == 2
-    train(figures_set, cut, recipe, resume=True, network=build("compact", TINY))
+    train(small_set, cut, recipe, resume=True, network=build("compact", TINY))
     assert files(cut) == files(tmp_path / "whole")
     steps = [json.loads(line)["step"] for line in (cut / "log.jsonl").read_text().splitlines()]
     assert steps == [2, 4, 5]
 
 
-def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
+def test_dropout_carries_on_too(small_set: Path, tmp_path: Path) -> None:
     """The paper's network draws while it learns; what was drawn elsewhere must not matter."""
     recipe = dataclasses.replace(SGD, steps=2, batch_size=1, accumulate=1)
 
@@ -157,7 +150,7 @@ def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
         torch.manual_seed(1)
         network = build("fcn_alexnet", {"width": 1 / 16})
         torch.manual_seed(until)
-        images = RangeImages(figures_set, "all", "train")
+        images = RangeImages(small_set, "all", "train")
         folder = RunFolder(tmp_path / name)
         made = Training(network, "fcn_alexnet", images, recipe, folder, ONE, run_options=RunOptions(1, 1, 0))
 
@@ -174,9 +167,9 @@ def test_dropout_carries_on_too(figures_set: Path, tmp_path: Path) -> None:
     assert files(tmp_path / "cut") == files(tmp_path / "whole")
 
 
-def test_a_killed_training_carries_on(figures_set: Path, tmp_path: Path) -> None:
+def test_a_killed_training_carries_on(small_set: Path, tmp_path: Path) -> None:
     def command(out: Path, *more: str) -> list[str]:
-        words = ["train", "--data", str(figures_set), "--out", str(out), "--settings", json.dumps(TINY), "--steps", "6"]
+        words = ["train", "--data", str(small_set), "--out", str(out), "--settings", json.dumps(TINY), "--steps", "6"]
         return [
             *words,
             "--batch-size",
@@ -205,10 +198,10 @@ def test_a_killed_training_carries_on(figures_set: Path, tmp_path: Path) -> None
     assert (tmp_path / "cut/network.safetensors").read_bytes() == (tmp_path / "whole/network.safetensors").read_bytes()
 
 
-def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_together_learn_as_one(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two processes with half of each batch give the weights of one with all of it, but for rounding."""
     settings = {"width": 1 / 16}
-    words = ["train", "--data", str(figures_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
+    words = ["train", "--data", str(small_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
     words += ["--steps", "2", "--batch-size", "2", "--accumulate", "2", "--num-workers", "0"]
     words += ["--device", "cpu", "--seed", "4"]
     worker = HELPERS / "train_worker.py"
@@ -228,68 +221,68 @@ def test_processes_together_learn_as_one(figures_set: Path, tmp_path: Path, monk
         torch.testing.assert_close(two[name], weight, atol=2e-5, rtol=1e-3)
 
 
-def test_what_does_not_shape_the_result_may_change(figures_set: Path, tmp_path: Path) -> None:
-    train(figures_set, tmp_path / "a", run_options=RunOptions(1, 1, 0))
-    train(figures_set, tmp_path / "b", run_options=RunOptions(5, 100, 2))
+def test_what_does_not_shape_the_result_may_change(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "a", run_options=RunOptions(1, 1, 0))
+    train(small_set, tmp_path / "b", run_options=RunOptions(5, 100, 2))
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
-def test_a_loss_that_is_no_number_stops_with_step_and_samples(figures_set: Path, tmp_path: Path) -> None:
+def test_a_loss_that_is_no_number_stops_with_step_and_samples(small_set: Path, tmp_path: Path) -> None:
     network = build("compact", TINY)
     with torch.no_grad():
         network.get_parameter("head.bias")[4] = float("nan")
     with pytest.raises(Diverged, match=r"the loss is nan in step 1, with the samples \S+, \S+"):
-        train(figures_set, tmp_path / "run", network=network)
+        train(small_set, tmp_path / "run", network=network)
     assert not (tmp_path / "run" / "network.safetensors").exists()
     assert not (tmp_path / "run" / "checkpoint.json").exists()
 
 
-def test_another_training_is_not_overwritten(figures_set: Path, tmp_path: Path) -> None:
-    train(figures_set, tmp_path / "run")
+def test_another_training_is_not_overwritten(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "run")
     before = files(tmp_path / "run")
     with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
-        train(figures_set, tmp_path / "run")
+        train(small_set, tmp_path / "run")
     with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
-        train(figures_set, tmp_path / "run", resume=True, seed=1)
+        train(small_set, tmp_path / "run", resume=True, seed=1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(BadConfig, match="holds files but no training"):
-        train(figures_set, tmp_path / "full")
+        train(small_set, tmp_path / "full")
     assert files(tmp_path / "run") == before
 
 
-def test_a_damaged_checkpoint_is_refused(figures_set: Path, tmp_path: Path) -> None:
-    train(figures_set, tmp_path / "run")
+def test_a_damaged_checkpoint_is_refused(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "run")
     (file,) = (tmp_path / "run").glob("checkpoint-*.safetensors")
     data = bytearray(file.read_bytes())
     data[-1] ^= 1
     file.write_bytes(data)
     with pytest.raises(BadConfig, match="is damaged: SHA-256"):
-        train(figures_set, tmp_path / "run", resume=True)
+        train(small_set, tmp_path / "run", resume=True)
 
 
-def test_a_finished_training_stays_as_it_is(figures_set: Path, tmp_path: Path) -> None:
-    train(figures_set, tmp_path / "run")
+def test_a_finished_training_stays_as_it_is(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path / "run")
     before = files(tmp_path / "run")
-    assert train(figures_set, tmp_path / "run", resume=True) == []
+    assert train(small_set, tmp_path / "run", resume=True) == []
     assert files(tmp_path / "run") == before
 
 
-def test_batches_must_be_shared_out_evenly(figures_set: Path, tmp_path: Path) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_batches_must_be_shared_out_evenly(small_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(small_set, "all", "train")
     with pytest.raises(BadConfig, match="batch_size must be a multiple of the 3 processes, found 2"):
         Training(
             build("compact", TINY), "compact", images, SGD, RunFolder(tmp_path), ProcessGroup(0, 3, torch.device("cpu"))
         )
 
 
-def test_a_batch_larger_than_the_set_is_refused(figures_set: Path, tmp_path: Path) -> None:
+def test_a_batch_larger_than_the_set_is_refused(small_set: Path, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="they do not fill one batch of 64"):
-        train(figures_set, tmp_path / "run", dataclasses.replace(SGD, batch_size=64))
+        train(small_set, tmp_path / "run", dataclasses.replace(SGD, batch_size=64))
 
 
-def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_weights_of_parts_come_from_clean_samples(small_set: Path) -> None:
+    images = RangeImages(small_set, "all", "train")
     counts = training._class_pixels(images)
     assert counts.sum() == sum((images.clean(index).labels < 33).sum() for index in range(len(images)))
 
@@ -312,18 +305,18 @@ def test_weights_of_parts_come_from_clean_samples(figures_set: Path) -> None:
     ],
 )
 def test_bad_arguments_get_one_line(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
-    assert main(["train", "--data", str(figures_set), "--out", str(tmp_path / "run"), *words]) == 2
+    assert main(["train", "--data", str(small_set), "--out", str(tmp_path / "run"), *words]) == 2
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
 
 
-def test_tensorboard_gets_the_figures(figures_set: Path, tmp_path: Path) -> None:
+def test_tensorboard_gets_the_figures(small_set: Path, tmp_path: Path) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    words = ["--data", str(figures_set), "--out", str(tmp_path), "--settings", json.dumps(TINY), "--steps", "2"]
+    words = ["--data", str(small_set), "--out", str(tmp_path), "--settings", json.dumps(TINY), "--steps", "2"]
     assert main(["train", *words, "--batch-size", "2", "--num-workers", "0", "--log-every", "1"]) == 0
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()

@@ -8,22 +8,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from small_rig import SMALL
 from small_training import TINY, log, written
 
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import load_network
 
 VALIDATED = ["--val-share", "0.5", "--val-every", "2", "--val-images", "3"]
-
-
-@pytest.fixture(scope="module")
-def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL)
 
 
 def command(data: Path, out: Path, *more: str) -> list[str]:

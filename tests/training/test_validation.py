@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from small_rig import SMALL
 from small_training import CutError, GivenScores, cut_at, log, train, written
 
 from bodyseg_data import RangeImages
@@ -20,11 +18,6 @@ from bodyseg_model.training.loop import RunOptions
 from bodyseg_model.training.validation import Validation
 
 NAN = float("nan")
-
-
-@pytest.fixture(scope="module")
-def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL)
 
 
 @pytest.fixture

@@ -179,7 +179,7 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
     if above.min() < BACKGROUND - PART_COUNT:
         parts = f"0 to {PART_COUNT - 1} or {BACKGROUND}"
         raise BadTransform(f"{where} must return labels {parts}, found {above.min() + PART_COUNT}")
-    lost = (ranges == 0).view(np.uint8)
+    lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
     np.negative(lost, out=lost)  # all bits, which are background's
     return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))
 

@@ -82,7 +82,7 @@ def test_bytes_are_those_on_disk(figures: dict[str, Any], figures_set: Path) -> 
     assert sizes["ours_all"] == sizes["ours_none"] == round(folder_bytes(figures_set) / 24)
     assert sizes["memory"] == 640 * 329 * 5
     assert sizes["png_files"] < sizes["webdataset_png"] < sizes["png_files"] + 12_000, "tars are padded"
-    assert figures["five_png_bytes_per_sample"] > 2.5 * sizes["png_files"], "other variants have less noise in them"
+    assert figures["five_png_bytes_per_sample"] > 2.4 * sizes["png_files"], "other variants have less noise in them"
     assert figures["kept_bytes_per_sample"] == sizes
 
 

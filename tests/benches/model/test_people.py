@@ -63,4 +63,4 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert figures["score"]["source"]["people"] == person.sum()
     for model, quality in figures["cross_validation"].items():
         score = score_from_json(model, figures["score"]["models"][model])
-        assert quality["people_lost"] <= 0.02 and 0 <= quality["things_kept"] < 0.5 and 0 < score.cutoff < 1
+        assert quality["people_lost"] <= 0.04 and 0 <= quality["things_kept"] < 0.5 and 0 < score.cutoff < 1

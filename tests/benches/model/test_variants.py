@@ -35,7 +35,7 @@ HERE = ProcessGroup(0, 1, torch.device("cpu"))
 
 def trained_by_command(data: Path, out: Path, variant: str) -> None:
     options = train_command.Options(
-        str(data),
+        (str(data),),
         out,
         variant,
         steps=STEPS,
