@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 
 def bench_everyday(views: int = 130, progress: Progress = silent) -> dict[str, Any]:
-    """Draw `views` bodies, evenly spread over the source in whole rounds of stances.
+    """Draw `views` bodies, evenly spread over the source in rounds of its stances.
 
     "seconds": of processor for a pose, mean and 95th percentile. "attempts": poses drawn for one accepted.
     "rejected": share of the poses drawn. "unresolved": share of bodies whose skin goes deeper than is accepted, since
@@ -40,7 +40,7 @@ def bench_everyday(views: int = 130, progress: Progress = silent) -> dict[str, A
     source, opened = EverydayBodies(), OpenBodies()
     skin = Skin(opened.build(next(ref for ref in opened.bodies() if ref.pose == _NEUTRAL)))
     stances = len({ref.pose for ref in source.bodies()})
-    chosen = _spread(source.bodies(), stances, -(-views // stances))
+    chosen = _spread(source.bodies(), stances, -(-views // stances))[:views]
     source.drawn(chosen[0])  # loads the model
     seconds, contacts, drawn = [], [], []
     for done, ref in enumerate(chosen, 1):
