@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from benches.model.failures.everyday import bench_everyday
 
 
