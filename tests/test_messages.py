@@ -55,7 +55,7 @@ CASES: dict[str, Case] = {
     "open an unknown source": (
         lambda: open_source("cinema"),
         BadConfig,
-        "the source must be one of open, bare, wide, hard, scape, mit, caesar, folder, paper, found 'cinema'",
+        "the source must be one of open, bare, wide, everyday, hard, scape, mit, caesar, folder, paper, found 'cinema'",
     ),
     "open a source of files without its folder": (
         lambda: open_source("mit"),

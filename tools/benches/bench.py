@@ -50,6 +50,7 @@ BENCHES: Final = {
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
+    "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),
     "clothes": Bench("data.surface.clothes", optional=("mit",)),
     "proposal": Bench("data.surface.proposal", optional=("mit",)),
     "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),

@@ -149,9 +149,8 @@ def bone_rotations(pose: Pose) -> dict[str, Matrix]:
     ):
         rotations |= {bone: _part_of(whole, share) for bone, share in shares.items()}
     # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
-    rotations |= _named(_arm(pose.left_arm), "L") | _named(_leg(pose.left_leg, root), "L")
-    mirrored_root = _MIRROR @ root @ _MIRROR
-    right = _arm(pose.right_arm) | _leg(pose.right_leg, mirrored_root)
+    rotations |= _named(_left(pose.left_arm, pose.left_leg, root), "L")
+    right = _left(pose.right_arm, pose.right_leg, _MIRROR @ root @ _MIRROR)
     return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
 
 
@@ -160,11 +159,16 @@ def root_rotation(trunk: Trunk) -> Matrix:
     return _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
 
 
+def _left(arm: Arm, leg: Leg, root: Matrix) -> dict[str, Matrix]:
+    return arm_rotations(arm) | finger_rotations(arm) | leg_rotations(leg, root)
+
+
 def _named(rotations: Mapping[str, Matrix], side: str) -> dict[str, Matrix]:
     return {f"{bone}.{side}": rotation for bone, rotation in rotations.items()}
 
 
-def _arm(arm: Arm) -> dict[str, Matrix]:
+def arm_rotations(arm: Arm) -> dict[str, Matrix]:
+    """Return rotations [3, 3] of the bones of a left arm without its fingers, by name without the side."""
     hanging = _turn(_Z, -math.degrees(math.atan2(_UPPER_ARM[0], -_UPPER_ARM[1])))
     whole = _turn(_X, -arm.flex) @ _turn(_Z, arm.abduct) @ _turn(_Y, arm.twist) @ hanging
     way = whole @ _UPPER_ARM
@@ -175,7 +179,7 @@ def _arm(arm: Arm) -> dict[str, Matrix]:
     swing, twist = _swing_and_twist(whole, _UPPER_ARM)
     half = _turn(_UPPER_ARM, twist / 2)  # spread, or the skin would wring at the shoulder
     third = _turn(-_FOREARM, arm.supinate / 3)
-    rotations = {
+    return {
         "clavicle": clavicle,
         "shoulder01": shoulder,
         "upperarm01": (clavicle @ shoulder).T @ swing @ half,
@@ -184,6 +188,11 @@ def _arm(arm: Arm) -> dict[str, Matrix]:
         "lowerarm02": third,
         "wrist": third @ _turn(KNUCKLES, arm.wrist),
     }
+
+
+def finger_rotations(arm: Arm) -> dict[str, Matrix]:
+    """Return rotations [3, 3] of the fingers' bones of a left hand, by name without the side."""
+    rotations = {}
     for finger in (2, 3, 4, 5):
         for joint, most in ((1, 62), (2, 75), (3, 45)):
             rotations[f"finger{finger}-{joint}"] = _turn(KNUCKLES, most * arm.fist)
@@ -192,7 +201,8 @@ def _arm(arm: Arm) -> dict[str, Matrix]:
     return rotations
 
 
-def _leg(leg: Leg, root: Matrix) -> dict[str, Matrix]:
+def leg_rotations(leg: Leg, root: Matrix) -> dict[str, Matrix]:
+    """Return rotations [3, 3] of the bones of a left leg, by name without the side, below a pelvis turned by `root`."""
     whole = _turn(_X, -leg.flex) @ _turn(_Z, leg.abduct) @ _turn(_Y, leg.twist)
     swing, twist = _swing_and_twist(whole, _THIGH)
     half = _turn(_THIGH, twist / 2)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Final
 
+import numpy as np
+
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import check_seed
 
@@ -45,6 +47,9 @@ class Outfit:
                 raise BadConfig(f"an outfit's {field.name} must be {low:g} to {high:g}, found {value!r}")
 
 
+_GATHERED: Final = 0.25  # share of loose outfits with bands
+_SEEDS: Final = 1_000_000
+
 _RANGES: Final[dict[str, tuple[float, float]]] = {
     "sleeve": (0.15, 1),
     "hem": (0, 0.8),  # farther down, a top would have to join the legs
@@ -79,3 +84,24 @@ OUTFITS: Final[dict[str, Outfit]] = {
     ),
 }  # fmt: skip
 """Outfits by name. "B" and "C" are for the subjects of those names."""
+
+_LOOSE: Final[dict[str, tuple[float, float]]] = {
+    "sleeve": (0.3, 1.0), "hem": (0.4, 0.8), "leg": (0.25, 1.0), "top_loose_m": (0.01, 0.05),
+    "leg_loose_m": (0.008, 0.045), "top_taper": (0.0, 0.06), "sleeve_taper": (0.0, 0.04), "leg_taper": (0.0, 0.2),
+    "fold_m": (0.06, 0.16),
+    "slack": (0.04, 0.12), "crumple": (0.03, 0.18),
+}  # fmt: skip
+
+
+_CLOSE: Final[dict[str, tuple[float, float]]] = _LOOSE | {
+    "top_loose_m": (0.0, 0.004), "leg_loose_m": (0.0, 0.004), "top_taper": (0.35, 0.8), "sleeve_taper": (0.35, 0.8),
+    "leg_taper": (0.35, 0.8), "slack": (0.0, 0.03), "crumple": (0.0, 0.05),
+}  # fmt: skip
+
+
+def drawn_outfit(draws: np.random.Generator, close: bool) -> Outfit:
+    """Draw a top and trousers: loose shirts, jumpers, wide trousers, shorts; close: the same close to the body."""
+    ranges = _CLOSE if close else _LOOSE
+    values = {name: round(low + (high - low) * float(draws.random()), 4) for name, (low, high) in ranges.items()}
+    gathered, seed = bool(draws.random() < _GATHERED), int(draws.random() * _SEEDS)
+    return Outfit(**values, gathered=gathered, seed=seed)

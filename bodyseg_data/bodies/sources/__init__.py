@@ -33,6 +33,7 @@ SOURCES: Final[dict[str, SourceEntry]] = {
     "open": SourceEntry("open_bodies.OpenBodies"),
     "bare": SourceEntry("open_bodies.BareBodies"),
     "wide": SourceEntry("wide.WideBodies"),
+    "everyday": SourceEntry("everyday.EverydayBodies"),
     "hard": SourceEntry("hard.HardBodies"),
     "scape": SourceEntry("scape.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
     "mit": SourceEntry("mit.MitBodies", reads="I_crane and the other sequences"),

@@ -11,11 +11,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
+from bodyseg_data.bodies.anny.model import Figure
 from bodyseg_data.bodies.anny.people import PEOPLE, person
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies
+from bodyseg_data.bodies.sources.open_bodies import MadeBodies
 
 _HANGING: Final = Arm()
 _HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)

@@ -14,11 +14,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from bodyseg_data.bodies.anny.model import Figure
 from bodyseg_data.bodies.anny.people import person
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.clothes.outfits import OUTFITS
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import Figure, MadeBodies, OpenBodies
+from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core.randomness import generator
 
 WIDE: Final = 900

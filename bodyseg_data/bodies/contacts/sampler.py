@@ -1,0 +1,265 @@
+"""Sampler of everyday poses of one person: a stance, then each arm sent to a place, rejected where skin meets skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.anny.posable import Posable
+from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.contacts import arms
+from bodyseg_data.bodies.contacts.limbs import Base, Limb, Side
+from bodyseg_data.bodies.contacts.places import Places
+from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, mostly_middle, uniform, within
+from bodyseg_data.bodies.contacts.reaching import Goal, Reach
+from bodyseg_data.bodies.contacts.stances import STANCES, LegTask, Stance
+from bodyseg_data.bodies.contacts.surface import Skin, deepest_m, vertex_normals
+
+Floats = NDArray[np.float64]
+
+DEEPEST_M: Final = 0.012
+"""Depth of skin in skin beyond which a pose is rejected."""
+
+_MISS_M: Final = 0.02  # of a foot or hand from its place
+_GAP_M: Final = 0.004
+_PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
+_BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
+_ATTEMPTS: Final = 40
+_ARM_TRIES: Final = 8
+_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
+_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
+_ALL: Final = np.ones(3)
+_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
+_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
+_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
+_PAIRS: Final = 10
+_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Result of a search for a pose. contacts: what each arm does, left first. attempts: poses drawn until this one was
+    accepted. deepest_m: of skin in skin.
+    """
+
+    pose: Pose
+    contacts: tuple[str, str]
+    attempts: int
+    deepest_m: float
+
+
+class Sampler:
+    """Poses of one person."""
+
+    def __init__(self, person: Posable, places: Places) -> None:
+        """places: found on any person, since all have the same vertices."""
+        self._person, self._places = person, places
+        self._normals = vertex_normals(person.modelled, person.faces)
+        self._legs: dict[Side, Limb] = {"L": Limb(person, "leg", "L"), "R": Limb(person, "leg", "R")}
+        self._arms: dict[Side, Limb] = {"L": Limb(person, "arm", "L"), "R": Limb(person, "arm", "R")}
+        limbs = [*self._legs.values(), *self._arms.values()]
+        self._far = np.any([limb.far for limb in limbs], axis=0)
+        self._trunk = self._places.solid & ~np.any([limb.vertices for limb in limbs], axis=0)
+        lifted = np.any(
+            [*(leg.far for leg in self._legs.values()), *(arm.vertices for arm in self._arms.values())], axis=0
+        )
+        self._resting = self._places.solid & ~lifted
+        turns, heads = person.placed(bone_rotations(Pose()))
+        self._leg_m = float(heads[0, 1] - person.vertices(turns, heads)[self._places.solid, 1].min())
+
+    def draw(self, stance: str, draws: np.random.Generator) -> Drawn:
+        """Draw a pose. Of many rejected ones, in the end, the one with the least depth is returned."""
+        best: Drawn | None = None
+        for attempt in range(1, _ATTEMPTS + 1):
+            found = self._attempt(STANCES[stance], draws)
+            if found is None:
+                continue
+            pose, contacts, deepest = found
+            if best is None or deepest < best.deepest_m:
+                best = Drawn(pose, contacts, attempt, deepest)
+            if deepest <= DEEPEST_M:
+                break
+        return best or Drawn(Pose(), ("hanging", "hanging"), _ATTEMPTS, 0.0)
+
+    def _attempt(self, stance: Stance, draws: np.random.Generator) -> tuple[Pose, tuple[str, str], float] | None:
+        legs = self._with_legs(stance, draws)
+        if legs is None:
+            return None
+        pose, floor = legs
+        contacts: dict[Side, str] = {}
+        first: Side = "L" if draws.random() < 0.5 else "R"
+        for side in (first, _other(first)):
+            placed = self._with_arm(pose, side, stance, floor, contacts.get(first), draws)
+            if placed is None:
+                return None
+            pose, contacts[side] = placed
+        vertices, normals = self._posed(pose)
+        if (
+            vertices[self._far, 1].min() < floor - _BELOW_M
+            or vertices[self._places.solid, 1].min() < floor - _SHOULDER_M
+        ):
+            return None
+        limbs = [*self._legs.values(), *self._arms.values()]
+        return pose, (contacts["L"], contacts["R"]), deepest_m(vertices, normals, limbs, self._places.solid)
+
+    def _with_legs(self, stance: Stance, draws: np.random.Generator) -> tuple[Pose, float] | None:
+        """Return a pose with hanging arms and the floor's height, or None if a leg does not reach."""
+        trunk = Trunk(**mostly_middle(stance.trunk, draws))
+        first: Side = "L" if draws.random() < 0.5 else "R"
+        if trunk.roll:  # the leg on top lies on the other
+            first = "R" if trunk.roll > 0 else "L"
+        pair = stance.legs[int(draws.random() * len(stance.legs))]
+        tasks: dict[Side, LegTask] = {first: pair[0], _other(first): pair[1]}
+        starts = {side: Leg(**within(task.start, draws)) for side, task in tasks.items()}
+        alike = pair[0] is pair[1] and draws.random() < _ALIKE
+        if alike:
+            starts[_other(first)] = starts[first]
+        pose = Pose(trunk, Arm(), Arm(), starts["L"], starts["R"])
+        turns, heads = self._person.placed(bone_rotations(pose))
+        vertices = self._person.vertices(turns, heads)
+        shifts = {side: _shift(task, draws) for side, task in tasks.items()}
+        if alike:
+            shifts[_other(first)] = shifts[first]
+        feet = {side: self._foot(shift, side, stance, heads) for side, shift in shifts.items()}
+        if stance.pelvis is None:
+            floor = float(vertices[self._resting, 1].min()) + _PRESSED_M
+        else:
+            floor = float(heads[0, 1]) - uniform(draws, *stance.pelvis) * self._leg_m
+            floor = max([floor, *(self._lowest(heads, side, tasks[side], feet[side]) for side in feet)])
+        done = self._trunk.copy()
+        for side in (_other(first), first):  # the first one may touch the other
+            limb, task, at = self._legs[side], tasks[side], feet[side]
+            vertices, normals = self._posed(pose)
+            base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
+            goals = []
+            if at is not None:
+                goals.append(Goal(_middle(self._places.on("sole", side)), np.array([at[0], floor, at[1]]), _ALL))
+            if task.by:
+                goals.append(self._touch(task, side, limb.bones(starts[side], base), vertices, normals, draws))
+            ranges = {name: LEG[name] for name in ("flex", "abduct", "twist", "knee")}
+            if "planted" in task.start:
+                ranges["ankle"] = LEG["ankle"]
+            if task.start.get("twist", (0, 0))[1] > LEG["twist"][1]:
+                ranges["twist"] = CROSSED_TWIST
+            resting = [self._places.on(name, side) for name in task.floor]
+            reach = Reach(limb, base, self._normals, goals, Skin(vertices, normals, done), floor, resting)
+            reached = reach(starts[side], ranges)
+            if reached.miss_m > _MISS_M or reach.depth_m(reached.angles) > DEEPEST_M:
+                return None
+            pose = _with(pose, side, reached.angles)
+            done |= limb.vertices
+        return pose, floor
+
+    def _foot(
+        self, shift: tuple[float, float] | None, side: Side, stance: Stance, heads: Floats
+    ) -> tuple[float, float] | None:
+        """Return x and z of a sole that is flat on the floor, metres, or None if this one is not.
+
+        shift: outwards of the hip and in front of it, metres.
+        """
+        if shift is None:
+            return None
+        hip, chest = heads[self._person.numbers[f"upperleg01.{side}"]], heads[self._person.numbers["spine02"]]
+        under = _CENTRE * (chest - heads[0]) if stance.balanced else np.zeros(3)
+        out = shift[0] if side == "L" else -shift[0]
+        return float(hip[0] + under[0] + out), float(hip[2] + under[2] + shift[1])
+
+    def _lowest(self, heads: Floats, side: Side, task: LegTask, at: tuple[float, float] | None) -> float:
+        """Return the height of the lowest floor that a leg's sole or knee reaches, -inf for a leg in the air."""
+        person, hip = self._person, self._person.numbers[f"upperleg01.{side}"]
+        if at is not None:
+            length = self._leg_m - float(person.heads[0, 1] - person.heads[hip, 1])
+            across = float(np.hypot(heads[hip, 0] - at[0], heads[hip, 2] - at[1]))
+            return float(heads[hip, 1] - np.sqrt(max((_STRETCHED * length) ** 2 - across**2, 0)))
+        if "knee" in task.floor:
+            thigh = float(np.linalg.norm(person.heads[person.numbers[f"lowerleg01.{side}"]] - person.heads[hip]))
+            return float(heads[hip, 1]) - thigh - _KNEE_M
+        return -np.inf
+
+    def _touch(
+        self,
+        task: LegTask,
+        side: Side,
+        bones: tuple[Floats, Floats],
+        vertices: Floats,
+        normals: Floats,
+        draws: np.random.Generator,
+    ) -> Goal:
+        """Return the nearest of a few drawn pairs of a point of this leg and a point of the other one."""
+        own = self._places.on(task.by, side)
+        on = self._places.on(task.touch[int(draws.random() * len(task.touch))], _other(side))
+        mine = np.array([_one_of(own, draws) for _ in range(_PAIRS)])
+        theirs = np.array([_one_of(on, draws) for _ in range(_PAIRS)])
+        here = self._legs[side].points(mine, self._normals[mine]).moved(*bones)
+        best = int(np.linalg.norm(here - vertices[theirs], axis=1).argmin())
+        at = theirs[best]
+        return Goal(int(mine[best]), vertices[at] + _GAP_M * normals[at], _ALL, -normals[at])
+
+    def _with_arm(
+        self, pose: Pose, side: Side, stance: Stance, floor: float, other_task: str | None, draws: np.random.Generator
+    ) -> tuple[Pose, str] | None:
+        """Return the pose with one arm sent to a place, and the place; None if none of eight can be reached.
+
+        other_task: what the other arm does, None if it is not in its place yet.
+        """
+        limb, other = self._arms[side], self._arms[_other(side)]
+        turns, heads = self._person.placed(bone_rotations(pose))
+        vertices = self._person.vertices(turns, heads)
+        normals = vertex_normals(vertices, self._person.faces)
+        solid = self._places.solid & ~limb.vertices
+        if other_task is None:
+            solid &= ~other.vertices
+        obstacles = Skin(vertices, normals, solid)
+        base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
+        chest = self._person.numbers["spine02"]
+        body = arms.Body(
+            side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_task is not None,
+            heads[self._person.numbers[f"upperarm01.{side}"]], heads[chest],
+        )  # fmt: skip
+        if other_task is not None and draws.random() < _ALIKE:
+            same = pose.right_arm if side == "L" else pose.left_arm  # angles are those of a left arm for both
+            reach = Reach(limb, base, self._normals, [], obstacles, floor)
+            reached = reach(same, ARM | {"wrist": LOADED_WRIST})
+            if reach.depth_m(reached.angles) <= DEEPEST_M:
+                return _with(pose, side, reached.angles), other_task
+        kind = ""
+        for index in range(_ARM_TRIES):
+            if index % _SAME_KIND == 0:
+                kind = arms.drawn_kind(body, stance.floor_hands, draws)
+            task = arms.drawn(kind, body, draws)
+            reach = Reach(limb, base, self._normals, task.goals, obstacles, floor)
+            start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)
+            reached = reach(start, task.ranges)
+            if reached.miss_m <= _MISS_M and reach.depth_m(reached.angles) <= DEEPEST_M:
+                return _with(pose, side, reached.angles), task.name
+        return None
+
+    def _posed(self, pose: Pose) -> tuple[Floats, Floats]:
+        vertices = self._person.vertices(*self._person.placed(bone_rotations(pose)))
+        return vertices, vertex_normals(vertices, self._person.faces)
+
+
+def _shift(task: LegTask, draws: np.random.Generator) -> tuple[float, float] | None:
+    """Draw how far a flat sole is outwards of its hip and in front of it, metres; None for a foot that is not flat."""
+    return None if task.out is None else (uniform(draws, *task.out), uniform(draws, *task.ahead))
+
+
+def _with(pose: Pose, side: Side, angles: Arm | Leg) -> Pose:
+    if isinstance(angles, Arm):
+        return replace(pose, left_arm=angles) if side == "L" else replace(pose, right_arm=angles)
+    return replace(pose, left_leg=angles) if side == "L" else replace(pose, right_leg=angles)
+
+
+def _other(side: Side) -> Side:
+    return "R" if side == "L" else "L"
+
+
+def _one_of(vertices: NDArray[np.int64], draws: np.random.Generator) -> int:
+    return int(vertices[int(draws.random() * len(vertices))])
+
+
+def _middle(vertices: NDArray[np.int64]) -> int:
+    return int(vertices[len(vertices) // 2])

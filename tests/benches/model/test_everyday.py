@@ -1,0 +1,19 @@
+"""`bench everyday` on two bodies."""
+
+from __future__ import annotations
+
+import pytest
+from benches.model.failures.everyday import bench_everyday
+
+
+def test_the_figures_are_those_of_the_bodies_drawn() -> None:
+    for package in ("anny", "embreex"):
+        pytest.importorskip(package)
+    steps: list[tuple[int, int]] = []
+    figures = bench_everyday(2, lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 2), (2, 2)]
+    assert figures["bodies"] == 2
+    assert figures["attempts"] == pytest.approx(1 / (1 - figures["rejected"]), abs=0.01)
+    assert 0 < figures["seconds"]["mean"] <= figures["seconds"]["p95"]
+    assert 0 <= figures["over_20_mm"] <= figures["over_10_mm"] <= 1
+    assert 0 < figures["coverage"]["before"] <= figures["coverage"]["after"] <= 1

@@ -1,0 +1,132 @@
+"""The everyday bodies: their list, and drawn poses: joints, contacts, floor, and the same bits on every draw."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bodyseg_data.bodies.anny.people import person
+from bodyseg_data.bodies.anny.posable import Posable
+from bodyseg_data.bodies.anny.skeleton import bone_rotations
+from bodyseg_data.bodies.contacts.limbs import Limb
+from bodyseg_data.bodies.contacts.places import Places
+from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST
+from bodyseg_data.bodies.contacts.sampler import DEEPEST_M, Drawn
+from bodyseg_data.bodies.contacts.stances import STANCES
+from bodyseg_data.bodies.contacts.surface import Skin, vertex_normals
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies.sources.everyday import EVERYDAY, EverydayBodies
+from bodyseg_data.bodies.sources.hard import HardBodies
+from bodyseg_data.bodies.sources.wide import WideBodies
+from bodyseg_data.core.errors import BadConfig
+
+DRAWN = (1, 14, 2, 34)
+"""Bodies whose poses are drawn here: stepping twice, on one leg, on all fours."""
+
+
+@cache
+def source() -> EverydayBodies:
+    pytest.importorskip("anny")
+    return EverydayBodies()
+
+
+@cache
+def drawn(index: int) -> Drawn:
+    return source().drawn(source().bodies()[index])
+
+
+def test_all_are_for_training_and_stances_take_turns() -> None:
+    bodies = EverydayBodies().bodies()
+    assert open_source("everyday").name == "everyday"
+    assert len(bodies) == EVERYDAY == len({ref.subject for ref in bodies}) == len({ref.mesh for ref in bodies})
+    assert {(ref.subset, ref.split) for ref in bodies} == {("everyday", "train")}
+    assert set(Counter(ref.pose for ref in bodies).values()) == {EVERYDAY // len(STANCES)}
+
+
+def test_nobody_is_of_another_set() -> None:
+    hard, wide = HardBodies(), WideBodies()
+    others = {hard.figure(ref).who.stature_m for ref in hard.bodies()}
+    others |= {wide.figure(ref).who.stature_m for ref in wide.bodies()}
+    assert not others & {person(3000 + index).stature_m for index in range(EVERYDAY)}
+
+
+def test_a_pose_is_the_same_whoever_asks() -> None:
+    ref = source().bodies()[1]
+    assert EverydayBodies().drawn(ref) == drawn(1) != drawn(14)
+    assert source().figure(ref).pose == drawn(1).pose
+
+
+@pytest.mark.parametrize("index", DRAWN)
+def test_joints_stay_within_their_ranges(index: int) -> None:
+    pose = drawn(index).pose
+    for arm in (pose.left_arm, pose.right_arm):
+        for joint, (low, high) in (ARM | {"wrist": LOADED_WRIST}).items():
+            assert low <= getattr(arm, joint) <= high, joint
+    for leg in (pose.left_leg, pose.right_leg):
+        for joint, (low, high) in (LEG | {"twist": CROSSED_TWIST}).items():
+            assert low <= getattr(leg, joint) <= high, joint
+
+
+@pytest.mark.parametrize("index", DRAWN)
+def test_a_touching_hand_is_at_the_skin_and_no_limb_goes_deep(index: int) -> None:
+    """The distances are measured anew on the built body, with the nearest vertices of the whole body."""
+    found, ref = drawn(index), source().bodies()[index]
+    assert found.deepest_m <= DEEPEST_M
+    vertices = source().build(ref, dressed=False).mesh.vertices[: len(posable(index).modelled)]
+    normals = vertex_normals(vertices, posable(index).faces)
+    places = Places(posable(index))
+    for side, contact in zip("LR", found.contacts, strict=True):
+        by, _, at = contact.partition(" on ")
+        limb = Limb(posable(index), "arm", side)  # type: ignore[arg-type]
+        near = Skin(vertices, normals, places.solid & ~limb.vertices).heights(vertices[limb.far])
+        assert near.min() >= -DEEPEST_M - 1e-4
+        if at == "the floor":
+            assert vertices[limb.far, 1].min() < 0.07
+        elif at and at != "the seat" and found.contacts[0] != found.contacts[1]:
+            assert near.min() < 0.03, (by, at)
+
+
+@pytest.mark.parametrize("index", (1, 14))
+def test_both_soles_of_people_who_step_are_on_the_floor(index: int) -> None:
+    vertices = source().build(source().bodies()[index], dressed=False).mesh.vertices
+    places = Places(posable(index))
+    for side in "LR":
+        assert vertices[places.on("sole", side), 1].min() < 0.03
+
+
+@cache
+def posable(index: int) -> Posable:
+    return source().model.posable(person(3000 + index))
+
+
+def test_people_to_be_posed_have_the_skin_of_the_model() -> None:
+    pose = drawn(2).pose
+    own = posable(2)
+    vertices = own.vertices(*own.placed(bone_rotations(pose)))
+    built = source().build(source().bodies()[2], dressed=False).mesh.vertices[: len(vertices)]
+    offset = (vertices - built).mean(axis=0)
+    np.testing.assert_allclose(vertices - offset, built, atol=2e-6)
+
+
+def test_the_fingerprint_draws_no_pose_and_tells_bodies_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("anny")
+    bodies = EverydayBodies()
+    monkeypatch.setattr(bodies, "drawn", lambda body: pytest.fail("a pose was drawn"))
+    first, second = (bodies.fingerprint(bodies.bodies()[start : start + 2]) for start in (0, 1))
+    assert first != second == bodies.fingerprint(bodies.bodies()[1:3])
+
+
+def test_a_body_of_another_source_is_refused() -> None:
+    with pytest.raises(BadConfig, match="the source 'everyday' has no body"):
+        EverydayBodies().drawn(BodyRef("wide", "W000", "wide-000", "upright", "train"))
+
+
+def test_drawn_poses_are_pinned() -> None:
+    """A failure here means that poses changed: raise POSES_VERSION, and write the new angles."""
+    pose = drawn(1).pose
+    assert drawn(1).contacts == ("in the air", "palm on chest")
+    assert (pose.left_leg.flex, pose.left_leg.knee) == (7.3, 33.4)
