@@ -11,24 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset, default_collate
+from torch.utils.data import DataLoader, default_collate
+from wrapped_sets import Pairs
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.system.reused_memory import ReusedMemory
-
-
-class Pairs(Dataset[tuple[torch.Tensor, torch.Tensor]]):
-    """A data set of a user's own around the images; alter: what it does to a range."""
-
-    def __init__(self, images: RangeImages, alter: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
-        self.images, self.alter = images, alter
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        sample = self.images[index]
-        return sample["range"] if self.alter is None else self.alter(sample["range"]), sample["labels"]
 
 
 class Mappings(Pairs):

@@ -8,14 +8,10 @@ from multiprocessing import get_context
 from threading import Event
 
 import pytest
+from jobs import take
 
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
-
-
-def take(count: int) -> int:
-    """A job that needs `count` bytes; returns its process."""
-    return len(bytearray(count)) and os.getpid()
 
 
 def fail() -> None:

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from pngs import png
 
-from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
-from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
+from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
@@ -390,7 +390,9 @@ def test_a_block_is_no_person(
 def test_things_of_other_classes_are_told_by_their_shape(
     recording: Path, tmp_path: Path, network: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"labels": {"name": "limbs14"}}))
+    rest = tuple(name for name in LANDMARKS if name != "Sellion")
+    halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {}, halves))
     assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
     assert report(tmp_path / "out")["person_score"]["model"] == "shape"
     assert report(tmp_path / "out")["things"] == 5
