@@ -173,14 +173,17 @@ def test_the_open_body_is_symmetric(standing: Any) -> None:
 def test_landmarks_of_the_open_body_stand_in_anatomical_order(standing: Any) -> None:
     mesh, landmarks = standing
     height = dict(zip(LANDMARKS, mesh.vertices[landmarks, 1] / np.ptp(mesh.vertices[:, 1]), strict=True))
-    # Shares of the stature from anthropometric surveys, with room for the person.
+    # Shares of the stature, as annotated on people who stand, with room for the person.
     for name, share in (
         ("Sellion", 0.93),
         ("Supramenton", 0.88),
         ("Cervicale", 0.85),
-        ("Suprasternale", 0.82),
-        ("Rt. Thelion/Bustpoint", 0.72),
-        ("10th Rib Midspine", 0.64),
+        ("Suprasternale", 0.79),
+        ("Rt. Acromion", 0.795),
+        ("Rt. Axilla, Post.", 0.735),
+        ("Rt. Thelion/Bustpoint", 0.71),
+        ("Substernale", 0.67),
+        ("10th Rib Midspine", 0.655),
         ("Rt. ASIS", 0.56),
         ("Rt. Trochanterion", 0.52),
         ("Rt. Femoral Lateral Epicn", 0.29),
