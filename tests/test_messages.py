@@ -264,7 +264,7 @@ CASES: dict[str, Case] = {
     "load pretrained weights of a network that has none": (
         lambda: build("compact").load_pretrained(Path("a.onnx")),
         BadConfig,
-        "Compact cannot start from pretrained weights, found a.onnx",
+        "Compact starts from a run's folder or a .safetensors file, found a.onnx",
     ),
     "find bodies between limits in the wrong order": (
         lambda: Background("limits", 2, 2),

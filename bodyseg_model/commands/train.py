@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import sys
 import time
@@ -24,8 +25,9 @@ from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
 from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.networks.checkpoints import read_json
+from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.data import open_data
@@ -74,7 +76,9 @@ class Options:
     keep: Keep | None = option("weights of the run's network (default: the best, if validated)", None)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
-    pretrained: Path | None = option("weights to start from; fcn_alexnet reads AlexNet's, .onnx or .caffemodel", None)
+    pretrained: Path | None = option(
+        "weights to start from: a run's folder or a .safetensors file; for fcn_alexnet also AlexNet's", None
+    )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     compile: bool = option("compile the network for this machine first", False)
@@ -107,14 +111,13 @@ def run(options: Options) -> int:
         options.data, options.weights, options.samples, options.seed, lambda address: _open(options, address, "train")
     )
     network = _network(options, images.label_map)
+    pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(
             network, options.network, images, recipe, folder, processes, options.seed, run_options, validation
         )
-        facts = {**provenance(command_line("bodyseg train", options)), "pretrained": None}
-        if options.pretrained is not None:
-            facts["pretrained"] = options.pretrained.name
+        facts = {**provenance(command_line("bodyseg train", options)), "pretrained": pretrained}
         report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
         training.run(options.resume, report, facts)
         if validation is not None and processes.first:
@@ -184,10 +187,37 @@ def _sensor(options: Options) -> SensorModel:
 
 def _network(options: Options, label_map: LabelMap) -> Network:
     classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
-    network = build(options.network, {**classes, **_settings(options.settings)}, options.seed)
-    if options.pretrained is not None:
-        network.load_pretrained(options.pretrained)
-    return network
+    return build(options.network, {**classes, **_settings(options.settings)}, options.seed)
+
+
+def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
+    """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file.
+
+    Raises BadConfig for a trained one of another network, other classes or other settings.
+    """
+    if not path.is_dir() and path.suffix != ".safetensors":
+        network.load_pretrained(path)
+        with path.open("rb") as file:
+            return _entry(path, hashlib.file_digest(file, "sha256").hexdigest())
+    trained = load_network(path)
+    _check_alike(path, "network", options.network, trained.card["network"])
+    ours, theirs = images.label_map, trained.label_map
+    if ours.classes != theirs.classes:
+        found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
+        raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
+    for name in sorted(network.settings.keys() | trained.network.settings.keys()):
+        _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
+    network.load_state_dict(trained.network.state_dict())
+    return _entry(path, trained.card[WEIGHTS_SHA256])
+
+
+def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
+    if ours != theirs:
+        raise BadConfig(f"--pretrained {path} must have the {what} {ours!r} of this training, found {theirs!r}")
+
+
+def _entry(path: Path, digest: str) -> dict[str, Any]:
+    return {"file": path.resolve().name, WEIGHTS_SHA256: digest}
 
 
 def _settings(text: str) -> dict[str, Any]:

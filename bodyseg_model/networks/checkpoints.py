@@ -43,7 +43,7 @@ CheckpointName = Literal["best", "last"]
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
 WEIGHTS_SHA256: Final = "weights_sha256"
-"""Entry of a card: the SHA-256 of the .safetensors file beside it, in hexadecimal."""
+"""Entry of a card: the SHA-256 of the .safetensors file of its weights, in hexadecimal."""
 
 _LARGEST_FILE: Final = 1 << 31
 
@@ -83,12 +83,13 @@ class Checkpoint:
     """State of a training after `step` steps. loader_state: `Loader.state_dict`.
 
     tensors: the network's weights as "network.NAME", their averages, if there are any, as "average.NAME", and the
-    optimiser's state as "optimiser.NAME".
+    optimiser's state as "optimiser.NAME". sha256: of the file of tensors that it was read from, None for a new one.
     """
 
     step: int
     loader_state: dict[str, Any]
     tensors: dict[str, torch.Tensor]
+    sha256: str | None = None
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """The tensors whose names begin with `prefix`, without it."""
@@ -113,7 +114,7 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
-    The card's `step` says which step the weights are of.
+    The card's `step` says which step the weights are of, its `weights_sha256` which file they were read from.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
@@ -134,8 +135,9 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
     if not isinstance(card.get("network"), str) or not isinstance(settings, dict):
         raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
     network = build(card["network"], settings)
-    fill(network, _parse(_read_weights(file, card.get(WEIGHTS_SHA256)), file), file)
-    return _trained(network, card, file.with_suffix(".json"))
+    data, digest = _read_weights(file, card.get(WEIGHTS_SHA256))
+    fill(network, _parse(data, file), file)
+    return _trained(network, {**card, WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
 
 def _trained(network: Network, card: dict[str, Any], where: Path) -> Trained:
@@ -198,7 +200,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
     found = hashlib.sha256(data).hexdigest()
     if found != digest:
         raise BadConfig(f"{folder / name} is damaged: SHA-256 {found}, expected {digest}")
-    return Checkpoint(step, state, _parse(data, folder / name))
+    return Checkpoint(step, state, _parse(data, folder / name), found)
 
 
 def _unfinished(folder: Path) -> bool:
@@ -223,7 +225,8 @@ def _last_weights(folder: Path) -> Trained:
         raise BadConfig(f"{folder / PLAN} must name the network and its settings")
     network = build(name, settings)
     fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
-    card = {**plan, "format": FORMAT, "step": checkpoint.step, "last_step": checkpoint.step}
+    steps = {"step": checkpoint.step, "last_step": checkpoint.step}
+    card = {**plan, "format": FORMAT, **steps, WEIGHTS_SHA256: checkpoint.sha256}
     return _trained(network, card, folder / PLAN)
 
 
@@ -247,12 +250,13 @@ def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
 
 
-def _read_weights(path: Path, expected: Any) -> bytes:
-    """All of a file. Raises BadConfig if its SHA-256 is not the expected one, which None leaves unchecked."""
+def _read_weights(path: Path, expected: Any) -> tuple[bytes, str]:
+    """All of a file, and its SHA-256. Raises BadConfig if that is not the expected one, which None leaves unchecked."""
     data = read_bytes(path)
-    if expected is not None and (found := hashlib.sha256(data).hexdigest()) != expected:
+    found = hashlib.sha256(data).hexdigest()
+    if expected not in (None, found):
         raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
-    return data
+    return data, found
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

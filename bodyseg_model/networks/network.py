@@ -76,7 +76,7 @@ class Network(nn.Module, ABC):
 
     def load_pretrained(self, path: Path) -> None:
         """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
-        raise BadConfig(f"{type(self).__name__} cannot start from pretrained weights, found {path}")
+        raise BadConfig(f"{type(self).__name__} starts from a run's folder or a .safetensors file, found {path}")
 
     def extra_repr(self) -> str:
         """Settings, for `repr`."""

@@ -87,7 +87,7 @@ def test_every_network_is_trained_at_any_loss_stride(name: str) -> None:
 
 
 def test_by_default_a_network_reads_no_pretrained_weights(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match=r"Compact .* pretrained weights, found .*a\.onnx"):
+    with pytest.raises(BadConfig, match=r"Compact starts from a run's folder or a \.safetensors file, found .*a\.onnx"):
         small("compact").load_pretrained(tmp_path / "a.onnx")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -11,10 +12,12 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 from small_training import TINY, log, written
 
 from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, Trained, load_network
+from bodyseg_model.networks.compact import Compact
 
 VALIDATED = ["--val-share", "0.5", "--val-every", "2", "--val-images", "3"]
 
@@ -108,4 +111,79 @@ def test_bad_options_get_one_line(
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def parameters(trained: Trained) -> dict[str, torch.Tensor]:
+    return dict(trained.network.named_parameters())
+
+
+@pytest.fixture
+def earlier(small_set: Path, tmp_path: Path) -> Path:
+    """A run of one step."""
+    assert main(command(small_set, tmp_path / "earlier", "--steps", "1", "--seed", "5")) == 0
+    return tmp_path / "earlier"
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_training_starts_from_the_weights_of_another(
+    small_set: Path, tmp_path: Path, earlier: Path, ended: bool
+) -> None:
+    """With a learning rate near 0, a network keeps the parameters that it starts from."""
+    if not ended:
+        (earlier / "network.safetensors").unlink()
+        (earlier / "network.json").unlink()
+    file = earlier / ("network.safetensors" if ended else "checkpoint-00000001.safetensors")
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    before = parameters(load_network(earlier))
+    for path in [earlier, *([file] if ended else [])]:
+        out = tmp_path / "later" / path.name
+        more = ["--steps", "1", "--lr", "1e-9", "--seed", "6", "--pretrained", str(path)]
+        assert main(command(small_set, out, *more)) == 0
+        trained = load_network(out)
+        assert trained.card["pretrained"] == {"file": path.name, WEIGHTS_SHA256: digest}
+        for name, weight in parameters(trained).items():
+            torch.testing.assert_close(weight, before[name], atol=1e-7, rtol=0)
+    assert main(command(small_set, tmp_path / "other", *more[:-2])) == 0
+    other = load_network(tmp_path / "other")
+    assert other.card["pretrained"] is None
+    assert (parameters(other)["head.weight"] - before["head.weight"]).abs().max() > 0.01
+
+
+def test_published_weights_are_named_with_their_digest(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+    monkeypatch.setattr(Compact, "load_pretrained", lambda network, path: read.append(path))
+    file = tmp_path / "weights.onnx"
+    file.write_bytes(b"published")
+    assert main(command(small_set, tmp_path / "run", "--steps", "1", "--pretrained", str(file))) == 0
+    assert read == [file]
+    digest = hashlib.sha256(b"published").hexdigest()
+    assert load_network(tmp_path / "run").card["pretrained"] == {"file": "weights.onnx", WEIGHTS_SHA256: digest}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["--network", "fcn_alexnet", "--settings", "{}"],
+            "the network 'fcn_alexnet' of this training, found 'compact'",
+        ),
+        (["--labels", "limbs14"], "the labels 'limbs14' of this training, found 'parts33'"),
+        (["--labels", "MAP"], "the labels 'parts33' of this training, found other classes of that name"),
+        (
+            ["--settings", '{"patch": 8, "widths": [8], "blocks": [1]}'],
+            "the setting patch 8 of this training, found 16",
+        ),
+    ],
+)
+def test_weights_of_another_network_are_refused(
+    small_set: Path, tmp_path: Path, earlier: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    (tmp_path / "MAP.toml").write_text('format = "bodyseg labels 1"\nname = "parts33"\n[classes]\nhead = ["Sellion"]\n')
+    words = [str(tmp_path / "MAP.toml") if word == "MAP" else word for word in words]
+    capsys.readouterr()
+    assert main(command(small_set, tmp_path / "run", *words, "--pretrained", str(earlier))) == 2
+    assert capsys.readouterr().err == f"bodyseg train: --pretrained {earlier} must have {message}\n"
     assert not (tmp_path / "run").exists()
