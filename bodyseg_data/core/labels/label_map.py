@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.colours import class_colours
+from bodyseg_data.core.labels.lookup import looked_up
 from bodyseg_data.core.parts import BACKGROUND, COLOURS, LANDMARKS, PART_COUNT, PARTS, Part, Side
 from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
 
@@ -79,10 +80,6 @@ class LabelMap:
         return found
 
     @cached_property
-    def _bytes(self) -> bytes:
-        return self.table.tobytes()
-
-    @cached_property
     def _wide(self) -> NDArray[np.uint64]:
         return self.table.astype(np.uint64)
 
@@ -97,8 +94,7 @@ class LabelMap:
             _loops().join_runs(flat, edges, self.table)
             return
         if not use_compiled():
-            # Bytes are translated faster than NumPy looks them up, for it first makes 64-bit numbers of them.
-            flat[:] = np.frombuffer(flat.tobytes().translate(self._bytes), np.uint8)
+            flat[:] = looked_up(flat, self.table)
             return
         first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
         words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
