@@ -206,7 +206,7 @@ class Loader:
         slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         for images in self.images.sets:
-            images.augmentation.prepare()
+            images.prepare()
         workers = self._new_workers(maker)
         return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 

@@ -100,8 +100,6 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
         self._joins_parts = self.label_map != PARTS33
-        if self._joins_parts:
-            self.label_map.prepare()
         self.selection = Selection.of(pattern, split, only, where, val_share)
         self._samples = self.selection.choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
@@ -129,6 +127,12 @@ class RangeImages(Dataset[dict[str, Any]]):
     def sets(self) -> tuple[RangeImages, ...]:
         """The one set itself; a mixture has several."""
         return (self,)
+
+    def prepare(self) -> None:
+        """Compile or load the loops that samples need, so that workers forked from this process have them too."""
+        self.augmentation.prepare()
+        if self._joins_parts:
+            self.label_map.prepare()
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the draws for indexing, and of a loader's next pass."""
