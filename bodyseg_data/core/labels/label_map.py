@@ -200,17 +200,12 @@ def load_label_map(labels: str | Path | LabelMap) -> LabelMap:
     """Return a label map: as given, one that ships by its name, or that of a TOML file. Raises BadConfig."""
     if isinstance(labels, LabelMap):
         return labels
-    if labels == PARTS33.name:
-        return PARTS33
     if not isinstance(labels, str | Path):
         raise BadConfig(f"labels must be a LabelMap, a name, or the path of a .toml file, found {labels!r}")
-    if Path(labels).suffix != ".toml" and str(labels) not in label_map_names():
-        raise BadConfig(
-            f"no label map is called {str(labels)!r}: give one of {', '.join(label_map_names())} or the path of a "
-            ".toml file"
-        )
+    if str(labels) == PARTS33.name:
+        return PARTS33
     where = f"label map {labels}"
-    tree = toml_tree(toml_text("label map", labels, _FOLDER), where, LABEL_MAP_FORMAT)
+    tree = toml_tree(toml_text("label map", labels, _FOLDER, (PARTS33.name,)), where, LABEL_MAP_FORMAT)
     classes = tree.pop("classes", None)
     if not isinstance(classes, dict):
         raise BadConfig(f"{where}: the table [classes] is missing")
