@@ -12,6 +12,7 @@ from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rigs.camera import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.loading.image_set import metres
 
 Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""
@@ -39,9 +40,8 @@ class CameraImage(RangeImage):
 
     @property
     def metres(self) -> NDArray[np.float32]:
-        """Ranges in metres, float32 [H, W], 0 where nothing was measured: float32(range) * float32(step_m)."""
-        found: NDArray[np.float32] = np.multiply(self.range, np.float32(self.step_m))
-        return found
+        """Ranges in metres, float32 [H, W], 0 where nothing was measured; see `image_set.metres`."""
+        return metres(self.range, self.step_m)
 
     @property
     def body_box(self) -> Box | None:

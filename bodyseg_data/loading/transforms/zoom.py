@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import check_bool
 from bodyseg_data.core.randomness import unit
+from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.loading.transforms.camera_image import CameraImage
 from bodyseg_data.loading.transforms.checks import check_number
 from bodyseg_data.loading.transforms.resampling import take_grid
 from bodyseg_data.loading.transforms.transform import Transform
 
-_FARTHEST: Final = 65535  # steps that 16 bits hold
+_FARTHEST: Final = int(FARTHEST_STEPS)
 
 
 @dataclass(frozen=True)
