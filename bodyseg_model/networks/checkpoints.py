@@ -243,11 +243,6 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
-    return _parse(read_bytes(path), path)
-
-
 def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
     try:
         return parse_tensors(data)
