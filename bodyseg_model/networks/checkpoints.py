@@ -45,6 +45,10 @@ SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 WEIGHTS_SHA256: Final = "weights_sha256"
 """Entry of a card: the SHA-256 of the .safetensors file of its weights, in hexadecimal."""
 
+PRETRAINED: Final = "pretrained"
+"""Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in
+a plan, for one that started from random weights."""
+
 _LARGEST_FILE: Final = 1 << 31
 
 
