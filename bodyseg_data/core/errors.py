@@ -95,6 +95,17 @@ def check_int(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def check_bool(name: str, value: Any) -> bool:
+    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
+    if isinstance(value, bool):
+        return value
+    import numpy as np  # not above: commands without arrays start without it
+
+    if not isinstance(value, np.bool_):
+        raise BadConfig(f"{name} must be True or False, found {value!r}")
+    return bool(value)
+
+
 def check_fields(options: Any) -> None:
     """Raise BadConfig unless every field of a dataclass holds a value of the type that it declares.
 

@@ -6,6 +6,7 @@ A file or key that is missing, wrong or unknown is one clear line.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
@@ -108,17 +109,19 @@ def toml_names(folder: Traversable) -> tuple[str, ...]:
     return tuple(sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")))
 
 
-def toml_text(kind: str, name_or_path: str | Path, folder: Traversable) -> str:
+def toml_text(kind: str, name_or_path: str | Path, folder: Traversable, further: Sequence[str] = ()) -> str:
     """Read a TOML file of a folder by its name, or any by its path, which ends in .toml.
 
-    kind: the content's name in messages. Raises BadConfig for a name that is not there, or a file that cannot be read.
+    kind: the content's name in messages. further: names known to the caller without a file, which messages list first.
+    Raises BadConfig for a name that is not there, or a file that cannot be read.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         names = toml_names(folder)
         if str(name_or_path) not in names:
+            known = ", ".join([*further, *names])
             raise BadConfig(
-                f"no {kind} is called {str(name_or_path)!r}: give one of {', '.join(names)} or the path of a .toml file"
+                f"no {kind} is called {str(name_or_path)!r}: give one of {known} or the path of a .toml file"
             )
         return (folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
     try:

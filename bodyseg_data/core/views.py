@@ -34,6 +34,8 @@ class View:
     roll_deg: rotation of the camera about its optical axis, clockwise as seen from behind it; a body in the image turns
     the other way.
     height_cm: the camera, without turning, raised by that much; a body in the image moves down.
+
+    Raises BadConfig for anything but whole numbers.
     """
 
     distance_cm: int
@@ -41,6 +43,10 @@ class View:
     pitch_deg: int = 0
     roll_deg: int = 0
     height_cm: int = 0
+
+    def __post_init__(self) -> None:
+        if {*map(type, vars(self).values())} != {int}:  # a packing makes hundreds of thousands; the check takes longer
+            check_fields(self)
 
     @property
     def name(self) -> str:

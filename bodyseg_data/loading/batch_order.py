@@ -12,11 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 import torch.distributed
 from torch.utils.data import Sampler
 
-from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.errors import BadConfig, check_bool, check_int
 from bodyseg_data.core.randomness import check_epoch
 from bodyseg_data.loading.image_set import ImageSet, Request, Requests
 
@@ -24,13 +23,6 @@ STATE_FORMAT: Final = "bodyseg loader 1"
 
 _PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
 """Fields of a state besides its identity."""
-
-
-def check_bool(name: str, value: Any) -> bool:
-    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
-    if not isinstance(value, bool | np.bool_):
-        raise BadConfig(f"{name} must be True or False, found {value!r}")
-    return bool(value)
 
 
 def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:

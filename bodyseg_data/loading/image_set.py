@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, runtime_checkable
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.sample import Sample
 
@@ -106,6 +108,20 @@ class ImageSet(Protocol):
     ) -> BatchOrder:
         """Return the assignment of samples to batches; options as for `loader`."""
         ...
+
+
+def check_index(index: Any, count: int) -> int:
+    """Return the index, 0 to before `count`, of a sample of `count`; a negative one counts from the end.
+
+    Raises BadConfig for anything but a whole number, IndexError beyond the samples.
+    """
+    try:
+        number = operator.index(index)
+    except TypeError:
+        raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
+    if not -count <= number < count:
+        raise IndexError(f"index {number} of {count} samples")
+    return number % count
 
 
 def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:

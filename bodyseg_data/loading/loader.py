@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.core.errors import BadConfig, BodysegError, check_int, with_text
-from bodyseg_data.loading.batch_order import BatchOrder, Pass, check_bool
+from bodyseg_data.core.errors import BadConfig, BodysegError, check_bool, check_int, with_text
+from bodyseg_data.loading.batch_order import BatchOrder, Pass
 from bodyseg_data.loading.image_set import Batch, ImageSet, Request, metres
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
@@ -206,7 +206,7 @@ class Loader:
         slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         for images in self.images.sets:
-            images.augmentation.prepare()
+            images.prepare()
         workers = self._new_workers(maker)
         return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 

@@ -8,7 +8,6 @@ shard size.
 from __future__ import annotations
 
 import hashlib
-import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +27,7 @@ from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.batch_order import BatchOrder
-from bodyseg_data.loading.image_set import Request, Requests, metres
+from bodyseg_data.loading.image_set import Request, Requests, check_index, metres
 from bodyseg_data.loading.items.item import item_tensor
 from bodyseg_data.loading.selection.selection import Selection
 from bodyseg_data.loading.transforms.camera_image import with_camera
@@ -100,8 +99,6 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
         self._joins_parts = self.label_map != PARTS33
-        if self._joins_parts:
-            self.label_map.prepare()
         self.selection = Selection.of(pattern, split, only, where, val_share)
         self._samples = self.selection.choose(self.manifest, str(path))
         records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
@@ -129,6 +126,12 @@ class RangeImages(Dataset[dict[str, Any]]):
     def sets(self) -> tuple[RangeImages, ...]:
         """The one set itself; a mixture has several."""
         return (self,)
+
+    def prepare(self) -> None:
+        """Compile or load the loops that samples need, so that workers forked from this process have them too."""
+        self.augmentation.prepare()
+        if self._joins_parts:
+            self.label_map.prepare()
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the draws for indexing, and of a loader's next pass."""
@@ -208,15 +211,8 @@ class RangeImages(Dataset[dict[str, Any]]):
         return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
 
     def _where(self, index: int) -> tuple[int, int]:
-        """Return (shard number, index within the shard) of a sample. Raises BadConfig for no integer, or IndexError."""
-        try:
-            number = operator.index(index)
-        except TypeError:
-            raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
-        count = len(self._samples)
-        if not -count <= number < count:
-            raise IndexError(f"index {number} of {count} samples")
-        shard, within = self._samples[number].tolist()
+        """Return (shard number, index within the shard) of a sample. Raises as `check_index`."""
+        shard, within = self._samples[check_index(index, len(self._samples))].tolist()
         return shard, within
 
     def location(self, index: int) -> tuple[str, str, int]:

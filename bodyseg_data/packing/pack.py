@@ -23,7 +23,7 @@ from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, BodysegError, check_fields
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS
@@ -39,7 +39,14 @@ from bodyseg_data.packing.things import ThingsPlace, check_place
 from bodyseg_data.packing.writing import cut, cut_again, write_shards
 from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
 from bodyseg_data.shards.codecs import CodecName
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, MANIFEST_NAME, Manifest, SkippedMesh, write_manifest
+from bodyseg_data.shards.manifest import (
+    MANIFEST_FORMAT,
+    MANIFEST_NAME,
+    Manifest,
+    SkippedMesh,
+    read_manifest,
+    write_manifest,
+)
 from bodyseg_data.shards.sample_codec import check_codec, encode_sample
 
 PACKING_VERSION: Final = 3
@@ -169,6 +176,26 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
     return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
 
+def _digest(description: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[str, Any] | None:
+    """The description of a packing whose whole set `out` holds, of these files as they are; None for any other.
+
+    The bytes of such files were found without fault when the set was packed, so they need no second check. A set
+    without some meshes is checked again.
+    """
+    if packing.path is None or not (out / MANIFEST_NAME).exists():
+        return None
+    try:
+        manifest = read_manifest(out)
+        description = None if manifest.skipped else _describe(packing, bodies, ())
+    except BodysegError:
+        return None  # the check and the claim of the folder say what is wrong
+    return description if description is not None and manifest.plan == _digest(description) else None
+
+
 @dataclass(frozen=True)
 class Rendered:
     """The result of a run. samples: key and members (extension -> bytes). notes: lines about the body."""
@@ -227,17 +254,20 @@ def pack(
     FaultyMeshes for meshes that cannot be packed, all that the check before rendering finds, or that are more than may
     be left out; BadMesh, BadLandmarks or BadSample for one that fails later. After an error, finished shards stay and
     the same call carries on from them; the caller cancels the jobs that the executor has not begun. In a finished set,
-    shards that are missing or altered are made again.
+    shards that are missing or altered are made again; its meshes are not checked again while their files are unchanged.
     """
     forget_sources()
     check_folder(out)
     bodies = packing.bodies()
     skips = SkipList(on_faults, len(bodies), packing.path)
     try:
-        skips.add(find_faults(packing, bodies, executor, workers, on_faults.progress))
+        description = _unchanged(packing, bodies, out)
+        if description is None:
+            skips.add(find_faults(packing, bodies, executor, workers, on_faults.progress))
         faulty = list(skips.reasons)
-        description = _describe(packing, [body for body in bodies if body.mesh not in faulty], faulty)
-        digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+        if description is None:
+            description = _describe(packing, [body for body in bodies if body.mesh not in faulty], faulty)
+        digest = _digest(description)
 
         def render(body: BodyRef, views: tuple[View, ...]) -> Future[Rendered]:
             return executor.submit(render_run, packing, body, views, digest)

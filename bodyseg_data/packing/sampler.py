@@ -67,9 +67,9 @@ class Sampler:
         body, key, step_m = self._body, sample_key(self._source, self._body, view), self._rig.range_step_m
         camera, _ = self._rig.placed(self._mesh.centre, view)
         seen, things = self._renderer.render(camera), None
+        projectors = [test.rig.placed(self._mesh.centre, view)[1] for test in self._tests]
         if self._place != "none":
-            placed = [test.rig.placed(self._mesh.centre, view)[1] for test in self._tests]
-            lights = [(projector, self._renderer.render(projector)) for projector in placed]
+            lights = [(projector, self._renderer.render(projector)) for projector in projectors]
             things = draw_things(self._place, key, self._mesh, view, camera, seen, step_m, projectors=lights)
             seen = nearest(seen, things.render(camera), len(self._mesh.faces))
         measured = np.flatnonzero(seen.face >= 0)
@@ -85,8 +85,7 @@ class Sampler:
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
         labels.ravel()[pixels] = self._labels(faces, points)
         facing, occluders = [], []
-        for test in self._tests:
-            _, projector = test.rig.placed(self._mesh.centre, view)
+        for test, projector in zip(self._tests, projectors, strict=True):
             facing.append(np.zeros(seen.face.shape, np.bool_))
             facing[-1].ravel()[pixels] = self._facing(faces, points, projector.position)
             if things is not None:
@@ -121,11 +120,12 @@ class Sampler:
         things: Things | None,
     ) -> NDArray[np.uint16]:
         """The stored range of one projector. Raises BadSample."""
+        of_things = None if things is None else things.render(projector).range
 
         def ranges(texels: NDArray[np.intp]) -> NDArray[np.uint16]:
             found = self._renderer.ranges(projector, texels)
-            if things is not None:
-                before = things.render(projector).range.take(texels)
+            if of_things is not None:
+                before = of_things.take(texels)
                 found = np.where((before > 0) & ((found == 0) | (before < found)), before, found)
             return steps(found, self._rig.range_step_m, key)
 

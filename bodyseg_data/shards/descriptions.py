@@ -99,9 +99,9 @@ def _table(record: dict[str, Any], name: str, width: int, kind: type, where: str
 def difference(stored: SampleInfo, listed: SampleInfo) -> str | None:
     """Return one line on the first field in which a sample's own description differs from the manifest's, or None.
 
-    Fields that the manifest does not hold are the sample's own.
+    Fields that the manifest does not hold are the sample's own; the split is the shard's, which its reader compares.
     """
-    for field in (*BODY_FIELDS, *VIEW_FIELDS, "split"):
+    for field in (*BODY_FIELDS, *VIEW_FIELDS):
         own, other = getattr(stored, field), getattr(listed, field)
         if own != other:
             return f"{field!r} is {own!r}, in the manifest {other!r}"

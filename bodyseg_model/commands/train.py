@@ -115,9 +115,18 @@ def run(options: Options) -> int:
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(
-            network, options.network, images, recipe, folder, processes, options.seed, run_options, validation
+            network,
+            options.network,
+            images,
+            recipe,
+            folder,
+            processes,
+            options.seed,
+            run_options,
+            validation,
+            pretrained,
         )
-        facts = {**provenance(command_line("bodyseg train", options)), "pretrained": pretrained}
+        facts = provenance(command_line("bodyseg train", options))
         report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
         training.run(options.resume, report, facts)
         if validation is not None and processes.first:

@@ -45,6 +45,10 @@ SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 WEIGHTS_SHA256: Final = "weights_sha256"
 """Entry of a card: the SHA-256 of the .safetensors file of its weights, in hexadecimal."""
 
+PRETRAINED: Final = "pretrained"
+"""Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in
+a plan, for one that started from random weights."""
+
 _LARGEST_FILE: Final = 1 << 31
 
 
@@ -52,14 +56,18 @@ _LARGEST_FILE: Final = 1 << 31
 class Trained:
     """A network in evaluation mode, and its card: name, settings, and how and on what it was trained.
 
-    label_map: the classes that it predicts. rig: camera, projector and stand-off of the images that it was trained on.
-    sensor: the artifacts of these images, before the variant took those of its kinds. Rig and sensor are the paper's
-    where the card does not name them.
+    label_map: the classes that it predicts, the 33 parts where the card does not name them. rig: camera, projector and
+    stand-off of the images that it was trained on. sensor: the artifacts of these images, before the variant took those
+    of its kinds. Rig and sensor are the paper's where the card does not name them.
     """
 
     network: Network
     card: dict[str, Any]
-    label_map: LabelMap = PARTS33
+
+    @cached_property
+    def label_map(self) -> LabelMap:
+        """The card's label map. Raises BadConfig for an entry that is none."""
+        return label_map_from_json(self.card["labels"], "labels") if "labels" in self.card else PARTS33
 
     @cached_property
     def rig(self) -> Rig:
@@ -131,22 +139,26 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
     card = read_json(file.with_suffix(".json"))
     if card.get("format") != FORMAT:
         raise BadConfig(f"{file.with_suffix('.json')}: the format must be {FORMAT!r}, found {card.get('format')!r}")
-    settings = card.get("settings")
-    if not isinstance(card.get("network"), str) or not isinstance(settings, dict):
-        raise BadConfig(f"{file.with_suffix('.json')} must name the network and its settings")
-    network = build(card["network"], settings)
+    network = _build(card, file.with_suffix(".json"))
     data, digest = _read_weights(file, card.get(WEIGHTS_SHA256))
     fill(network, _parse(data, file), file)
     return _trained(network, {**card, WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
 
+def _build(card: dict[str, Any], where: Path) -> Network:
+    """A network with new weights, as a card or a plan describes it. Raises BadConfig, naming the file."""
+    name, settings = card.get("network"), card.get("settings")
+    if not isinstance(name, str) or not isinstance(settings, dict):
+        raise BadConfig(f"{where} must name the network and its settings")
+    return build(name, settings)
+
+
 def _trained(network: Network, card: dict[str, Any], where: Path) -> Trained:
     """A network with its card, whose classes and rig are checked. Raises BadConfig, naming the card's file."""
-    try:
-        label_map = label_map_from_json(card["labels"], "labels") if "labels" in card else PARTS33
-        check_label_map(network, label_map)
-        trained = Trained(network.eval(), card, label_map)
-        _ = trained.rig  # here, where the file is known
+    trained = Trained(network.eval(), card)
+    try:  # here, where the file is known
+        check_label_map(network, trained.label_map)
+        _ = trained.rig
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
     return trained
@@ -220,10 +232,7 @@ def _last_weights(folder: Path) -> Trained:
     if checkpoint is None:
         raise BadConfig(f"{folder} has no checkpoint yet")
     plan = read_json(folder / PLAN)
-    name, settings = plan.get("network"), plan.get("settings")
-    if not isinstance(name, str) or not isinstance(settings, dict):
-        raise BadConfig(f"{folder / PLAN} must name the network and its settings")
-    network = build(name, settings)
+    network = _build(plan, folder / PLAN)
     fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
     card = {**plan, "format": FORMAT, **steps, WEIGHTS_SHA256: checkpoint.sha256}
@@ -236,11 +245,6 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     data = tensor_bytes(plain)
     write_result(path, data)
     return hashlib.sha256(data).hexdigest()
-
-
-def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Tensors of a safetensors file. Raises BadConfig, naming it, if it is missing, too large or damaged."""
-    return _parse(read_bytes(path), path)
 
 
 def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:

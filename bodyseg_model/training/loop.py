@@ -25,7 +25,7 @@ from bodyseg_data.loading.image_set import Batch, ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
 from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
-from bodyseg_model.networks.checkpoints import AVERAGED, TRAINED, Checkpoint, load_network, save_network
+from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
@@ -69,8 +69,9 @@ class Training:
 
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
-    out, by the first process alone while the others wait. Raises BadConfig for batches that cannot be divided evenly
-    between the processes, or a network with another number of classes than the images.
+    out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
+    starts from (`checkpoints.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
+    processes, or a network with another number of classes than the images.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class Training:
         seed: int = 0,
         run_options: RunOptions | None = None,
         validation: Validation | None = None,
+        pretrained: dict[str, Any] | None = None,
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
@@ -95,7 +97,7 @@ class Training:
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = make_optimiser(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
-        self.validation = validation
+        self.validation, self.pretrained = validation, pretrained
         self.step = 0
         self._best: Best | None = None
         self._ended = False
@@ -105,7 +107,8 @@ class Training:
 
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
-        return training_plan(self.name, self.network, self.images, self.recipe, self.seed, self.validation)
+        plan = training_plan(self.name, self.network, self.images, self.recipe, self.seed, self.validation)
+        return plan if self.pretrained is None else {**plan, PRETRAINED: self.pretrained}
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
@@ -218,7 +221,7 @@ class Training:
 
     def _card(self, facts: dict[str, Any], step: int) -> dict[str, Any]:
         """Facts of the card of the weights of `step`."""
-        card = {**self.folder.plan(), **facts, "step": step, "last_step": self.step}
+        card = {PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
         if self._best is not None and self._best.step == step:
             card["val_accuracy"] = self._best.accuracy
         return card

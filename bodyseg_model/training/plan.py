@@ -39,6 +39,7 @@ FLAGS: Final[dict[str, str]] = {
     "data.val_share": "--val-share",
     "data.labels": "--labels",
     "labels": "--labels",
+    "pretrained": "--pretrained",
     "sensor": "--sensor",
     "sensor.artifacts": "--artifacts",
     "rig": "--data rig",

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 
 
@@ -35,7 +35,7 @@ class Recipe:
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
     (`ema.AveragedNetwork`); 0 for none.
 
-    Raises BadConfig for a value out of range.
+    Raises BadConfig for a value out of range or of another type.
     """
 
     steps: int
@@ -58,11 +58,12 @@ class Recipe:
     ema: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.optimiser not in ("sgd", "adamw"):
+            raise BadConfig(f"the optimiser must be sgd or adamw, found {self.optimiser!r}")
+        check_fields(self)
         for name in ("steps", "batch_size", "accumulate", "loss_stride"):
             if not 1 <= getattr(self, name) <= 10**9:
                 raise BadConfig(f"{name} must be at least 1, found {getattr(self, name)!r}")
-        if self.optimiser not in ("sgd", "adamw"):
-            raise BadConfig(f"the optimiser must be sgd or adamw, found {self.optimiser!r}")
         for name, least, most in _BOUNDS:
             if not least <= getattr(self, name) <= most:  # also refuses NaN
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
@@ -73,7 +74,7 @@ class Recipe:
 
     @staticmethod
     def from_json(content: Mapping[str, Any]) -> Recipe:
-        """Rebuild a recipe from what `to_json` gave. Raises TypeError or KeyError for anything else."""
+        """Rebuild a recipe from what `to_json` gave. Raises TypeError, KeyError or BadConfig for anything else."""
         return Recipe(
             **{**content, "geometric_augmentation": GeometricAugmentation(**content["geometric_augmentation"])}
         )

@@ -24,6 +24,7 @@ from bodyseg_model.networks.checkpoints import (
     CHECKPOINT,
     NETWORK,
     PLAN,
+    PRETRAINED,
     Checkpoint,
     checkpoint_file,
     read_checkpoint,
@@ -63,7 +64,8 @@ class RunFolder:
         """Open the folder for the training that `plan` describes; returns its last checkpoint if it has one.
 
         The number of steps may differ from that of the plan in the folder, which then takes the new one and lists the
-        old one under "earlier_steps". A folder that holds no more than a plan can be begun anew, with any plan.
+        old one under "earlier_steps". Weights to start from ("pretrained") need not be named again. A folder that holds
+        no more than a plan can be begun anew, with any plan.
 
         Raises BadConfig for a folder that holds another training, or this one without `resume`.
         """
@@ -81,6 +83,8 @@ class RunFolder:
             raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
         found = read_json(file)
         earlier = found.pop("earlier_steps", [])
+        if PRETRAINED in found:
+            wanted.setdefault(PRETRAINED, found[PRETRAINED])
         checkpoint = self.last()
         reached = 0 if checkpoint is None else checkpoint.step
         check_plan(self.path, found, wanted, reached)

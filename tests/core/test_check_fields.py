@@ -16,11 +16,12 @@ from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_data.core.views import Drawn, ViewGrid
+from bodyseg_data.core.views import Drawn, View, ViewGrid
 from bodyseg_data.packing.pack import Packing
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_model.networks.compact import CompactSettings
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
+from bodyseg_model.training.recipes import PRESETS
 
 _RIG: Final = load_rig()
 BUILT: Final = [
@@ -31,11 +32,13 @@ BUILT: Final = [
     Distortion(),
     ViewGrid(),
     Drawn(0, 1),
+    View(255, 20),
     Packing("open"),
     Augmentation(_RIG, "all"),
     RetryPolicy(),
     CompactSettings(),
     GeometricAugmentation(),
+    PRESETS["compact"],
 ]
 FIELDS: Final = [(built, field.name) for built in BUILT for field in fields(built)]  # type: ignore[arg-type]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -14,6 +15,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_data.loading.transforms import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
 from bodyseg_data.loading.transforms.roll import turned
+from bodyseg_data.loading.transforms.transform import transforms_to_json
 from bodyseg_data.loading.transforms.zoom import magnified
 
 ALL: tuple[Transform, ...] = (
@@ -52,6 +54,11 @@ def test_every_transform_takes_an_image_of_nothing(transform: Transform) -> None
     found = transform(empty, drawn())
     assert found.range.shape == transform.shape(60, 40)
     assert not found.range.any() and (found.labels == BACKGROUND).all()
+
+
+def test_a_zoom_takes_numpys_bool() -> None:
+    given = [Zoom(2.0, np.bool_(moves)) for moves in (True, False)]  # type: ignore[arg-type]
+    assert json.dumps(transforms_to_json(given)) == json.dumps(transforms_to_json([Zoom(2.0), Zoom(2.0, False)]))
 
 
 def test_a_flip_exchanges_left_and_right_and_is_its_own_inverse() -> None:

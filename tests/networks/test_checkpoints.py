@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from small_rig import SMALL
 
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -21,7 +22,6 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_model.networks.checkpoints import (
     load_network,
     read_json,
-    read_tensors,
     save_network,
     write_json,
     write_tensors,
@@ -77,7 +77,7 @@ def rewrite_card(file: Path, **changes: Any) -> None:
 
 
 def drop_weights(file: Path) -> None:
-    tensors = read_tensors(file)
+    tensors = load_file(file)
     tensors.pop("head.bias")
     write_tensors(file, tensors)
 
@@ -90,7 +90,7 @@ def forget_digest(file: Path) -> None:
 
 
 def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -> None:
-    tensors = read_tensors(file)
+    tensors = load_file(file)
     tensors["head.bias"] = change(tensors["head.bias"])
     write_tensors(file, tensors)
 
@@ -112,7 +112,7 @@ def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -
         (lambda file: rewrite_card(file, settings={**TINY, "widths": [8]}), "must be torch.float32 .*, found"),
         (drop_weights, "lacks the weights 'head.bias'"),
         (
-            lambda file: write_tensors(file, {**read_tensors(file), "x": torch.zeros(1)}),
+            lambda file: write_tensors(file, {**load_file(file), "x": torch.zeros(1)}),
             "has no use for the weights 'x'",
         ),
         (lambda file: change_weights(file, lambda bias: bias * float("nan")), "holds numbers that are not finite"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from small_rig import SMALL
 from small_training import CutError, GivenScores, cut_at, train
 
@@ -15,7 +16,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import rig_from_json
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks import checkpoints
-from bodyseg_model.networks.checkpoints import load_network, read_tensors
+from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.training.loop import RunOptions
 from bodyseg_model.training.run_folder import RunFolder
 
@@ -31,7 +32,7 @@ def unfinished(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 def test_a_training_that_has_not_ended_gives_its_last_checkpoint(unfinished: Path) -> None:
-    stored = read_tensors(unfinished / "checkpoint-00000003.safetensors")
+    stored = load_file(unfinished / "checkpoint-00000003.safetensors")
     for checkpoint in (None, "last"):
         trained = load_network(unfinished, checkpoint)  # type: ignore[arg-type]
         assert (trained.card["step"], trained.card["recipe"]["steps"]) == (3, 4)

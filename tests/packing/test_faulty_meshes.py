@@ -82,6 +82,37 @@ def test_all_faults_are_reported_before_anything_is_rendered(tmp_path: Path, mon
     assert not (tmp_path / "out").exists()
 
 
+def test_meshes_of_a_finished_set_are_checked_again_only_if_a_file_has_changed(tmp_path: Path) -> None:
+    folder, out = people(tmp_path / "people"), tmp_path / "out"
+    for name in ("cut", "few", "inches", "misspelt", "none"):
+        for file in folder.glob(f"{name}.*"):
+            file.unlink()
+    checked: list[tuple[int, int]] = []
+    on_faults = OnFaults(progress=lambda *done: checked.append(done))
+    manifest = packed(wanted(folder), out, on_faults)
+    before = contents(out)
+    assert checked == [(done, 3) for done in range(1, 4)]
+    checked.clear()
+    assert packed(wanted(folder), out, on_faults) == manifest
+    next(out.glob("*.tar")).unlink()
+    assert packed(wanted(folder), out, on_faults) == manifest
+    assert contents(out) == before and not checked
+    mesh = folder / "good-1.ply"
+    whole = mesh.read_bytes()
+    mesh.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FaultyMeshes, match="1 of 3 meshes cannot be packed"):
+        packed(wanted(folder), out, on_faults)
+    mesh.write_bytes(whole)
+    (out / "manifest.json").write_text("{")
+    with pytest.raises(BadShard, match=r"manifest\.json"):
+        packed(wanted(folder), out, on_faults)
+    (out / "manifest.json").write_bytes(before["manifest.json"])
+    mesh.unlink()
+    (folder / "good-1.lnd").unlink()
+    with pytest.raises(BadConfig, match="already holds a set of shards packed with other options or from other files"):
+        packed(wanted(folder), out, on_faults)
+
+
 def test_a_line_for_each_reason_names_its_meshes() -> None:
     error = FaultyMeshes("3 of 9", {"m_1": "no file", "m_2": "no file", "m_9": "cut short"})
     assert error.lines() == ["m_1 to m_2: no file", "m_9: cut short"]

@@ -392,7 +392,7 @@ def test_things_of_other_classes_are_told_by_their_shape(
 ) -> None:
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
     halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {}, halves))
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"labels": halves.to_json()}))
     assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
     assert report(tmp_path / "out")["person_score"]["model"] == "shape"
     assert report(tmp_path / "out")["things"] == 5

@@ -99,6 +99,9 @@ def test_another_optimisers_memory_is_refused(name: str) -> None:
         ({"learning_rate": float("inf")}, "learning_rate must be from 1e-09 to 10, found inf"),
         ({"balance": -1}, "balance must be from 0 to 1, found -1"),
         ({"optimiser": "lion"}, "the optimiser must be sgd or adamw, found 'lion'"),
+        ({"optimiser": ["sgd"]}, "the optimiser must be sgd or adamw, found ['sgd']"),
+        ({"steps": "many"}, "Recipe: steps must be a whole number, found 'many'"),
+        ({"geometric_augmentation": {}}, "geometric_augmentation must be of class GeometricAugmentation, found {}"),
     ],
 )
 def test_bad_recipes_are_refused(changes: dict[str, Any], message: str) -> None:

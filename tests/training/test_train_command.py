@@ -187,3 +187,19 @@ def test_weights_of_another_network_are_refused(
     assert main(command(small_set, tmp_path / "run", *words, "--pretrained", str(earlier))) == 2
     assert capsys.readouterr().err == f"bodyseg train: --pretrained {earlier} must have {message}\n"
     assert not (tmp_path / "run").exists()
+
+
+def test_a_resumed_training_keeps_the_name_of_the_weights_that_it_started_from(
+    small_set: Path, tmp_path: Path, earlier: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "later"
+    assert main(command(small_set, out, "--steps", "1", "--pretrained", str(earlier))) == 0
+    entry = load_network(out).card["pretrained"]
+    assert entry["file"] == "earlier"
+    more = ["--steps", "2", "--resume"]
+    assert main(command(small_set, out, *more)) == 0
+    assert load_network(out).card["pretrained"] == entry
+    another = earlier.rename(tmp_path / "another")
+    capsys.readouterr()
+    assert main(command(small_set, out, *more, "--pretrained", str(another))) == 2
+    assert '--pretrained file was "earlier", now "another"' in capsys.readouterr().err

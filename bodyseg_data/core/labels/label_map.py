@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.colours import class_colours
+from bodyseg_data.core.labels.lookup import looked_up
 from bodyseg_data.core.parts import BACKGROUND, COLOURS, LANDMARKS, PART_COUNT, PARTS, Part, Side
 from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
 
@@ -79,10 +80,6 @@ class LabelMap:
         return found
 
     @cached_property
-    def _bytes(self) -> bytes:
-        return self.table.tobytes()
-
-    @cached_property
     def _wide(self) -> NDArray[np.uint64]:
         return self.table.astype(np.uint64)
 
@@ -97,8 +94,7 @@ class LabelMap:
             _loops().join_runs(flat, edges, self.table)
             return
         if not use_compiled():
-            # Bytes are translated faster than NumPy looks them up, for it first makes 64-bit numbers of them.
-            flat[:] = np.frombuffer(flat.tobytes().translate(self._bytes), np.uint8)
+            flat[:] = looked_up(flat, self.table)
             return
         first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
         words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
@@ -204,17 +200,12 @@ def load_label_map(labels: str | Path | LabelMap) -> LabelMap:
     """Return a label map: as given, one that ships by its name, or that of a TOML file. Raises BadConfig."""
     if isinstance(labels, LabelMap):
         return labels
-    if labels == PARTS33.name:
-        return PARTS33
     if not isinstance(labels, str | Path):
         raise BadConfig(f"labels must be a LabelMap, a name, or the path of a .toml file, found {labels!r}")
-    if Path(labels).suffix != ".toml" and str(labels) not in label_map_names():
-        raise BadConfig(
-            f"no label map is called {str(labels)!r}: give one of {', '.join(label_map_names())} or the path of a "
-            ".toml file"
-        )
+    if str(labels) == PARTS33.name:
+        return PARTS33
     where = f"label map {labels}"
-    tree = toml_tree(toml_text("label map", labels, _FOLDER), where, LABEL_MAP_FORMAT)
+    tree = toml_tree(toml_text("label map", labels, _FOLDER, (PARTS33.name,)), where, LABEL_MAP_FORMAT)
     classes = tree.pop("classes", None)
     if not isinstance(classes, dict):
         raise BadConfig(f"{where}: the table [classes] is missing")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import itertools
-import operator
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.randomness import check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.loading.batch_order import BatchOrder
-from bodyseg_data.loading.image_set import Request, Requests
+from bodyseg_data.loading.image_set import Request, Requests, check_index
 from bodyseg_data.loading.mixtures.set_stream import SetStream
 from bodyseg_data.loading.mixtures.shares import Shares, Weight, read_schedule
 from bodyseg_data.loading.range_images import RangeImages
@@ -188,7 +187,7 @@ class Mixture(Dataset[dict[str, Any]]):
         if isinstance(index, tuple):
             epoch, stored = index
         else:
-            position = _checked_index(index, len(self))
+            position = check_index(index, len(self))
             ((epoch, stored),) = self.requests(self.epoch, self.split == "train").part(position, position + 1)
         images, within = self._where(stored)
         return images[epoch, within]
@@ -201,7 +200,7 @@ class Mixture(Dataset[dict[str, Any]]):
 
     def _where(self, index: int) -> tuple[RangeImages, int]:
         """Return the set of a stored sample, and its index there."""
-        number = _checked_index(index, self._starts[-1])
+        number = check_index(index, self._starts[-1])
         which = bisect.bisect_right(self._starts, number) - 1
         return self.sets[which], number - self._starts[which]
 
@@ -230,16 +229,6 @@ class Mixture(Dataset[dict[str, Any]]):
             ],
             "seed": self.seed,
         }
-
-
-def _checked_index(index: Any, count: int) -> int:
-    try:
-        number = operator.index(index)
-    except TypeError:
-        raise BadConfig(f"a sample's index must be a whole number, found {index!r}") from None
-    if not -count <= number < count:
-        raise IndexError(f"index {number} of {count} samples")
-    return number % count
 
 
 def _checked_parts(sets: Any) -> list[tuple[Any, ...]]:

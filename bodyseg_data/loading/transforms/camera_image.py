@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rigs.camera import Camera
 from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.loading.image_set import metres
 
 Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""
@@ -39,14 +41,13 @@ class CameraImage(RangeImage):
 
     @property
     def metres(self) -> NDArray[np.float32]:
-        """Ranges in metres, float32 [H, W], 0 where nothing was measured: float32(range) * float32(step_m)."""
-        found: NDArray[np.float32] = np.multiply(self.range, np.float32(self.step_m))
-        return found
+        """Ranges in metres, float32 [H, W], 0 where nothing was measured; see `image_set.metres`."""
+        return metres(self.range, self.step_m)
 
     @property
     def body_box(self) -> Box | None:
         """The smallest box that holds all labelled pixels; None if there are none."""
-        return box_of(self.labels != BACKGROUND)
+        return ends_of(self.labels != BACKGROUND)
 
 
 def with_camera(image: RangeImage, camera: Camera, step_m: float, sample: Sample) -> CameraImage:
@@ -56,11 +57,7 @@ def with_camera(image: RangeImage, camera: Camera, step_m: float, sample: Sample
     )
 
 
-def box_of(mask: NDArray[Any]) -> Box | None:
+def ends_of(mask: NDArray[Any]) -> Box | None:
     """The smallest box that holds all of an image [H, W] that is not 0; None if nothing is."""
-    rows = np.flatnonzero(np.bitwise_or.reduce(mask, axis=1))
-    if not len(rows):
-        return None
-    first, end = int(rows[0]), int(rows[-1]) + 1
-    columns = np.flatnonzero(np.bitwise_or.reduce(mask[first:end], axis=0))
-    return first, end, int(columns[0]), int(columns[-1]) + 1
+    box = box_of(mask)
+    return None if box is None else (box[0].start, box[0].stop, box[1].start, box[1].stop)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.reused_memory import SCRATCH
-from bodyseg_data.loading.transforms.camera_image import Box, CameraImage, box_of
+from bodyseg_data.loading.transforms.camera_image import Box, CameraImage, ends_of
 
 
 def take_grid(
@@ -21,7 +21,7 @@ def take_grid(
     rows, columns: increasing, float64 [H], [W]. camera: fields of the camera that change.
     """
     ranges, labels = background(len(rows), len(columns))
-    box = box_of(image.range)
+    box = ends_of(image.range)
     if box is not None:
         down, along = _within(np.floor(rows), *box[:2]), _within(np.floor(columns), *box[2:])
         below, across = rows[down].astype(np.intp), columns[along].astype(np.intp)
@@ -74,7 +74,7 @@ def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
     """
     height, width = image.range.shape
     ranges, labels = background(height, width)
-    box = box_of(image.range)
+    box = ends_of(image.range)
     if box is not None:
         x, y = image.centre_px
         corners = [(column - x, row - y) for row in box[:2] for column in box[2:]]

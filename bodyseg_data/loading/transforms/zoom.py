@@ -8,14 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import check_bool
 from bodyseg_data.core.randomness import unit
+from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.loading.transforms.camera_image import CameraImage
 from bodyseg_data.loading.transforms.checks import check_number
 from bodyseg_data.loading.transforms.resampling import take_grid
 from bodyseg_data.loading.transforms.transform import Transform
 
-_FARTHEST: Final = 65535  # steps that 16 bits hold
+_FARTHEST: Final = int(FARTHEST_STEPS)
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Zoom(Transform):
 
     def __post_init__(self) -> None:
         check_number(self.name, "largest", self.largest, 1, 4)
-        if not isinstance(self.moves_camera, bool):
-            raise BadConfig(f"transform 'zoom': moves_camera must be True or False, found {self.moves_camera!r}")
+        moves_camera = check_bool("transform 'zoom': moves_camera", self.moves_camera)
+        object.__setattr__(self, "moves_camera", moves_camera)  # NumPy's bool is no JSON
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""

@@ -13,13 +13,14 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_data.shards.codecs.labels import THING
 
 _kernel = partial(compiled, feature="decoding images in compiled loops")
 
 _0, _1, _2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _ESCAPE: Final = np.uint64(255)
 _BACKGROUND: Final = np.uint64(255)
-_THING: Final = np.uint64(62)
+_THING: Final = np.uint64(THING)
 _CHUNK: Final = np.uint64(32)
 """Pixels that are written at once: most runs are shorter, and what is too much is overwritten by the next run."""
 

@@ -121,4 +121,4 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     images = RangeImages(data, run.variant, "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, RUN_OPTIONS)
     command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
-    training.run(True, report, {**provenance(command), "pretrained": None})
+    training.run(True, report, provenance(command))
