@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
@@ -11,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.sample import Sample
 
@@ -127,7 +130,16 @@ def check_index(index: Any, count: int) -> int:
 def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
     """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
 
-    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into.
+    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
+    if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
+        _loops().scale(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
+        return out
     found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
     return found
+
+
+@lru_cache(maxsize=1)
+def _loops() -> Any:
+    """The compiled loop, in a module that needs numba."""
+    return import_module("bodyseg_data.loading.items.metres")

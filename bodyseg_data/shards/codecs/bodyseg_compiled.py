@@ -17,11 +17,11 @@ from bodyseg_data.shards.codecs.labels import THING
 
 _kernel = partial(compiled, feature="decoding images in compiled loops")
 
-_0, _1, _2 = np.uint64(0), np.uint64(1), np.uint64(2)
+_0, _1, _2, _3, _4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 _ESCAPE: Final = np.uint64(255)
 _BACKGROUND: Final = np.uint64(255)
 _THING: Final = np.uint64(THING)
-_CHUNK: Final = np.uint64(32)
+_CHUNK: Final = np.uint64(64)
 """Pixels that are written at once: most runs are shorter, and what is too much is overwritten by the next run."""
 
 
@@ -43,16 +43,19 @@ def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
 
 @_kernel
 def paint(names: Any, faces: Any, begin: Any, count: Any, value: Any) -> None:
-    """Write a run of the label byte `value` into labels and facing; up to `_CHUNK` pixels if it is shorter."""
+    """Write a run of the label byte `value` into labels and facing, in whole chunks, which may end behind it."""
     background = value == _BACKGROUND
     named = value & np.uint64(0xBF)
     label = np.uint8(_BACKGROUND if background or named == _THING else named)
     facing = (not background) & ((value & np.uint64(0x40)) != _0)
-    if count <= _CHUNK and begin + _CHUNK <= np.uint64(names.size):
-        for i in range(_CHUNK):
-            names[begin + i] = label
-        for i in range(_CHUNK):
-            faces[begin + i] = facing
+    chunks = (count + _CHUNK - _1) // _CHUNK
+    if begin + chunks * _CHUNK <= np.uint64(names.size):
+        for chunk in range(chunks):
+            at = begin + chunk * _CHUNK
+            for i in range(_CHUNK):
+                names[at + i] = label
+            for i in range(_CHUNK):
+                faces[at + i] = facing
     else:
         for i in range(count):
             names[begin + i] = label
@@ -166,7 +169,19 @@ def fill_camera(
                             coded |= np.uint64(numbers[large_at + escapes + escape]) << np.uint64(8)
                             above[begin + i] += np.uint16(unzigzag(coded) - unzigzag(_ESCAPE))
                             escape += _1
-                for i in range(length):
+                # Four at a time: each sum then waits for one addition in four.
+                for four in range(length // _4):
+                    at = begin + four * _4
+                    sum_1 = np.uint64(above[at])
+                    sum_2 = sum_1 + np.uint64(above[at + _1])
+                    sum_3 = sum_2 + np.uint64(above[at + _2])
+                    sum_4 = sum_3 + np.uint64(above[at + _3])
+                    ranges[row + at] = np.uint16(here + sum_1)
+                    ranges[row + at + _1] = np.uint16(here + sum_2)
+                    ranges[row + at + _2] = np.uint16(here + sum_3)
+                    ranges[row + at + _3] = np.uint16(here + sum_4)
+                    here += sum_4
+                for i in range(length // _4 * _4, length):
                     here += np.uint64(above[begin + i])
                     ranges[row + begin + i] = np.uint16(here)
                 step += length
