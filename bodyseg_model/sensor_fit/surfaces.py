@@ -68,7 +68,8 @@ def smooth_surface(range_m: NDArray[np.floating], known: Mask, camera: Camera, r
         misfit = np.sqrt(rest / (moments[0, 0] - len(_POWERS)))
     value, across, down = fitted[..., 0] + middle, fitted[..., 1], fitted[..., 2]
     full = [np.full(range_m.shape, np.nan) for _ in range(4)]
-    parts = (value, np.hypot(across, down), _incidence(value, across, down, camera, inside), misfit)
+    least = (_smaller(across, fitted[..., 3]), _smaller(down, fitted[..., 5]))
+    parts = (value, np.hypot(across, down), _incidence(value, *least, camera, inside), misfit)
     for whole, part in zip(full, parts, strict=True):
         whole[inside] = part
     return Surface(*full)
@@ -89,6 +90,12 @@ def third_differences(range_m: NDArray[np.floating], known: Mask) -> tuple[Float
         values.append(third[usable])
         pixels.append(i[:, 1:-2][usable])
     return np.concatenate(values), np.concatenate(pixels)
+
+
+def _smaller(slope: Floats, bend: Floats) -> Floats:
+    """The smaller one of the differences slope + bend and slope - bend to a pixel's two neighbours."""
+    forward, backward = slope + bend, slope - bend
+    return np.where(np.abs(forward) <= np.abs(backward), forward, backward)
 
 
 def _incidence(value: Floats, across: Floats, down: Floats, camera: Camera, box: tuple[slice, slice]) -> Floats:
