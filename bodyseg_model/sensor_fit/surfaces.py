@@ -23,8 +23,9 @@ class Surface:
     """A smooth surface in a range image, all arrays [H, W].
 
     range_m: metres, NaN where there were too few pixels. slope_m: metres a pixel, the length of the gradient.
-    incidence_rad: the angle between a pixel's ray and the surface's normal. misfit_m: standard deviation of the pixels
-    around the surface within the window.
+    incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its neighbours
+    as artifacts take it (`bodyseg_data.artifacts.surface.slants`). misfit_m: standard deviation of the pixels around the
+    surface within the window.
     """
 
     range_m: Floats
@@ -95,7 +96,8 @@ def third_differences(range_m: NDArray[np.floating], known: Mask) -> tuple[Float
 def _smaller(slope: Floats, bend: Floats) -> Floats:
     """The smaller one of the differences slope + bend and slope - bend to a pixel's two neighbours."""
     forward, backward = slope + bend, slope - bend
-    return np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+    smaller: Floats = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+    return smaller
 
 
 def _incidence(value: Floats, across: Floats, down: Floats, camera: Camera, box: tuple[slice, slice]) -> Floats:

@@ -128,9 +128,9 @@ def _chosen(
                 fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
     _, base, fit = min(fits, key=lambda each: each[0])
     if "grazing_mm" in fit.parameters and any(each.kind == "spatial" for each in residuals):
-        _, without, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
+        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
         if relief_px < _RELIEF_PX and relieved.chi2 < fit.chi2 + _WORTH:
-            base, fit = without, relieved
+            base, fit = formula, relieved
     findings = _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
     if base == "stereo_noise" and findings[base].verdict == NEEDED:
         rivals = [each for _, name, each in fits if name == "axial_noise" and "grazing_mm" not in each.parameters]
