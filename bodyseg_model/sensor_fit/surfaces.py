@@ -23,9 +23,9 @@ class Surface:
     """A smooth surface in a range image, all arrays [H, W].
 
     range_m: metres, NaN where there were too few pixels. slope_m: metres a pixel, the length of the gradient.
-    incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its neighbours
-    as artifacts take it (`bodyseg_data.artifacts.surface.slants`). misfit_m: standard deviation of the pixels around the
-    surface within the window.
+    incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its
+    neighbours as artifacts take it (`bodyseg_data.artifacts.surface.slants`). misfit_m: standard deviation of the
+    pixels around the surface within the window.
     """
 
     range_m: Floats
