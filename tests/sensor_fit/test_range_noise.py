@@ -53,7 +53,7 @@ def test_stereo_noise_is_written_for_any_baseline(baseline_m: float | None) -> N
 
 def test_growth_at_grazing_angles_comes_back() -> None:
     found = noise_of(recorded(AxialNoise(3.0, 1.0, 0.3), frames=6, wall=True))["axial_noise"]
-    assert found.verdict == NEEDED and found.strengths["grazing_mm"] == pytest.approx(0.3, rel=0.12)
+    assert found.verdict == NEEDED and found.strengths["grazing_mm"] == pytest.approx(0.3, rel=0.15)
     assert found.strengths["constant_mm"] == pytest.approx(3.0, rel=0.1)
 
 
