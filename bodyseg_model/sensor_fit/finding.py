@@ -39,7 +39,8 @@ class Finding:
     """The measurement of one artifact.
 
     artifact: its name in the registry. reason: the figures behind the verdict, one line. estimates: figures by name,
-    with their units in the names. strengths: of the artifact where it is needed, else none.
+    with their units in the names. strengths: of the artifact where it is needed, or where it stands for others that the
+    frames cannot tell it from; else none.
     """
 
     artifact: str
@@ -47,6 +48,11 @@ class Finding:
     reason: str
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     strengths: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def written(self) -> bool:
+        """Whether the artifact is in the sensor file."""
+        return self.verdict == NEEDED or bool(self.strengths)
 
     def build(self) -> Artifact:
         """The artifact with the strengths measured. Raises BadConfig for one that is not installed."""

@@ -58,18 +58,21 @@ class SensorFit:
     frames: int
 
     def model(self, name: str, title: str = "") -> SensorModel:
-        """The sensor model of the artifacts that are needed. Raises BadConfig for a name that is no plain word."""
-        return SensorModel(name, tuple(each.build() for each in self.findings if each.verdict == NEEDED), title)
+        """The sensor model of the artifacts that are needed, and of one among formulas that cannot be told apart.
+
+        Raises BadConfig for a name that is no plain word.
+        """
+        return SensorModel(name, tuple(each.build() for each in self.findings if each.written), title)
 
     def comments(self) -> Mapping[str, str]:
         """Comments for the sensor file: each artifact's figures, and for the whole file the verdicts on the others."""
-        others = [each for each in self.findings if each.verdict != NEEDED]
+        others = [each for each in self.findings if not each.written]
         lines = [f"Measured from {self.frames} frames by `bodyseg sensor fit`."]
         lines += [f"{each.artifact}: {each.verdict}: {each.reason}" for each in others]
         if self.mirrored:
             lines.append("The frames are probably mirrored.")
-        needed = {each.artifact: f"{each.verdict}: {each.reason}" for each in self.findings if each.verdict == NEEDED}
-        return {name: _wrapped(text) for name, text in {"": "\n".join(lines), **needed}.items()}
+        written = {each.artifact: f"{each.verdict}: {each.reason}" for each in self.findings if each.written}
+        return {name: _wrapped(text) for name, text in {"": "\n".join(lines), **written}.items()}
 
     def to_json(self) -> dict[str, Any]:
         """Every finding as plain JSON."""

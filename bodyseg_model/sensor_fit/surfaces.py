@@ -23,8 +23,9 @@ class Surface:
     """A smooth surface in a range image, all arrays [H, W].
 
     range_m: metres, NaN where there were too few pixels. slope_m: metres a pixel, the length of the gradient.
-    incidence_rad: the angle between a pixel's ray and the surface's normal. misfit_m: standard deviation of the pixels
-    around the surface within the window.
+    incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its
+    neighbours as artifacts take it (`bodyseg_data.artifacts.surface.slants`). misfit_m: standard deviation of the
+    pixels around the surface within the window.
     """
 
     range_m: Floats
@@ -68,7 +69,8 @@ def smooth_surface(range_m: NDArray[np.floating], known: Mask, camera: Camera, r
         misfit = np.sqrt(rest / (moments[0, 0] - len(_POWERS)))
     value, across, down = fitted[..., 0] + middle, fitted[..., 1], fitted[..., 2]
     full = [np.full(range_m.shape, np.nan) for _ in range(4)]
-    parts = (value, np.hypot(across, down), _incidence(value, across, down, camera, inside), misfit)
+    least = (_smaller(across, fitted[..., 3]), _smaller(down, fitted[..., 5]))
+    parts = (value, np.hypot(across, down), _incidence(value, *least, camera, inside), misfit)
     for whole, part in zip(full, parts, strict=True):
         whole[inside] = part
     return Surface(*full)
@@ -89,6 +91,13 @@ def third_differences(range_m: NDArray[np.floating], known: Mask) -> tuple[Float
         values.append(third[usable])
         pixels.append(i[:, 1:-2][usable])
     return np.concatenate(values), np.concatenate(pixels)
+
+
+def _smaller(slope: Floats, bend: Floats) -> Floats:
+    """The smaller one of the differences slope + bend and slope - bend to a pixel's two neighbours."""
+    forward, backward = slope + bend, slope - bend
+    smaller: Floats = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
+    return smaller
 
 
 def _incidence(value: Floats, across: Floats, down: Floats, camera: Camera, box: tuple[slice, slice]) -> Floats:

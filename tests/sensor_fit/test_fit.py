@@ -14,13 +14,13 @@ from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding
+from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
 from bodyseg_data.artifacts.sensor_model import parse_sensor_model
 from bodyseg_model.segmentation.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.frames import find_frames
-from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
-from bodyseg_model.sensor_fit.fit import ORDER, fit_sensor
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
+from bodyseg_model.sensor_fit.fit import ORDER, SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.recording import read_recording
 
 
@@ -69,6 +69,14 @@ def test_a_known_sensor_comes_back_as_a_file_that_can_be_read() -> None:
     tree = fit.to_json()
     assert tree["frames"] == 5 and tree["still"] and tree["mirrored"] is False
     assert tree["findings"][0]["artifact"] == "occlusion" and tree["findings"][0]["verdict"] == NEEDED
+
+
+def test_a_formula_that_stands_for_another_is_written() -> None:
+    either = Finding("stereo_noise", UNKNOWN, "as good", strengths={"subpixel_px": 0.1})
+    fit = SensorFit((Finding("axial_noise", UNKNOWN, "as good"), either), None, None, True, 4)
+    assert fit.model("mine").artifacts == (StereoNoise(0.1),)
+    assert fit.comments()["stereo_noise"] == "cannot be told: as good"
+    assert "axial_noise: cannot be told" in fit.comments()[""] and "stereo_noise" not in fit.comments()[""]
 
 
 def test_jitter_explains_ragged_outlines() -> None:

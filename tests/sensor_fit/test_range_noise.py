@@ -14,9 +14,9 @@ from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.noise.bins import unrounded
 from bodyseg_model.sensor_fit.noise.formulas import measure_noise
 from bodyseg_model.sensor_fit.noise.least_squares import fit_positive
-from bodyseg_model.sensor_fit.noise.residuals import residuals_of
+from bodyseg_model.sensor_fit.noise.residuals import Residuals, residuals_of
 from bodyseg_model.sensor_fit.recording import Recording
-from bodyseg_model.sensor_fit.rounding import measure_steps
+from bodyseg_model.sensor_fit.rounding import Steps, measure_steps
 
 
 def noise_of(recording: Recording, baseline_m: float | None = 0.075) -> dict[str, Finding]:
@@ -47,8 +47,45 @@ def test_noise_that_grows_with_range() -> None:
 def test_stereo_noise_is_written_for_any_baseline(baseline_m: float | None) -> None:
     found = noise_of(recorded(StereoNoise(0.1), frames=6, wall=True), baseline_m)
     strengths = found["stereo_noise"].strengths
-    assert found["stereo_noise"].verdict == NEEDED and strengths["focal_px"] == 525.0
+    assert found["stereo_noise"].written and strengths["focal_px"] == 525.0
     assert strengths["subpixel_px"] / strengths["baseline_m"] == pytest.approx(0.1 / 0.075, rel=0.05)
+
+
+def test_growth_at_grazing_angles_comes_back() -> None:
+    found = noise_of(recorded(AxialNoise(3.0, 1.0, 0.3), frames=6, wall=True))["axial_noise"]
+    assert found.verdict == NEEDED and found.strengths["grazing_mm"] == pytest.approx(0.3, rel=0.15)
+    assert found.strengths["constant_mm"] == pytest.approx(3.0, rel=0.1)
+
+
+def test_formulas_that_are_equal_over_the_ranges_seen_cannot_be_told_apart() -> None:
+    z = np.repeat(np.linspace(2.0, 3.0, 6), 2000)
+    normal = np.random.default_rng(2).standard_normal(len(z))
+    flat = np.zeros(len(z))
+    steps = Steps(1e-4)
+    for sigma_mm, told in ((2.5 * z**2, False), (8 * (z - 0.4) ** 2, True)):
+        residuals = [Residuals("temporal", False, normal * sigma_mm / 1000, z, flat, flat, 0.0)]
+        found = {each.artifact: each for each in measure_noise(residuals, steps, 525.0, 0.075, ragged=False)}
+        if told:
+            assert found["axial_noise"].verdict == NEEDED and found["stereo_noise"].verdict == NOT_SEEN
+            continue
+        assert {found[name].verdict for name in ("axial_noise", "stereo_noise")} == {UNKNOWN}
+        assert found["stereo_noise"].written and not found["axial_noise"].written
+        assert found["stereo_noise"].estimates["per_m2_mm"].value == pytest.approx(2.5, rel=0.03)
+        assert "explains as much" in found["stereo_noise"].reason
+
+
+def test_limbs_are_no_noise_at_grazing_angles() -> None:
+    generator = np.random.default_rng(3)
+    angle = np.radians(np.repeat(np.arange(5, 78, 4), 4000)).astype(np.float64)
+    slope = 0.0038 * np.tan(angle)
+    z = np.full(len(angle), 2.0)
+    for per_pixel, grows in ((0.18, False), (0.9, True)):
+        sigma = np.hypot(0.003, per_pixel * slope)
+        values = sigma * generator.standard_normal(len(angle))
+        residuals = [Residuals("spatial", True, values, z, slope, angle, 0.0)]
+        found = {each.artifact: each for each in measure_noise(residuals, Steps(1e-4), 525.0, 0.075, ragged=False)}
+        assert (found["noise"].verdict == NEEDED) is not grows
+        assert (found["axial_noise"].verdict == NEEDED) is grows
 
 
 def test_each_frame_may_have_a_deviation_of_its_own() -> None:

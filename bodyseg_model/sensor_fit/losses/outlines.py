@@ -28,6 +28,7 @@ _FINE_M: Final = 1e-4  # steps in which surfaces are handed to the functions of 
 _WIDER: Final = 1.3
 _FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb, as may several of different widths
 _ALIKE: Final = 0.6
+_RUN_PX: Final = 5  # lost in a row, that no chance makes
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
 _TURNED_DEG: Final = 50.0
 _RIM_PX: Final = 4
@@ -107,8 +108,10 @@ def _outline(
 ) -> Outline:
     missing = full & (frame.range_m == 0)
     shadow = missing & behind
-    stripes = {name: full & missing & band for name, band in _bands(frame.body, full).items()}
-    return Outline(full, missing & ~shadow, shadow, rings, stripes, incidence, *known)
+    rows, columns = _bands(frame.body, full)
+    lost = missing & ~shadow
+    stripes = {"rows": missing & rows | _begun(rows, lost), "columns": missing & columns | _begun(columns.T, lost.T).T}
+    return Outline(full, lost, shadow, rings, stripes, incidence, *known)
 
 
 def _incidence(
@@ -155,23 +158,41 @@ def _full(body: Mask, room: Mask) -> Mask:
 
 
 def _bridged(body: Mask) -> Mask:
-    """A body with bands of lost rows or columns filled wherever it goes on at both ends."""
+    """A body with bands of lost rows or columns filled from the nearer end of each, so that their area is right."""
     filled = body.copy()
     for axis in (0, 1):
         image, out = (body, filled) if axis == 0 else (body.T, filled.T)
         for start, end in _empty_bands(image):
-            out[start:end] |= image[start - 1] & image[end]
+            middle = (start + end) // 2
+            out[start:middle] |= image[start - 1]
+            out[middle:end] |= image[end]
     return filled
 
 
-def _bands(body: Mask, full: Mask) -> dict[str, Mask]:
+def _begun(bands: Mask, lost: Mask) -> Mask:
+    """Lost runs in the rows beside bands of whole rows, bool [H, W]: a stripe may end within a row."""
+    beside = np.zeros_like(bands)
+    beside[1:] |= bands[:-1]
+    beside[:-1] |= bands[1:]
+    left = lost & beside & ~bands
+    starts = left.copy()
+    for shift in range(1, _RUN_PX):
+        starts[:, :-shift] &= left[:, shift:]
+        starts[:, -shift:] = False
+    runs = starts.copy()
+    for shift in range(1, _RUN_PX):
+        runs[:, shift:] |= starts[:, :-shift]
+    return runs
+
+
+def _bands(body: Mask, full: Mask) -> tuple[Mask, Mask]:
     """The rows and the columns that are lost as a whole between others that are not, bool [H, W] each."""
     rows, columns = np.zeros(body.shape, np.bool_), np.zeros(body.shape, np.bool_)
     for start, end in _empty_bands(body, full):
         rows[start:end] = True
     for start, end in _empty_bands(body.T, full.T):
         columns[:, start:end] = True
-    return {"rows": rows, "columns": columns}
+    return rows, columns
 
 
 def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:

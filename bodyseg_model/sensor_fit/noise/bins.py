@@ -13,9 +13,11 @@ from bodyseg_model.sensor_fit.noise.residuals import Residuals
 from bodyseg_model.sensor_fit.rounding import Steps
 
 _INCIDENCES_DEG: Final = (0, 15, 25, 35, 45, 52, 58, 64, 69, 74, 78, 82)
+_MOST_DEG: Final = 78.0  # windows see folds as steeper than neighbouring pixels, whose slopes make the noise
 _RANGES: Final = 6
 _FEWEST_IN_BIN: Final = 200
 _RELIEF: Final = 0.1  # pixels: what a surface of some slope adds to third differences, as if pixels had moved
+_OUTLIER: Final = 8.0  # deviations: pixels of one bin differ in theirs, and the noisiest count
 _MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
 _ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
 
@@ -24,8 +26,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseBins:
-    """Variances, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m, slope2_mm2
-    (squared slope, millimetres a pixel), ratio = incidence / (pi / 2 - incidence), ratio2 its square; count: residuals.
+    """Squares of deviations, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m,
+    slope2_mm2 (squared slope, millimetres a pixel), ratio = incidence / (pi / 2 - incidence), ratio2 its square; count:
+    residuals.
     """
 
     variance_mm2: Floats
@@ -37,9 +40,15 @@ class NoiseBins:
     count: NDArray[np.int64]
 
 
-def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
-    """Variances by range and incidence, outliers beyond 4.5 deviations clipped, less the variance of rounding."""
+def bin_noise(residuals: Sequence[Residuals], steps: Steps, ragged: bool) -> NoiseBins:
+    """Squares of deviations by range and incidence, outliers clipped, less the variance of rounding.
+
+    A bin's deviation is by the mean size of its residuals, which for normal ones is the mean of the pixels' deviations,
+    however these differ within the bin; axial noise is linear in it. By the mean square where ragged, since
+    jitter is not normal, and where noise is below the step.
+    """
     rows: list[tuple[float, ...]] = []
+    last = len(_INCIDENCES_DEG) - 1 if ragged else _INCIDENCES_DEG.index(_MOST_DEG)
     for kind in ("temporal", "spatial"):
         chosen = [each for each in residuals if each.kind == kind]
         if not chosen:
@@ -54,10 +63,12 @@ def bin_noise(residuals: Sequence[Residuals], steps: Steps) -> NoiseBins:
         order = np.argsort(by_range * 100 + by_angle, kind="stable")
         groups = np.split(order, np.flatnonzero(np.diff((by_range * 100 + by_angle)[order])) + 1)
         for group in groups:
-            if len(group) < _FEWEST_IN_BIN or by_angle[group[0]] >= len(_INCIDENCES_DEG) - 1:
+            if len(group) < _FEWEST_IN_BIN or by_angle[group[0]] >= last:
                 continue
             step = float(np.mean(steps.at(z[group])))
             measured = clipped_variance(value[group], step)
+            if not ragged and measured > step**2:
+                measured = _by_size(value[group], measured)
             variance = unrounded(measured, step, kind == "temporal")
             ratio = angle[group] / (np.pi / 2 - angle[group])
             error = np.hypot(measured * np.sqrt(3 / len(group)), _MODEL_ERROR * measured)
@@ -105,6 +116,12 @@ def _rounded_variance(sigma: float) -> float:
     whole, part = np.floor(size), size % 1
     square = whole**2 * (1 - part) + (whole + 1) ** 2 * part
     return float((density * square).sum() / density.sum() / 2)
+
+
+def _by_size(values: Floats, variance: float) -> float:
+    """The squared deviation by the mean size of normal residuals; variance: of them, for what is an outlier."""
+    size = np.abs(values)
+    return float(np.pi / 2 * np.mean(size[size <= _OUTLIER * np.sqrt(variance)]) ** 2)
 
 
 def clipped_variance(values: Floats, step: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ LEAST_PX: Final = 0.3
 
 NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
 
-_MATTERS: Final = 0.25  # of the noise facing the camera: less growth may be the shape of limbs
+_RELIEF_PX: Final = 0.25  # less growth with slope within one frame, as if pixels had moved, may be the shape of limbs
 _WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _ANY_BASELINE_M: Final = 0.1
@@ -49,7 +50,7 @@ def measure_noise(
     if count < LEAST_RESIDUALS:
         reason = f"{count} residuals are too few, {LEAST_RESIDUALS} are needed"
         return [Finding(name, UNKNOWN, reason) for name in NAMES]
-    bins = bin_noise(residuals, steps)
+    bins = bin_noise(residuals, steps, ragged)
     if not len(bins.count):
         return [Finding(name, UNKNOWN, "no range has enough pixels of one incidence") for name in NAMES]
     weight = bins.count / bins.count.sum()
@@ -126,19 +127,43 @@ def _chosen(
                 fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
                 fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
     _, base, fit = min(fits, key=lambda each: each[0])
-    if _at_grazing(base, fit, float(np.median(bins.range_m))) < _MATTERS:
-        _, base, fit = min((each for each in fits if "grazing_mm" not in each[2].parameters), key=lambda each: each[0])
-    return _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
+    if "grazing_mm" in fit.parameters and any(each.kind == "spatial" for each in residuals):
+        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
+        if relief_px < _RELIEF_PX and relieved.chi2 < fit.chi2 + _WORTH:
+            base, fit = formula, relieved
+    findings = _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
+    if base == "stereo_noise" and findings[base].verdict == NEEDED:
+        rivals = [each for _, name, each in fits if name == "axial_noise" and "grazing_mm" not in each.parameters]
+        rival = min(rivals, key=lambda each: each.chi2)
+        if rival.chi2 < fit.chi2 + _WORTH:
+            findings |= _either(findings[base], rival)
+    return list(findings.values())
 
 
-def _at_grazing(base: str, fit: Fit, range_m: float) -> float:
-    """The share that noise grows by from facing the camera to 75 degrees, infinite for a formula without growth."""
-    if "grazing_mm" not in fit.parameters:
-        return float("inf")
-    values = {name: value for name, (value, _) in fit.parameters.items()}
-    grazing = values["grazing_mm"] * 25.0 / np.sqrt(range_m)  # (75 / 15) squared
-    quadratic = values.get("constant_mm", 0.0) + values.get("quadratic_mm", 0.0) * (range_m - FROM_M) ** 2
-    return float(grazing / max(values.get("sigma_mm", quadratic), 1e-9))
+def _either(stereo: Finding, rival: Fit) -> dict[str, Finding]:
+    """Findings where axial noise explains the residuals as well as stereo noise, which has fewer strengths."""
+    axial = {name: Estimate(*rival.parameters[name]) for name in _BASES["axial_noise"]}
+    quadratic = f"{axial['constant_mm'].value:.3g} + {axial['quadratic_mm'].value:.3g} (z - {FROM_M:g})² mm"
+    first = f"{stereo.reason}; {quadratic} of axial_noise explains as much, so the simpler one is written"
+    second = f"{quadratic} explains as much as stereo_noise, which is simpler and written"
+    return {
+        "stereo_noise": replace(stereo, verdict=UNKNOWN, reason=first),
+        "axial_noise": Finding("axial_noise", UNKNOWN, second, axial),
+    }
+
+
+def _with_relief(base: str, bins: NoiseBins) -> tuple[float, str, Fit, float]:
+    """A formula beside the relief that limbs leave in third differences: score, formula, its fit and the relief."""
+    axial = _model(base, bins)
+    parameters = (*_BASES[base], "relief_px")
+    fit = fit_positive(
+        parameters,
+        lambda values: axial(values) + values["relief_px"] ** 2 * bins.slope2_mm2,
+        bins.variance_mm2,
+        bins.error_mm2,
+    )
+    strengths = {name: value for name, value in fit.parameters.items() if name != "relief_px"}
+    return fit.chi2 + _WORTH * len(parameters), base, replace(fit, parameters=strengths), fit.parameters["relief_px"][0]
 
 
 def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
@@ -183,7 +208,7 @@ def _findings(
     focal_px: float,
     baseline_m: float | None,
     ragged: bool,
-) -> list[Finding]:
+) -> dict[str, Finding]:
     found = {name: Estimate(value, error) for name, (value, error) in fit.parameters.items()}
     kinds = " and ".join(sorted({each.kind for each in residuals}))
     nearest, farthest = bins.range_m.min(), bins.range_m.max()
@@ -218,7 +243,7 @@ def _findings(
     else:
         reason = "noise does not grow with slope" if ragged else "outlines lose no pixels, as jitter would"
         findings["lateral_noise"] = Finding("lateral_noise", NOT_SEEN, reason)
-    return list(findings.values())
+    return findings
 
 
 def _strengths(

@@ -145,7 +145,7 @@ def measure(case: Case, scene: Scene, scenes: Scenes, rig: Rig) -> dict[str, Any
 
 def _figure(finding: Finding, name: str, true: float) -> dict[str, Any]:
     estimate = finding.estimates.get(name)
-    value = None if estimate is None or finding.verdict != NEEDED else round(float(estimate.value), 6)
+    value = None if estimate is None or not finding.written else round(float(estimate.value), 6)
     error = None if value is None else round(value / true - 1, 4)
     return {"artifact": finding.artifact, "figure": name, "true": round(true, 6), "found": value, "error": error}
 
