@@ -21,13 +21,14 @@ from benches.model.real.labels import Placements, frame_labels, load_placements,
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
 from bodyseg_data.bodies.anny.library import one_thread
-from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
+from bodyseg_data.core.rig import Camera
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
 from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.segmentation.cameras import FrameCamera, assumed_sensors
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
 from bodyseg_model.sensor_fit.recording import Recording as ShadowRecording
@@ -42,15 +43,32 @@ Labels = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Answer:
-    """A network's answer to a frame, on the person. labels: uint8 [H, W], 255 elsewhere. confidence: float32 [H, W]."""
+    """A network's answer to a frame. labels: uint8 [H, W], 255 off the person. confidence: float32 [H, W], 0 there."""
 
     labels: Labels
     confidence: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What the picture shows of one frame: the frame, its true labels and the network's, uint8 [H, W]."""
+
+    frame: Frame
+    truth: Labels
+    answer: Labels
+
+
+class Results(dict[str, Any]):
+    """The figures, and beside them, for the picture alone, some frames with labels, which no file holds."""
+
+    def __init__(self, content: dict[str, Any], shown: list[Shown]) -> None:
+        super().__init__(content)
+        self.shown = shown
+
+
 def bench_real(
     data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent
-) -> dict[str, Any]:
+) -> Results:
     """Score a network on a recording of one still person, by labels of the surface that its frames show together.
 
     data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:
@@ -64,37 +82,144 @@ def bench_real(
     shadow, mirrored = settled(stored)
     frames = [frame.mirrored() for frame in stored] if mirrored else stored
     placements = placements.mirrored() if mirrored else placements
-    steps = 3 * len(frames)
+    turned = [frame.mirrored() for frame in stored] if mirrored else stored
+    placements = placements.mirrored() if mirrored else placements
     with one_thread():
+        rough = fuse(turned)
+        frames = fitted(turned, rough)
         fused = fuse(frames)
-        before = residuals_m(frames, fused)
-        frames = fitted(frames, fused)
-        fused = fuse(frames)
-        after = residuals_m(frames, fused)
-        truth, repeated = true_labels(frames, fused, placements)
-        progress(len(frames), steps)
-        ways = {}
-        for number, way in enumerate((mirrored, not mirrored)):
-            ways[way] = []
-            for done, frame in enumerate(stored):
-                ways[way].append(_answer(trained, frame, way, mirrored))
-                progress((1 + number) * len(frames) + done + 1, steps)
-    answers = ways[mirrored]
-    chosen = evenly_spaced(range(len(frames)), _SHOWN)
-    return {
-        "recording": Path(data).name,
-        "frames": len(frames),
-        "network": runs[0].name if runs else "shipped",
-        "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
-        "fusion": {
-            "voxel_mm": 1000 * VOXEL_M,
-            "vertices": len(fused.vertices),
-            "residual_mm": {"stored": _millimetres(before), "fitted": _millimetres(after)},
+        residuals = {"stored": residuals_m(turned, rough), "fitted": residuals_m(frames, fused)}
+        truth, landmarks = true_labels(frames, fused, placements)
+        answers: dict[bool, list[Answer]] = {}
+        for way in (mirrored, not mirrored):
+            segment = _Segmentation(trained, stored[0].placed.camera, way)
+            answers[way] = []
+            for frame in stored:
+                answers[way].append(segment(frame, exchanged=way != mirrored, turned=mirrored))
+                progress(sum(map(len, answers.values())), 2 * len(stored))
+    chosen = answers[mirrored]
+    return Results(
+        {
+            "recording": Path(data).name,
+            "frames": len(frames),
+            "network": runs[0].name if runs else "shipped",
+            "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
+            "fusion": {
+                "voxel_mm": 1000 * VOXEL_M,
+                "vertices": len(fused.vertices),
+                "residual_mm": {name: _millimetres(each) for name, each in residuals.items()},
+            },
+            "landmarks": landmarks,
+            "scores": scored(frames, truth, chosen),
+            "scores_if_mirrored_otherwise": scored(frames, truth, answers[not mirrored]),
+            "agreement": agreement(frames, [answer.labels for answer in chosen]),
+            "agreement_of_truth": agreement(frames, truth),
         },
-        "landmarks": repeated,
-        "scores": scored(frames, truth, answers),
-        "as_if_mirrored_otherwise": scored(frames, truth, [_exchanged(one) for one in ways[not mirrored]]),
-        "agreement": agreement(frames, [answer.labels for answer in answers]),
-        "agreement_of_truth": agreement(frames, truth),
-        "shown": {frames[n].name: _picture(frames[n], truth[n], answers[n]) for n in chosen},
+        [Shown(frames[n], truth[n], chosen[n].labels) for n in evenly_spaced(range(len(frames)), _SHOWN)],
+    )
+
+
+def settled(frames: Sequence[Frame]) -> tuple[Shadow | None, bool]:
+    """Measure the projector's shadow behind the person, and whether frames are mirrored by it; without room behind the
+    person or a known sensor, frames are taken as they are.
+    """
+    camera = frames[0].placed.camera
+    chosen = []
+    for frame in evenly_spaced(frames, _SHADOW_FRAMES):
+        body = np.zeros(frame.range_m.shape, np.bool_)
+        body.ravel()[frame.pixels] = True
+        chosen.append(ShadowFrame(frame.name, np.zeros(body.shape, np.uint16), frame.range_m, body))
+    shadow = measure_shadow(ShadowRecording(tuple(chosen), camera, step_m=0.001))
+    sensor = next((one for one in assumed_sensors() if _same_size(one.camera, camera)), None)
+    side = None if sensor is None else FrameCamera(sensor.camera, sensor.name, rig=sensor.rig).projector_side
+    return shadow, bool(probably_mirrored(shadow, side))
+
+
+def true_labels(
+    frames: Sequence[Frame], fused: FusedSurface, placements: Placements
+) -> tuple[list[Labels], dict[str, Any]]:
+    """True labels of frames, uint8 [H, W] each, by the mean of both placements, and how well these repeat.
+
+    Raises BadConfig as `surface_labels`.
+    """
+    from scipy.spatial import KDTree
+
+    by_mean, first, second = (
+        surface_labels(fused, points, placements.labels)
+        for points in ((placements.first + placements.second) / 2, placements.first, placements.second)
+    )
+    tree = KDTree(fused.vertices)
+    known = float((by_mean != BACKGROUND).mean())
+    return [frame_labels(frame, tree, by_mean) for frame in frames], {
+        "names": list(placements.names),
+        **repeatability(placements, first, second),
+        "surface_labelled": round(known, 4),
     }
+
+
+def scored(frames: Sequence[Frame], truth: Sequence[Labels], answers: Sequence[Answer]) -> dict[str, Any]:
+    """Scores of answers on the pixels with a true label that the network answered."""
+    matrix, confidences = ConfusionMatrix(), Confidences()
+    person = 0
+    for frame, labels, answer in zip(frames, truth, answers, strict=True):
+        known = np.where(answer.labels == BACKGROUND, np.uint8(BACKGROUND), labels)
+        matrix.add(known, answer.labels)
+        confidences.add(pairs_of(known, answer.labels), answer.confidence[known != BACKGROUND])
+        person += len(frame.pixels)
+    pixels = matrix.counts.sum(axis=1)
+    kinds = count_kinds(matrix.counts)
+    return {
+        "pixels": matrix.pixels,
+        "share_of_the_person": round(matrix.pixels / person, 4),
+        "accuracy": _rounded(matrix.average_per_class_accuracy()),
+        "pixel_accuracy": _rounded(matrix.pixel_accuracy()),
+        "calibration_error": _rounded(confidences.ece()),
+        "mean_confidence": _rounded(confidences.mean()),
+        "kinds": {name: round((count or 0) / max(matrix.pixels, 1), 4) for name, count in kinds.items()},
+        "parts": {
+            name: {"pixels": int(count), "accuracy": _rounded(float(value))}
+            for name, count, value in zip(LANDMARKS, pixels, matrix.per_class_accuracy(), strict=True)
+            if count
+        },
+    }
+
+
+class _Segmentation:
+    """The path of `bodyseg segment` for frames as they are stored. mirrored: what it is told of them."""
+
+    def __init__(self, trained: Trained, camera: Camera, mirrored: bool) -> None:
+        self._segmenter = Segmenter(trained.network, camera, PEOPLE, mirrored, rig=trained.rig)
+
+    def __call__(self, frame: Frame, exchanged: bool, turned: bool) -> Answer:
+        """Label a frame. exchanged: answer with right and left exchanged. turned: turn the images over."""
+        segmented = self._segmenter(frame.range_m)
+        confidence = np.zeros(frame.range_m.shape, np.float32)
+        labels = np.full(frame.range_m.shape, BACKGROUND, np.uint8)
+        body = segmented.bodies[0]  # the largest, as in the recording
+        confidence.ravel()[body.pixels] = body.confidence
+        labels.ravel()[body.pixels] = segmented.labels.ravel()[body.pixels]
+        labels = MIRRORED_LABELS[labels] if exchanged else labels
+        return Answer(labels[:, ::-1], confidence[:, ::-1]) if turned else Answer(labels, confidence)
+
+
+def _same_size(one: Camera, other: Camera) -> bool:
+    return (one.rows, one.columns) == (other.rows, other.columns)
+
+
+def _shadow_json(shadow: Shadow | None) -> dict[str, Any]:
+    if shadow is None:
+        return {"shadow": None}
+    return {
+        "shadow": {
+            side: {"width_px": round(shadow.width_px[side], 1), "baseline_mm": round(1000 * estimate.value, 1)}
+            for side, estimate in shadow.baseline_m.items()
+        }
+    }
+
+
+def _millimetres(values: NDArray[np.float64]) -> dict[str, float]:
+    return {"median": round(1000 * float(np.median(values)), 2), "worst_frame": round(1000 * float(values.max()), 2)}
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 4)
