@@ -230,13 +230,9 @@ def test_repeatability() -> None:
     assert placements.labels.tolist() == [0, 1]
 
 
-def test_what_the_bench_finds(
-    body: Mesh, frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_bench_finds(body: Mesh, frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "made", frames, body)
-    monkeypatch.setattr(
-        bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 20), rig=load_rig())
-    )
+    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 20), rig=load_rig()))
     steps: list[tuple[int, int]] = []
     figures = bench_real(str(tmp_path / "made"), views=9, progress=lambda done, total: steps.append((done, total)))
     assert steps[-1] == (18, 18)

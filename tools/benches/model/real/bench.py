@@ -66,9 +66,7 @@ class Results(dict[str, Any]):
         self.shown = shown
 
 
-def bench_real(
-    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent
-) -> Results:
+def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent) -> Results:
     """Score a network on a recording of one still person, by labels of the surface that its frames show together.
 
     data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:
@@ -89,7 +87,9 @@ def bench_real(
         frames = fitted(turned, rough)
         fused = fuse(frames)
         residuals = {"stored": residuals_m(turned, rough), "fitted": residuals_m(frames, fused)}
-        truth, landmarks = true_labels(frames, fused, placements)
+        by_placement, landmarks = true_labels(frames, fused, placements)
+        truth = by_placement["mean"]
+        progress(0, 2 * len(stored))
         answers: dict[bool, list[Answer]] = {}
         for way in (mirrored, not mirrored):
             segment = _Segmentation(trained, stored[0].placed.camera, way)
@@ -111,6 +111,9 @@ def bench_real(
             },
             "landmarks": landmarks,
             "scores": scored(frames, truth, chosen),
+            "accuracy_by_placement": {
+                name: scored(frames, labels, chosen)["accuracy"] for name, labels in by_placement.items()
+            },
             "scores_if_mirrored_otherwise": scored(frames, truth, answers[not mirrored]),
             "agreement": agreement(frames, [answer.labels for answer in chosen]),
             "agreement_of_truth": agreement(frames, truth),
@@ -137,23 +140,24 @@ def settled(frames: Sequence[Frame]) -> tuple[Shadow | None, bool]:
 
 def true_labels(
     frames: Sequence[Frame], fused: FusedSurface, placements: Placements
-) -> tuple[list[Labels], dict[str, Any]]:
-    """True labels of frames, uint8 [H, W] each, by the mean of both placements, and how well these repeat.
+) -> tuple[dict[str, list[Labels]], dict[str, Any]]:
+    """True labels of frames, uint8 [H, W] each, by the mean of both placements, the first and the second; and how well
+    the placements repeat.
 
     Raises BadConfig as `surface_labels`.
     """
     from scipy.spatial import KDTree
 
-    by_mean, first, second = (
-        surface_labels(fused, points, placements.labels)
-        for points in ((placements.first + placements.second) / 2, placements.first, placements.second)
-    )
+    points = {
+        "mean": (placements.first + placements.second) / 2,
+        "first": placements.first,
+        "second": placements.second,
+    }
+    labels = {name: surface_labels(fused, each, placements.labels) for name, each in points.items()}
     tree = KDTree(fused.vertices)
-    known = float((by_mean != BACKGROUND).mean())
-    return [frame_labels(frame, tree, by_mean) for frame in frames], {
-        "names": list(placements.names),
-        **repeatability(placements, first, second),
-        "surface_labelled": round(known, 4),
+    return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}, {
+        **repeatability(placements, labels["first"], labels["second"]),
+        "surface_labelled": round(float((labels["mean"] != BACKGROUND).mean()), 4),
     }
 
 

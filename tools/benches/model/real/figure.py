@@ -38,7 +38,12 @@ def draw_real(figures: Results, path: Path) -> None:
         left, top = _MARGIN + column * cell[0], _TITLE + line * cell[1]
         for place, (head, image) in enumerate(zip(_HEADS, pair, strict=True)):
             x = left + place * (width + _MARGIN // 2)
-            draw.text((x + 4, top + 2), f"frame {figures.shown[number].frame.name.lstrip('0') or '0'}: {head}", FAINT, font=font(12))
+            draw.text(
+                (x + 4, top + 2),
+                f"frame {figures.shown[number].frame.name.lstrip('0') or '0'}: {head}",
+                FAINT,
+                font=font(12),
+            )
             picture.paste(image, (x, top + _CAPTION))
     picture.paste(legend, (_MARGIN, size[1] - legend.height - _MARGIN))
     save_picture(picture.quantize(256).convert("P"), path)

@@ -19,6 +19,7 @@ VOXEL_M: Final = 0.004
 _FEATURE: Final = "fusing frames"
 _TRUNCATION: Final = 4  # voxels behind the surface, where a frame still counts
 _LEAST_FRAMES: Final = 3  # that see a voxel; with fewer the surface stays open there
+_LEAST_DISTANCE: Final = np.float32(0.02)  # of the truncation: no corner of the surface falls on a corner of the grid
 _MARGIN_M: Final = 0.03
 _OUTSIDE: Final = 0.002  # share of a frame's points that may lie outside the volume: loose pixels
 _TILE: Final = 1 << 20  # voxels at once
@@ -103,7 +104,7 @@ def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
 
 
 def _volume(frames: Sequence[Frame], voxel_m: float) -> tuple[NDArray[np.float32], NDArray[np.bool_], Floats]:
-    """Mean signed distance in units of the truncation, -1 where it is not known; where it is; the first voxel's place."""
+    """Mean signed distance in units of the truncation, -1 where unknown; where it is known; the first voxel's place."""
     points = [frame.points() for frame in frames]
     low = np.min([np.quantile(each, _OUTSIDE, axis=0) for each in points], axis=0) - _MARGIN_M
     high = np.max([np.quantile(each, 1 - _OUTSIDE, axis=0) for each in points], axis=0) + _MARGIN_M
@@ -117,11 +118,16 @@ def _volume(frames: Sequence[Frame], voxel_m: float) -> tuple[NDArray[np.float32
             _add(frame, places, voxel_m * _TRUNCATION, total[tile], count[tile])
     known = count >= _LEAST_FRAMES
     distance = np.where(known, total / np.maximum(count, 1), np.float32(-1))
+    distance = np.where(np.abs(distance) < _LEAST_DISTANCE, np.copysign(_LEAST_DISTANCE, distance), distance)
     return distance.reshape(shape), known.reshape(shape), low
 
 
 def _add(
-    frame: Frame, places: NDArray[np.float32], truncation_m: float, total: NDArray[np.float32], count: NDArray[np.uint16]
+    frame: Frame,
+    places: NDArray[np.float32],
+    truncation_m: float,
+    total: NDArray[np.float32],
+    count: NDArray[np.uint16],
 ) -> None:
     """Add one frame's signed distances to places [N, 3] of the volume, in place."""
     camera = frame.placed.camera
@@ -175,4 +181,3 @@ def _rim(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     low = height < height.min() + _RIM * np.ptp(height)
     boundary = np.unique(ends)
     return boundary[np.isin(loop[boundary], loop[boundary[low[boundary]]])]
-

@@ -1,4 +1,4 @@
-"""True labels of real frames: landmarks on the fused surface, its parts as far as they are certain, and both in frames."""
+"""True labels of real frames: landmarks on the fused surface, its parts where they are certain, and both in frames."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Floats, Frame
-from bodyseg_data.core.errors import BadConfig, BadLandmarks
+from bodyseg_data.core.errors import BadConfig, BadLandmarks, Unanswerable
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
-from bodyseg_data.meshes.partition.geodesics import nearest_sources
+from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, nearest_sources
 
 LANDMARK_FILE: Final = "landmarks.json"
 """Landmarks in a recording's own folder, which come before those that the bench brings along."""
@@ -94,7 +94,11 @@ def surface_labels(surface: FusedSurface, points: Floats, labels: NDArray[np.int
             f"{LANDMARKS[labels[worst]]} at {1000 * away[worst]:.0f} mm: are they of this recording?"
         )
     rim = np.setdiff1d(surface.rim, vertices)
-    nearest = nearest_sources("exact", surface.vertices, surface.faces, np.concatenate([vertices, rim]))
+    sources = np.concatenate([vertices, rim])
+    try:
+        nearest = nearest_sources("exact", surface.vertices, surface.faces, sources)
+    except Unanswerable:
+        nearest = nearest_sources(FALLBACK_METHOD, surface.vertices, surface.faces, sources)
     part = np.concatenate([labels, np.full(len(rim), BACKGROUND)]).astype(np.uint8)
     found: Labels = part[nearest.source]
     found[~np.isfinite(nearest.distance)] = BACKGROUND
@@ -127,5 +131,3 @@ def repeatability(placements: Placements, first: Labels, second: Labels) -> dict
         "worst_mm": round(1000 * float(placements.apart_m.max()), 1),
         "surface_with_another_label": round(float((first[both] != second[both]).mean()), 4),
     }
-
-

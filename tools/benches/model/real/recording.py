@@ -1,7 +1,7 @@
 """Frames of one still person from all round, each with its camera, and the person's pixels in them.
 
-A frame is NAME_depth.png, in millimetres, with NAME_camera.xml beside it: OpenCV's XML with the matrices `intrinsic`, `R`
-and `t`, where a point of the world is R times a point of the camera's frame plus t.
+A frame is NAME_depth.png, in millimetres, with NAME_camera.xml beside it: OpenCV's XML with the matrices `intrinsic`,
+`R` and `t`, where a point of the world is R times a point of the camera's frame plus t.
 """
 
 from __future__ import annotations
