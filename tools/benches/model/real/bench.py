@@ -76,7 +76,7 @@ def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progr
     check_int("the number of frames", views, 1)
     trained = load_network(runs[0] if runs else SHIPPED)
     placements = load_placements(Path(data))
-    stored = evenly_spaced(read_recording(Path(data)), views)
+    stored = read_recording(Path(data), views)
     shadow, mirrored = settled(stored)
     frames = [frame.mirrored() for frame in stored] if mirrored else stored
     placements = placements.mirrored() if mirrored else placements

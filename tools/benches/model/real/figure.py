@@ -46,16 +46,20 @@ def draw_real(figures: Results, path: Path) -> None:
             )
             picture.paste(image, (x, top + _CAPTION))
     picture.paste(legend, (_MARGIN, size[1] - legend.height - _MARGIN))
-    save_picture(picture.quantize(256).convert("P"), path)
+    save_picture(picture.quantize(256), path)
 
 
 def _title(figures: Results) -> str:
-    scores, same = figures["scores"], figures["agreement"]["same"]
+    scores = figures["scores"]
     return (
-        f"{figures['network']}: {100 * scores['accuracy']:.1f} % average per-class accuracy on "
-        f"{len(scores['parts'])} parts, {100 * scores['pixel_accuracy']:.1f} % of pixels; "
-        f"{100 * same:.1f} % of points keep their label from frame to frame"
+        f"{figures['network']}: average per-class accuracy {_percent(scores['accuracy'])} on {len(scores['parts'])} "
+        f"parts, pixels right {_percent(scores['pixel_accuracy'])}, agreement of frames "
+        f"{_percent(figures['agreement']['same'])}"
     )
+
+
+def _percent(share: float | None) -> str:
+    return "unknown" if share is None else f"{100 * share:.1f} %"
 
 
 def _pair(shown: Shown) -> tuple[Image.Image, Image.Image]:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.measuring import evenly_spaced
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera, PlacedCamera
 from bodyseg_model.segmentation.foreground import Background, find_bodies
@@ -85,9 +86,9 @@ class Frame:
         return Frame(self.name, flipped, np.sort(row * columns + columns - 1 - column), placed)
 
 
-def read_recording(folder: Path) -> list[Frame]:
-    """Read the frames with cameras in a folder, as they are, in natural order of names; those without a person are
-    left out.
+def read_recording(folder: Path, count: int) -> list[Frame]:
+    """Read `count` frames with cameras from a folder, evenly over it, all if there are fewer, as they are, in natural
+    order of names; those without a person are left out.
 
     Raises BadConfig for a folder without such frames, a frame or camera that cannot be read, a camera without square
     pixels or rotation, or if no frame shows a person.
@@ -96,7 +97,7 @@ def read_recording(folder: Path) -> list[Frame]:
     files = [file for file in find_frames([folder]) if file.name.endswith(_DEPTH)]
     if not files:
         raise BadConfig(f"a recording needs frames NAME{_DEPTH}.png with NAME_camera.xml, found none in {folder}")
-    for file in files:
+    for file in evenly_spaced(files, count):
         range_m = to_metres(file.read(), _STEP_M)
         name = file.name.removesuffix(_DEPTH)
         placed = _camera(folder / f"{name}_camera.xml", (range_m.shape[0], range_m.shape[1]))
@@ -104,7 +105,7 @@ def read_recording(folder: Path) -> list[Frame]:
         if bodies:
             frames.append(Frame(name, range_m, bodies[0], placed))
     if not frames:
-        raise BadConfig(f"a recording needs a person, found none in the {len(files)} frames in {folder}")
+        raise BadConfig(f"a recording needs a person, found none in the frames in {folder}")
     return frames
 
 
