@@ -1,0 +1,61 @@
+"""Agreement: how often two frames that see one point of the person give it one label."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.measuring import silent
+from benches.model.real.recording import Frame
+from bodyseg_data.core.parts import BACKGROUND
+
+ANGLES_DEG: Final = (15, 30, 45)
+"""Upper ends of the ranges of the angle between two frames' optical axes; beyond the last they are not compared."""
+
+MEET_M: Final = 0.006
+"""Points of two frames that are nearer than this are one."""
+
+_POINTS: Final = 1500  # of a frame that are looked up in each other one
+
+
+def agreement(
+    frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]], progress: Callable[[int, int], None] = silent
+) -> dict[str, Any]:
+    """Share of points with one label, of those that two frames up to 45 degrees apart see, by angle and in all.
+
+    answers: label images, uint8 [H, W]; pixels of `BACKGROUND` are not compared.
+    """
+    from scipy.spatial import KDTree
+
+    labelled = []
+    for frame, answer in zip(frames, answers, strict=True):
+        labels = answer.ravel()[frame.pixels]
+        labelled.append((frame.points(frame.pixels[labels != BACKGROUND]), labels[labels != BACKGROUND]))
+    trees = [KDTree(points) if len(points) else None for points, _ in labelled]
+    axes = np.stack([frame.placed.axes[2] for frame in frames])
+    angles = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
+    counts = np.zeros((len(ANGLES_DEG), 2), np.int64)
+    for number, (points, labels) in enumerate(labelled):
+        step = max(1, len(points) // _POINTS)
+        for other in np.flatnonzero(angles[number] <= ANGLES_DEG[-1]):
+            tree = trees[other]
+            if other == number or tree is None or not len(points):
+                continue
+            away, nearest = tree.query(points[::step], distance_upper_bound=MEET_M)
+            meet = np.isfinite(away)
+            same = labels[::step][meet] == labelled[other][1][nearest[meet]]
+            counts[np.searchsorted(ANGLES_DEG, angles[number, other])] += same.sum(), len(same)
+        progress(number + 1, len(labelled))
+    names = [f"{low} to {high} degrees" for low, high in zip((0, *ANGLES_DEG), ANGLES_DEG, strict=False)]
+    return {
+        "same": _share(counts.sum(axis=0)),
+        "points": int(counts[:, 1].sum()),
+        "by_angle": {name: _share(row) for name, row in zip(names, counts, strict=True)},
+    }
+
+
+def _share(counts: NDArray[np.int64]) -> float | None:
+    return round(float(counts[0] / counts[1]), 4) if counts[1] else None

@@ -1,0 +1,229 @@
+"""`bench real`: a network's score on real range images of a person seen from all round.
+
+docs/real_frames.md says how to read the results.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.measuring import Progress, evenly_spaced, silent
+from benches.model.real.agreement import agreement
+from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, residuals_m
+from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
+from benches.model.real.recording import BACKGROUND as PEOPLE
+from benches.model.real.recording import Frame, read_recording
+from bodyseg_data.bodies.anny.library import one_thread
+from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.evaluation.calibration import Confidences
+from bodyseg_model.evaluation.mistakes import count_kinds
+from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
+from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
+from bodyseg_model.segmentation.cameras import FrameCamera, assumed_sensors
+from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
+from bodyseg_model.sensor_fit.recording import Recording as ShadowRecording
+from bodyseg_model.sensor_fit.shadows import Shadow, measure_shadow, probably_mirrored
+
+_FRAMES: Final = 50
+_SHADOW_FRAMES: Final = 20
+_SHOWN: Final = 4
+
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A network's answer to a frame. labels: uint8 [H, W], 255 off the person. confidence: float32 [H, W], 0 there."""
+
+    labels: Labels
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the picture shows of one frame: the frame, its true labels and the network's, uint8 [H, W]."""
+
+    frame: Frame
+    truth: Labels
+    answer: Labels
+
+
+class Results(dict[str, Any]):
+    """The figures, and beside them, for the picture alone, some frames with labels, which no file holds."""
+
+    def __init__(self, content: dict[str, Any], shown: list[Shown]) -> None:
+        super().__init__(content)
+        self.shown = shown
+
+
+def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent) -> Results:
+    """Score a network on a recording of one still person, by labels of the surface that its frames show together.
+
+    data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:
+    the network is in the first of them; without, it is the one that ships. Raises BadConfig or BadLandmarks for a
+    recording or landmarks that cannot be used; otherwise as `load_network`.
+    """
+    check_int("the number of frames", views, 1)
+    trained = load_network(runs[0] if runs else SHIPPED)
+    placements = load_placements(Path(data))
+    stored = read_recording(Path(data), views)
+    shadow, mirrored = settled(stored)
+    frames = [frame.mirrored() for frame in stored] if mirrored else stored
+    placements = placements.mirrored() if mirrored else placements
+    turned = [frame.mirrored() for frame in stored] if mirrored else stored
+    placements = placements.mirrored() if mirrored else placements
+    with one_thread():
+        rough = fuse(turned)
+        frames = fitted(turned, rough)
+        fused = fuse(frames)
+        residuals = {"stored": residuals_m(turned, rough), "fitted": residuals_m(frames, fused)}
+        by_placement, landmarks = true_labels(frames, fused, placements)
+        truth = by_placement["mean"]
+        progress(0, 2 * len(stored))
+        answers: dict[bool, list[Answer]] = {}
+        for way in (mirrored, not mirrored):
+            segment = _Segmentation(trained, stored[0].placed.camera, way)
+            answers[way] = []
+            for frame in stored:
+                answers[way].append(segment(frame, exchanged=way != mirrored, turned=mirrored))
+                progress(sum(map(len, answers.values())), 2 * len(stored))
+    chosen = answers[mirrored]
+    return Results(
+        {
+            "recording": Path(data).name,
+            "frames": len(frames),
+            "network": runs[0].name if runs else "shipped",
+            "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
+            "fusion": {
+                "voxel_mm": 1000 * VOXEL_M,
+                "vertices": len(fused.vertices),
+                "residual_mm": {name: _millimetres(each) for name, each in residuals.items()},
+            },
+            "landmarks": landmarks,
+            "scores": scored(frames, truth, chosen),
+            "accuracy_by_placement": {
+                name: scored(frames, labels, chosen)["accuracy"] for name, labels in by_placement.items()
+            },
+            "scores_if_mirrored_otherwise": scored(frames, truth, answers[not mirrored]),
+            "agreement": agreement(frames, [answer.labels for answer in chosen]),
+            "agreement_of_truth": agreement(frames, truth),
+        },
+        [Shown(frames[n], truth[n], chosen[n].labels) for n in evenly_spaced(range(len(frames)), _SHOWN)],
+    )
+
+
+def settled(frames: Sequence[Frame]) -> tuple[Shadow | None, bool]:
+    """Measure the projector's shadow behind the person, and whether frames are mirrored by it; without room behind the
+    person or a known sensor, frames are taken as they are.
+    """
+    camera = frames[0].placed.camera
+    chosen = []
+    for frame in evenly_spaced(frames, _SHADOW_FRAMES):
+        body = np.zeros(frame.range_m.shape, np.bool_)
+        body.ravel()[frame.pixels] = True
+        chosen.append(ShadowFrame(frame.name, np.zeros(body.shape, np.uint16), frame.range_m, body))
+    shadow = measure_shadow(ShadowRecording(tuple(chosen), camera, step_m=0.001))
+    sensor = next((one for one in assumed_sensors() if _same_size(one.camera, camera)), None)
+    side = None if sensor is None else FrameCamera(sensor.camera, sensor.name, rig=sensor.rig).projector_side
+    return shadow, bool(probably_mirrored(shadow, side))
+
+
+def true_labels(
+    frames: Sequence[Frame], fused: FusedSurface, placements: Placements
+) -> tuple[dict[str, list[Labels]], dict[str, Any]]:
+    """True labels of frames, uint8 [H, W] each, by the mean of both placements, the first and the second; and how well
+    the placements repeat.
+
+    Raises BadConfig as `surface_labels`.
+    """
+    from scipy.spatial import KDTree
+
+    points = {
+        "mean": (placements.first + placements.second) / 2,
+        "first": placements.first,
+        "second": placements.second,
+    }
+    labels = {name: surface_labels(fused, each, placements.labels) for name, each in points.items()}
+    tree = KDTree(fused.vertices)
+    return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}, {
+        **repeatability(placements, labels["first"], labels["second"]),
+        "surface_labelled": round(float((labels["mean"] != BACKGROUND).mean()), 4),
+    }
+
+
+def scored(frames: Sequence[Frame], truth: Sequence[Labels], answers: Sequence[Answer]) -> dict[str, Any]:
+    """Scores of answers on the pixels with a true label that the network answered."""
+    matrix, confidences = ConfusionMatrix(), Confidences()
+    person = 0
+    for frame, labels, answer in zip(frames, truth, answers, strict=True):
+        known = np.where(answer.labels == BACKGROUND, np.uint8(BACKGROUND), labels)
+        matrix.add(known, answer.labels)
+        confidences.add(pairs_of(known, answer.labels), answer.confidence[known != BACKGROUND])
+        person += len(frame.pixels)
+    pixels = matrix.counts.sum(axis=1)
+    kinds = count_kinds(matrix.counts)
+    return {
+        "pixels": matrix.pixels,
+        "share_of_the_person": round(matrix.pixels / person, 4),
+        "accuracy": _rounded(matrix.average_per_class_accuracy()),
+        "pixel_accuracy": _rounded(matrix.pixel_accuracy()),
+        "calibration_error": _rounded(confidences.ece()),
+        "mean_confidence": _rounded(confidences.mean()),
+        "kinds": {name: round((count or 0) / max(matrix.pixels, 1), 4) for name, count in kinds.items()},
+        "parts": {
+            name: {"pixels": int(count), "accuracy": _rounded(float(value))}
+            for name, count, value in zip(LANDMARKS, pixels, matrix.per_class_accuracy(), strict=True)
+            if count
+        },
+    }
+
+
+class _Segmentation:
+    """The path of `bodyseg segment` for frames as they are stored. mirrored: what it is told of them."""
+
+    def __init__(self, trained: Trained, camera: Camera, mirrored: bool) -> None:
+        self._segmenter = Segmenter(trained.network, camera, PEOPLE, mirrored, rig=trained.rig)
+
+    def __call__(self, frame: Frame, exchanged: bool, turned: bool) -> Answer:
+        """Label a frame. exchanged: answer with right and left exchanged. turned: turn the images over."""
+        segmented = self._segmenter(frame.range_m)
+        confidence = np.zeros(frame.range_m.shape, np.float32)
+        labels = np.full(frame.range_m.shape, BACKGROUND, np.uint8)
+        body = segmented.bodies[0]  # the largest, as in the recording
+        confidence.ravel()[body.pixels] = body.confidence
+        labels.ravel()[body.pixels] = segmented.labels.ravel()[body.pixels]
+        labels = MIRRORED_LABELS[labels] if exchanged else labels
+        return Answer(labels[:, ::-1], confidence[:, ::-1]) if turned else Answer(labels, confidence)
+
+
+def _same_size(one: Camera, other: Camera) -> bool:
+    return (one.rows, one.columns) == (other.rows, other.columns)
+
+
+def _shadow_json(shadow: Shadow | None) -> dict[str, Any]:
+    if shadow is None:
+        return {"shadow": None}
+    return {
+        "shadow": {
+            side: {"width_px": round(shadow.width_px[side], 1), "baseline_mm": round(1000 * estimate.value, 1)}
+            for side, estimate in shadow.baseline_m.items()
+        }
+    }
+
+
+def _millimetres(values: NDArray[np.float64]) -> dict[str, float]:
+    return {"median": round(1000 * float(np.median(values)), 2), "worst_frame": round(1000 * float(values.max()), 2)}
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 4)
