@@ -188,11 +188,11 @@ def test_a_loader_that_is_dropped_ends_its_threads_at_once(small_set: Path, held
         gc.enable()
 
 
-def test_epochs_leave_nothing_behind(figures_set: Path) -> None:
+def test_epochs_leave_nothing_behind(small_set: Path) -> None:
     def open_files() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))
 
-    images = RangeImages(figures_set, "all")
+    images = RangeImages(small_set, "all")
     before = open_files()
     batches: Any = threaded(images)
     for epoch in range(9):
