@@ -352,7 +352,9 @@ def test_closed_streams_change_no_status(small_set: Path) -> None:
         assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
 
 
-def test_inspect_counts_and_draws_classes(figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_counts_and_draws_classes(
+    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["inspect", str(figures_set), "--variant", "none", "--json"]
     assert main(words) == 0
     parts = json.loads(capsys.readouterr().out)["part_shares"]
