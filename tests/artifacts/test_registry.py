@@ -62,10 +62,10 @@ def dots(monkeypatch: pytest.MonkeyPatch) -> SensorModel:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_other_draw(
-    small_set: Path, dots: SensorModel, workers: int
+    figures_set: Path, dots: SensorModel, workers: int
 ) -> None:
     def streamed(variant: str, sensor: SensorModel | None = None) -> dict[str, tuple[Any, Any]]:
-        images = RangeImages(small_set, variant, sensor=sensor or PAPER)
+        images = RangeImages(figures_set, variant, sensor=sensor or PAPER)
         batches = loader(images, 5, workers, shuffle=False)
         return {
             key: (ranges.numpy()[0], labels.numpy())
@@ -97,30 +97,30 @@ def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_othe
                 np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_new_artifact_is_found_by_name_everywhere(small_set: Path, dots: SensorModel) -> None:
-    images = RangeImages(small_set, "noise", sensor=dots)
+def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: SensorModel) -> None:
+    images = RangeImages(figures_set, "noise", sensor=dots)
     assert images.identity()["artifacts"][-1] == {"artifact": "dots", "version": 1, "most": 0.8}
     assert [each["artifact"] for each in images.identity()["artifacts"]] == [each.name for each in dots]
     image = images.image(0)
     assert list(image.drawn) == ["sigma_mm", "dot_share"]
     assert dots.caption({"sigma_mm": 22.6, "dot_share": 0.5}) == "noise 23 mm, 50% dots"
     assert summarise(images)["mean_dot_share"] == pytest.approx(0.4, abs=0.2)
-    assert images.augmentation.alters_labels and not RangeImages(small_set, "noise").augmentation.alters_labels
+    assert images.augmentation.alters_labels and not RangeImages(figures_set, "noise").augmentation.alters_labels
     given = '{"dots": {"most": 0.3}, "noise": {"high_mm": 7}}'
     options = train.Options(("data",), Path("run"), artifacts=given, losses=0.2)
     assert train._sensor(options) == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
-    evaluated = open_images(str(small_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
+    evaluated = open_images(str(figures_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
     assert evaluated.augmentation.sensor == PAPER.with_artifacts(Noise(4, 4), Dots(0.1))
 
 
-def test_the_artifact_of_the_documentation_works(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "docs" / "noise.md").read_text()
     block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `sensor=")]
     names: dict[str, Any] = dict(globals())
     exec(textwrap.dedent(block), names)
     monkeypatch.setitem(ARTIFACTS, "dropouts", names["Dropouts"])
-    usual = RangeImages(small_set, "md")
-    images = RangeImages(small_set, "md", sensor=PAPER.with_artifacts(names["Dropouts"](0.3)))
+    usual = RangeImages(figures_set, "md")
+    images = RangeImages(figures_set, "md", sensor=PAPER.with_artifacts(names["Dropouts"](0.3)))
     lost = 0
     for index in range(4):
         image, before = images.image(index), usual.image(index)
@@ -145,9 +145,9 @@ def in_both_forms(
 
 
 def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
-    small_set: Path, dots: SensorModel, monkeypatch: pytest.MonkeyPatch
+    figures_set: Path, dots: SensorModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    images = RangeImages(small_set, "all", sensor=PAPER.with_artifacts(*dots, Losses(0.3)))
+    images = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(*dots, Losses(0.3)))
     for ours, theirs in in_both_forms(images, 6, monkeypatch):
         assert ours.drawn == theirs.drawn
         np.testing.assert_array_equal(ours.range, theirs.range)
@@ -156,14 +156,14 @@ def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
 
 @pytest.mark.parametrize("name", [*ARTIFACTS, *sensor_model_names()])
 def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
-    name: str, small_set: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name in ARTIFACTS:
         strengths = {"losses": {"most": 0.5}, "mixed_pixels": {"share": 0.7, "background_m": 4.0}}.get(name, {})
         sensor = SensorModel("one", (ARTIFACTS[name](**strengths),))
     else:
         sensor = load_sensor_model(name)
-    images = RangeImages(small_set, "all", sensor=sensor, seed=3)
+    images = RangeImages(figures_set, "all", sensor=sensor, seed=3)
     for ours, theirs in in_both_forms(images, 8, monkeypatch):
         np.testing.assert_array_equal(ours.range, theirs.range)
         np.testing.assert_array_equal(ours.labels, theirs.labels)
@@ -190,11 +190,11 @@ def test_the_compiled_call_takes_what_it_covers_from_the_first_artifact_on() -> 
         assert covered(artifacts) == count, artifacts
 
 
-def test_in_another_order_the_rest_follows_in_numpy(small_set: Path) -> None:
-    expected = RangeImages(small_set, "all", sensor=PAPER.with_artifacts(Losses(0.4)))
+def test_in_another_order_the_rest_follows_in_numpy(figures_set: Path) -> None:
+    expected = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(Losses(0.4)))
     order = ("noise", "losses", "occlusion", "missing_data")
     artifacts = {each.name: each for each in expected.augmentation.sensor}
-    images = RangeImages(small_set, "all", sensor=SensorModel("other", tuple(artifacts[name] for name in order)))
+    images = RangeImages(figures_set, "all", sensor=SensorModel("other", tuple(artifacts[name] for name in order)))
     assert [artifact.name for artifact in images.augmentation.applied] == list(order)
     image, labels = np.empty_like(images.clean(0).range), np.empty_like(images.clean(0).labels)
     for index in range(6):
@@ -227,7 +227,7 @@ class Noted(Draws):
 
 
 @pytest.mark.parametrize("name", ARTIFACTS)
-def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, small_set: Path) -> None:
+def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, figures_set: Path) -> None:
     kind = ARTIFACTS[name]
     artifact = {"losses": Losses(0.5), "patch_loss": PatchLoss(0.2, 0.5), "stripe_loss": StripeLoss(0.2, 0.5)}.get(
         name, kind()
@@ -239,7 +239,7 @@ def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, small_set: Pa
     assert all(hasattr(artifact, field.name) for field in fields(artifact))
     with pytest.raises(FrozenInstanceError):
         artifact.name = "other"  # type: ignore[misc]
-    images = RangeImages(small_set)
+    images = RangeImages(figures_set)
     purposes: set[str] = set()
     changed = 0
     for index in range(12):
@@ -277,8 +277,8 @@ def test_purposes_and_quantities_are_of_one_artifact_alone(monkeypatch: pytest.M
         PAPER.with_artifacts(Dots(), Sigma())
 
 
-def test_images_samples_and_augmentations_are_shown_in_a_line(small_set: Path) -> None:
-    images = RangeImages(small_set, "noise", sensor=PAPER.with_artifacts(Noise(5.0, 5.0)))
+def test_images_samples_and_augmentations_are_shown_in_a_line(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "noise", sensor=PAPER.with_artifacts(Noise(5.0, 5.0)))
     sample, image = images.clean(0), images.image(0)
     rows, columns = sample.range.shape
     body = np.count_nonzero(sample.range)

@@ -138,12 +138,12 @@ def test_what_is_written_as_toml_or_json_is_read_again(sensor: SensorModel, tmp_
     )
 
 
-def test_every_shipped_sensor_can_be_read_and_streams(small_set: Path) -> None:
+def test_every_shipped_sensor_can_be_read_and_streams(figures_set: Path) -> None:
     assert "paper" in sensor_model_names()
     for name in sensor_model_names():
         sensor = load_sensor_model(name)
         assert sensor.name == name and sensor.title
-        images = RangeImages(small_set, sensor=name)
+        images = RangeImages(figures_set, sensor=name)
         assert images.augmentation.sensor == sensor
         assert images[0]["range"].any()
 
@@ -172,9 +172,9 @@ def test_a_bad_sensor_file_is_one_line(text: str, message: str) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_a_sensor_that_is_not_there_is_one_line(tmp_path: Path, small_set: Path) -> None:
+def test_a_sensor_that_is_not_there_is_one_line(tmp_path: Path, figures_set: Path) -> None:
     with pytest.raises(BadConfig, match="no sensor is called 'kinect': give one of .*paper.* or the path of a .toml"):
-        RangeImages(small_set, sensor="kinect")
+        RangeImages(figures_set, sensor="kinect")
     with pytest.raises(BadConfig, match=r"cannot read the sensor file .*none\.toml: "):
         load_sensor_model(tmp_path / "none.toml")
     with pytest.raises(BadConfig, match="a sensor must be a SensorModel, a name or a path, found int"):
@@ -191,9 +191,9 @@ def test_a_strength_that_toml_cannot_hold_is_refused() -> None:
         SensorModel("mine", (Wide(),)).to_toml()
 
 
-def test_an_artifact_of_the_users_own_streams_and_is_in_the_identity(small_set: Path) -> None:
+def test_an_artifact_of_the_users_own_streams_and_is_in_the_identity(figures_set: Path) -> None:
     sensor = SensorModel("mine", (Rounding(), Losses(0.2)))
-    images, clean = RangeImages(small_set, "noise", sensor=sensor), RangeImages(small_set, "none", sensor=sensor)
+    images, clean = RangeImages(figures_set, "noise", sensor=sensor), RangeImages(figures_set, "none", sensor=sensor)
     assert images.identity()["artifacts"] == [
         {"artifact": "rounding", "version": 3, "step_mm": 10.0},
         {"artifact": "losses", "version": 1, "most": 0.2},
@@ -206,13 +206,13 @@ def test_an_artifact_of_the_users_own_streams_and_is_in_the_identity(small_set: 
         parse_sensor_model(sensor.to_toml(), "x")
 
 
-def test_the_order_is_the_models(small_set: Path) -> None:
+def test_the_order_is_the_models(figures_set: Path) -> None:
     """Rounding before noise leaves noise; after it, whole centimetres."""
-    first = RangeImages(small_set, "noise", sensor=SensorModel("a", (Rounding(), Noise(30.0, 30.0)))).image(0)
-    last = RangeImages(small_set, "noise", sensor=SensorModel("b", (Noise(30.0, 30.0), Rounding()))).image(0)
-    whole = round(0.01 / RangeImages(small_set).step_m)
+    first = RangeImages(figures_set, "noise", sensor=SensorModel("a", (Rounding(), Noise(30.0, 30.0)))).image(0)
+    last = RangeImages(figures_set, "noise", sensor=SensorModel("b", (Noise(30.0, 30.0), Rounding()))).image(0)
+    whole = round(0.01 / RangeImages(figures_set).step_m)
     assert (last.range % whole == 0).all() and (first.range % whole != 0).mean() > 0.1
-    plain = RangeImages(small_set, "noise", sensor=SensorModel("c", (Noise(30.0, 30.0),))).image(0)
+    plain = RangeImages(figures_set, "noise", sensor=SensorModel("c", (Noise(30.0, 30.0),))).image(0)
     np.testing.assert_array_equal(np.rint(plain.range / whole) * whole, last.range)
 
 
@@ -242,7 +242,9 @@ def _install(folder: Path, entries: str) -> None:
     (info / "entry_points.txt").write_text(f"[{ENTRY_POINT}]\n{entries}\n")
 
 
-def test_an_installed_package_adds_artifacts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_set: Path) -> None:
+def test_an_installed_package_adds_artifacts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures_set: Path
+) -> None:
     _install(
         tmp_path,
         "haze = weather:Haze\nfog = weather:Haze\nrain = weather:Nothing\nsnow = weather:Snow\ngone = climate:Gone",
@@ -253,7 +255,7 @@ def test_an_installed_package_adds_artifacts(tmp_path: Path, monkeypatch: pytest
         'format = "bodyseg sensor 1"\nname = "a"\n[[artifacts]]\nartifact = "haze"\naway_mm = 5', "x"
     )
     assert artifacts_to_json(sensor.artifacts) == [{"artifact": "haze", "version": 1, "away_mm": 5}]
-    images = RangeImages(small_set, sensor=sensor)
+    images = RangeImages(figures_set, sensor=sensor)
     hazy, clean = images.image(0), images.clean(0)
     away = np.uint16(round(0.005 / images.step_m))
     np.testing.assert_array_equal(hazy.range, np.where(clean.range > 0, clean.range + away, 0))

@@ -14,11 +14,11 @@ from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
 
 
 @pytest.fixture
-def spoil(small_set: Path, tmp_path: Path) -> Callable[..., RangeImages]:
+def spoil(figures_set: Path, tmp_path: Path) -> Callable[..., RangeImages]:
     """A copy of the set with a bit flipped in each of these samples: (shard, place in it)."""
 
     def make(*places: tuple[str, int], **options: Any) -> RangeImages:
-        copy = Path(shutil.copytree(small_set, tmp_path / "copy"))
+        copy = Path(shutil.copytree(figures_set, tmp_path / "copy"))
         images = RangeImages(copy, "all", **options)
         records = {record.name: record for record in images.manifest.shards}
         for shard, index in places:
@@ -94,7 +94,7 @@ def test_an_epoch_gone_through_again_may_lose_the_same_again(spoil: Callable[...
         assert len(batches.skipped) == 2 * times
 
 
-def test_what_cannot_be_skipped_ends_the_run_at_once(small_set: Path) -> None:
+def test_what_cannot_be_skipped_ends_the_run_at_once(figures_set: Path) -> None:
     asked = []
 
     class Cut(RangeImages):
@@ -103,7 +103,7 @@ def test_what_cannot_be_skipped_ends_the_run_at_once(small_set: Path) -> None:
             raise Unreachable("no answer")
 
     with pytest.raises(Unreachable, match="no answer"):
-        list(loader(Cut(small_set), 8, on_error="skip", skip_budget=20))
+        list(loader(Cut(figures_set), 8, on_error="skip", skip_budget=20))
     assert len(asked) == 1
 
 
