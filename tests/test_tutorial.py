@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import pytest
-from benches.model.tutorial import Tutorial, prepare, read_tutorial, smaller
+from benches.model.tutorial import prepare, read_tutorial, smaller
 
 from bodyseg_model.commands.cli import COMMANDS
 from bodyseg_model.commands.cli import main as bodyseg_main
 
 SIZES: Final = {
-    "shard --meshes": "6",
+    "shard --meshes": "8",
     "shard --views": "2",
     "shard --workers": "1",
     "train --steps": "2",
@@ -27,22 +26,11 @@ SIZES: Final = {
 }
 """Options that make the commands short."""
 
-HALF: Final = {"rows = 480": "rows = 240", "columns = 848": "columns = 424", "focal_px = 425.0": "focal_px = 212.5"}
-"""Lines of the tutorial's rig, for cameras of half as many pixels a side."""
-
-
-def with_half_the_pixels(tutorial: Tutorial) -> Tutorial:
-    (text,) = tutorial.files.values()
-    for line, smaller_line in HALF.items():
-        assert text.count(line) == 2, "one of the camera, one of the projector"
-        text = text.replace(line, smaller_line)
-    return replace(tutorial, files=dict.fromkeys(tutorial.files, text))
-
 
 def test_the_tutorial_runs_from_a_recording_to_labels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    tutorial = with_half_the_pixels(read_tutorial())
+    tutorial = read_tutorial()
     prepare(tmp_path, tutorial, 3)
     monkeypatch.chdir(tmp_path)
     for command in tutorial.commands:
