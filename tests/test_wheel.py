@@ -64,7 +64,7 @@ def test_the_wheel_holds_both_packages_and_nothing_else(wheel: Path) -> None:
     assert f"Version: {project['version']}" in metadata
 
 
-def test_the_wheel_streams_outside_the_checkout(wheel: Path, tmp_path: Path, figures_set: Path) -> None:
+def test_the_wheel_streams_outside_the_checkout(wheel: Path, tmp_path: Path, small_set: Path) -> None:
     site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
     elsewhere.mkdir()
     zipfile.ZipFile(wheel).extractall(site)
@@ -73,7 +73,7 @@ def test_the_wheel_streams_outside_the_checkout(wheel: Path, tmp_path: Path, fig
         "BODYSEG_KERNELS": "numpy",  # compiled loops are kept by their path: here all would be compiled anew
     }
     done = subprocess.run(
-        [sys.executable, "-c", STREAM, str(site), str(figures_set)],
+        [sys.executable, "-c", STREAM, str(site), str(small_set)],
         cwd=elsewhere, env=environment, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert (done.returncode, done.stdout.strip()) == (0, "streamed"), done.stderr

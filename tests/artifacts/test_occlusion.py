@@ -308,7 +308,7 @@ def sparse_images(rig: Rig, draws: np.random.Generator) -> tuple[NDArray[np.uint
     return images[0], images[1], draws.random(images[0].shape) < 0.95
 
 
-@settings(deadline=None, max_examples=120)
+@settings(deadline=None, max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     rows=st.integers(1, 60),
@@ -448,16 +448,16 @@ def test_views_from_above_and_turned_are_within_one_percent_of_exact_shadow_rays
     assert wrong.sum() / seen.inside.sum() < 0.005  # required: 0.01
 
 
-def test_fifty_views_of_ten_real_postures_are_within_one_percent_of_exact_shadow_rays() -> None:
+def test_twenty_views_of_ten_real_postures_are_within_one_percent_of_exact_shadow_rays() -> None:
     rig = load_rig()
     test = ShadowTest(rig)
     wrong, pixels, shares = 0, 0, []
-    for view in exact_views(rig, postures(), 50):
+    for view in exact_views(rig, postures(), 20):
         differing = (test.lit(*view.images(1)) != view.lit) & view.inside
         wrong, pixels = wrong + int(differing.sum()), pixels + int(view.inside.sum())
         shares.append(float(differing.sum() / view.inside.sum()))
-    assert len(shares) == 50
-    assert pixels > 1_500_000
+    assert len(shares) == 20
+    assert pixels > 500_000
     assert wrong / pixels < 0.005  # required: 0.01
     assert max(shares) < 0.01
 
@@ -466,14 +466,14 @@ def test_real_clothed_frames_are_within_one_percent_of_exact_shadow_rays(mit_fol
     rig, source = load_rig(), open_source("mit", mit_folder)
     test = ShadowTest(rig)
     wrong = pixels = 0
-    for index, body in enumerate(source.bodies()[::7]):
+    for index, body in enumerate(source.bodies()[::14]):
         built = source.build(body)
         renderer = EmbreeRenderer(built.mesh)
         for azimuth in range(0, 360, 120):
-            view = exact_view(rig, renderer, built, body, View(255, azimuth + 20 * index))
+            view = exact_view(rig, renderer, built, body, View(255, azimuth + 40 * index))
             wrong += int(((test.lit(*view.images(1)) != view.lit) & view.inside).sum())
             pixels += int(view.inside.sum())
-    assert pixels > 500_000
+    assert pixels > 250_000
     assert wrong / pixels < 0.006  # required: 0.01
 
 

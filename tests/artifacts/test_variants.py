@@ -148,7 +148,7 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
     return rig, Sample(draw(keys), seen, projected, labels, facing, _info(), faces_second=others[0] if others else None)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 @given(
     scene=scenes(),
     noise=st.sampled_from([Noise(), Noise(0.0, 0.0), Noise(1000.0, 1000.0)]),

@@ -331,24 +331,24 @@ def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals, monkeypa
 
 
 @pytest.mark.parametrize("words", ["inspect {set} --json", "verify {set}", "--help", "verify --help"])
-def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, figures_set: Path) -> None:
-    command = f"{sys.executable} -m bodyseg_data {words.format(set=figures_set)}"
+def test_a_reader_that_goes_away_is_said_by_the_status_alone(words: str, small_set: Path) -> None:
+    command = f"{sys.executable} -m bodyseg_data {words.format(set=small_set)}"
     script = f"{command} 2> >(grep -v 'verifying\\|inspecting' >&2) | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 141
     assert done.stderr == ""
 
 
-def test_output_that_cannot_be_written_is_one_line(figures_set: Path) -> None:
-    script = f"{sys.executable} -m bodyseg_data verify {figures_set} >/dev/full"
+def test_output_that_cannot_be_written_is_one_line(small_set: Path) -> None:
+    script = f"{sys.executable} -m bodyseg_data verify {small_set} >/dev/full"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == "bodyseg verify: No space left on device"
 
 
-def test_closed_streams_change_no_status(figures_set: Path) -> None:
+def test_closed_streams_change_no_status(small_set: Path) -> None:
     for closed in (">&-", "2>&-", ">&- 2>&-"):
-        script = f"{sys.executable} -m bodyseg_data verify {figures_set} {closed}"
+        script = f"{sys.executable} -m bodyseg_data verify {small_set} {closed}"
         assert subprocess.run(["bash", "-c", script], capture_output=True, timeout=60, check=False).returncode == 0
 
 
@@ -401,9 +401,9 @@ def test_inspect_draws_a_contact_sheet(figures_set: Path, tmp_path: Path) -> Non
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["inspect", str(figures_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
+    assert main(["inspect", str(small_set), "--out", str(tmp_path / "none" / "sheet.png")]) == 2
     assert "--out needs a file in a folder that is there" in capsys.readouterr().err
 
 

@@ -27,17 +27,17 @@ def bits(batch: Any) -> tuple[list[str], bytes, bytes]:
 
 
 @pytest.fixture(scope="module")
-def expected(figures_set: Path) -> list[tuple[list[str], bytes, bytes]]:
+def expected(small_set: Path) -> list[tuple[list[str], bytes, bytes]]:
     """Two passes over the train split in batches of 3: 12 batches."""
-    batches = loader(RangeImages(figures_set, "all", "train"), 3)
+    batches = loader(RangeImages(small_set, "all", "train"), 3)
     return [bits(batch) for _ in range(2) for batch in batches]
 
 
 @pytest.mark.parametrize(("workers", "method"), WAYS)
 def test_a_batch_that_is_held_never_changes(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
+    small_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
 ) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers, worker_method=method)
+    batches = loader(RangeImages(small_set, "all", "train"), 3, workers, worker_method=method)
     held = [batch for _ in range(2) for batch in batches]
     for _ in range(2):
         for _ in batches:
@@ -49,9 +49,9 @@ def test_a_batch_that_is_held_never_changes(
 
 @pytest.mark.parametrize(("workers", "method"), WAYS)
 def test_a_part_of_a_batch_is_held_too(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
+    small_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int, method: Any
 ) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, workers, worker_method=method)
+    batches = loader(RangeImages(small_set, "all", "train"), 3, workers, worker_method=method)
     kept: list[Any] = []
     for number, batch in enumerate(batches):
         ranges = batch["range"]
@@ -65,17 +65,16 @@ def test_a_part_of_a_batch_is_held_too(
         assert image == whole[: len(image)]
 
 
-@pytest.mark.parametrize("start_method", ["spawn", "forkserver"])
-def test_start_methods_give_the_same_bits(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], start_method: Any
-) -> None:
-    batches = loader(RangeImages(figures_set, "all", "train"), 3, 1, worker_method="process", start_method=start_method)
+def test_a_forkserver_gives_the_same_bits(small_set: Path, expected: list[tuple[list[str], bytes, bytes]]) -> None:
+    """As spawned workers do: tests of mixtures, of sets of users and of stores start some."""
+    images = RangeImages(small_set, "all", "train")
+    batches = loader(images, 3, 1, worker_method="process", start_method="forkserver")
     assert [bits(batch) for batch in batches] == expected[:6]
 
 
 @pytest.mark.parametrize(("workers", "method"), WAYS)
-def test_sixteen_bits_are_the_same_ranges(figures_set: Path, workers: int, method: Any) -> None:
-    images = RangeImages(figures_set, "all")
+def test_sixteen_bits_are_the_same_ranges(small_set: Path, workers: int, method: Any) -> None:
+    images = RangeImages(small_set, "all")
     pairs = zip(loader(images, 5, workers, metres=False, worker_method=method), loader(images, 5), strict=True)
     for steps, metres in pairs:
         assert steps["range"].dtype == torch.uint16
@@ -112,9 +111,9 @@ def test_slots_come_back_when_nobody_holds_them() -> None:
 
 
 def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]]
+    small_set: Path, expected: list[tuple[list[str], bytes, bytes]]
 ) -> None:
-    images = RangeImages(figures_set, "all", "train")
+    images = RangeImages(small_set, "all", "train")
     first = loader(images, 3, 2, worker_method="process")
     assert isinstance(first, Stateful)
     states = [first.state_dict()]
@@ -125,7 +124,7 @@ def test_a_state_is_what_was_delivered_and_goes_on_anywhere(
     ]  # fmt: skip
     assert first.state_dict() == {**states[0], "epoch": 2}
     for done in (0, 2, 5, 6, 7, 12):
-        again = loader(RangeImages(figures_set, "all", "train"), 3, done % 2, worker_method="thread")
+        again = loader(RangeImages(small_set, "all", "train"), 3, done % 2, worker_method="thread")
         again.load_state_dict(json.loads(json.dumps(states[done])))
         rest = [bits(batch) for _ in range(again.epoch, 2) for batch in again]
         assert rest == expected[done:]
@@ -168,9 +167,9 @@ def test_a_state_knows_what_it_belongs_to(figures_set: Path) -> None:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_torch_loaders_go_by_the_same_order(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+    small_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
 ) -> None:
-    images = RangeImages(figures_set, "all", "train")
+    images = RangeImages(small_set, "all", "train")
     options: dict[str, Any] = {"num_workers": workers, "persistent_workers": workers > 0}
     order = images.batches(3)
     plain = DataLoader(images, batch_sampler=order, **options)
@@ -185,10 +184,10 @@ def test_torch_loaders_go_by_the_same_order(
 @pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")  # torchdata calls it
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_stateful_dataloader_goes_on(
-    figures_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
+    small_set: Path, expected: list[tuple[list[str], bytes, bytes]], workers: int
 ) -> None:
     def fresh() -> Any:
-        images = RangeImages(figures_set, "all", "train")
+        images = RangeImages(small_set, "all", "train")
         return StatefulDataLoader(images, batch_sampler=images.batches(3), num_workers=workers)
 
     first = fresh()
@@ -205,8 +204,8 @@ def test_a_stateful_dataloader_goes_on(
         assert found == expected[done:end]
 
 
-def test_indices_alone_draw_for_the_epoch_that_was_set(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_indices_alone_draw_for_the_epoch_that_was_set(small_set: Path) -> None:
+    images = RangeImages(small_set, "all", "train")
     later = images[2, 5]
     images.set_epoch(2)
     assert torch.equal(images[5]["range"], later["range"])
@@ -246,8 +245,8 @@ def test_an_image_of_another_size_is_refused(figures_set: Path) -> None:
         images.write(0, 0, *small)
 
 
-def test_a_worker_process_has_no_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_process_has_no_workers(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
-    batches: Loader = loader(RangeImages(figures_set), 4, 1, worker_method="process")
+    batches: Loader = loader(RangeImages(small_set), 4, 1, worker_method="process")
     with pytest.raises(BadConfig, match="a worker process can have no processes of its own"):
         next(iter(batches))

@@ -21,7 +21,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BodysegError, WorkerLost
 from bodyseg_data.loading.loader import Loader
 
-EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "10"))
+EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "5"))
 
 WITHIN_S = 60
 """How long what should happen at once may take on a busy machine."""
@@ -57,8 +57,8 @@ def keys(batches: Loader) -> list[str]:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("victim", [0, 1])
-def test_a_worker_that_is_killed_is_one_line_and_no_hang(figures_set: Path, number: int, victim: int) -> None:
-    batches = with_processes(RangeImages(figures_set))
+def test_a_worker_that_is_killed_is_one_line_and_no_hang(small_set: Path, number: int, victim: int) -> None:
+    batches = with_processes(RangeImages(small_set))
     delivered = iter(batches)
     next(delivered)
     processes = worker_ids(batches)
@@ -73,7 +73,7 @@ def test_a_worker_that_is_killed_is_one_line_and_no_hang(figures_set: Path, numb
     assert len(keys(batches)) == 24, "the next pass has workers again"
 
 
-def test_a_worker_that_ends_itself_is_named_too(figures_set: Path) -> None:
+def test_a_worker_that_ends_itself_is_named_too(small_set: Path) -> None:
     class Leaving(RangeImages):
         def write(self, *where: Any) -> None:
             os._exit(3)
@@ -81,23 +81,23 @@ def test_a_worker_that_ends_itself_is_named_too(figures_set: Path) -> None:
     with pytest.raises(
         WorkerLost, match=r"worker 0 of 1 \(process \d+\) ended with status 3 before its batch was made"
     ):
-        list(with_processes(Leaving(figures_set), 1))
+        list(with_processes(Leaving(small_set), 1))
 
 
-def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(figures_set: Path) -> None:
+def test_an_unforeseen_error_in_a_worker_is_one_line_with_its_trace_noted(small_set: Path) -> None:
     class Failing(RangeImages):
         def write(self, *where: Any) -> None:
             raise MemoryError("no more\nof it")
 
     with pytest.raises(WorkerLost) as caught:
-        list(with_processes(Failing(figures_set)))
+        list(with_processes(Failing(small_set)))
     assert re.fullmatch(r"worker 0 of 2 \(process \d+\) failed: MemoryError: no more of it", str(caught.value))
     assert "in write" in caught.value.__notes__[0]
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_a_pass_may_be_left_and_another_begun(figures_set: Path, workers: int) -> None:
-    images = RangeImages(figures_set, "all")
+def test_a_pass_may_be_left_and_another_begun(small_set: Path, workers: int) -> None:
+    images = RangeImages(small_set, "all")
     batches = with_processes(images, workers)
     whole = [[batch["range"].sum().item() for batch in batches] for _ in range(3)]
     images.set_epoch(0)
@@ -112,8 +112,8 @@ def test_a_pass_may_be_left_and_another_begun(figures_set: Path, workers: int) -
     assert not workers or worker_ids(batches) == before, "the same workers go on"
 
 
-def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches = with_processes(RangeImages(figures_set))
+def test_an_interrupt_is_passed_on_and_ends_the_workers(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    batches = with_processes(RangeImages(small_set))
     delivered = iter(batches)
     next(delivered)
     assert batches._state is not None
@@ -130,9 +130,9 @@ def test_an_interrupt_is_passed_on_and_ends_the_workers(figures_set: Path, monke
 
 
 def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
-    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batches = with_processes(RangeImages(figures_set))
+    batches = with_processes(RangeImages(small_set))
     delivered = iter(batches)
     next(delivered)
     assert batches._state is not None
@@ -149,24 +149,24 @@ def test_an_interrupt_while_workers_end_leaves_no_half_ended_ones(
     workers.close()
 
 
-def test_a_pass_left_early_makes_no_batch_in_vain(figures_set: Path) -> None:
+def test_a_pass_left_early_makes_no_batch_in_vain(small_set: Path) -> None:
     made = []
 
     class Counting(RangeImages):
         def write(self, index: int, *where: Any) -> None:
             made.append(index)
 
-    batches = loader(Counting(figures_set), 8)
+    batches = loader(Counting(small_set), 8)
     for _ in range(3):
         next(iter(batches))
     assert len(made) == 24
 
 
 @pytest.mark.parametrize("held", ["nothing", "a batch", "an unfinished pass"])
-def test_a_loader_that_is_dropped_ends_its_workers_at_once(figures_set: Path, held: str) -> None:
+def test_a_loader_that_is_dropped_ends_its_workers_at_once(small_set: Path, held: str) -> None:
     gc.disable()  # none of this waits for the garbage collector
     try:
-        batches: Any = with_processes(RangeImages(figures_set))
+        batches: Any = with_processes(RangeImages(small_set))
         delivered: Any = iter(batches)
         batch: Any = next(delivered)
         processes = worker_ids(batches)
@@ -185,13 +185,13 @@ def test_a_loader_that_is_dropped_ends_its_workers_at_once(figures_set: Path, he
 
 
 def test_workers_end_when_told_to_whoever_else_has_their_pipes(
-    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def kill(process: Any) -> None:
         raise AssertionError("had to be killed")
 
     monkeypatch.setattr(multiprocessing.process.BaseProcess, "kill", kill)
-    pair = [with_processes(RangeImages(figures_set)) for _ in range(2)]
+    pair = [with_processes(RangeImages(small_set)) for _ in range(2)]
     for batches in pair:  # the second one's workers are forks that have the first one's pipes
         next(iter(batches))
     processes = worker_ids(pair[0])
@@ -200,8 +200,8 @@ def test_workers_end_when_told_to_whoever_else_has_their_pipes(
     assert len(keys(pair[0])) == 24
 
 
-def test_a_fork_of_the_process_has_workers_of_its_own(figures_set: Path) -> None:
-    batches = with_processes(RangeImages(figures_set), 1)
+def test_a_fork_of_the_process_has_workers_of_its_own(small_set: Path) -> None:
+    batches = with_processes(RangeImages(small_set), 1)
     delivered = iter(batches)
     first = next(delivered)
     processes = worker_ids(batches)
@@ -250,14 +250,14 @@ def test_epochs_leave_nothing_behind(figures_set: Path, workers: int) -> None:
     assert resources() == before
 
 
-def test_errors_leave_nothing_behind(figures_set: Path) -> None:
+def test_errors_leave_nothing_behind(small_set: Path) -> None:
     class Failing(RangeImages):
         def write(self, index: int, *where: Any) -> None:
             if index == 20:
                 raise BodysegError("twenty")
             super().write(index, *where)
 
-    batches = with_processes(Failing(figures_set))
+    batches = with_processes(Failing(small_set))
     before = resources()
     for _ in range(5):
         with pytest.raises(BodysegError, match="^twenty$"):
@@ -290,9 +290,9 @@ while True:
     ("number", "start_method"),
     [(signal.SIGINT, "fork"), (signal.SIGINT, "forkserver"), (signal.SIGTERM, "fork"), (signal.SIGKILL, "fork")],
 )
-def test_a_signal_to_the_run_leaves_nothing_behind(figures_set: Path, number: int, start_method: str) -> None:
+def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int, start_method: str) -> None:
     each = 1 if start_method == "forkserver" else 2  # a server's workers import all there is, one after the other
-    command = [sys.executable, "-c", ENDLESS, str(figures_set), start_method, str(each)]
+    command = [sys.executable, "-c", ENDLESS, str(small_set), start_method, str(each)]
     with start_interruptible(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as run:
@@ -317,8 +317,8 @@ def test_a_signal_to_the_run_leaves_nothing_behind(figures_set: Path, number: in
         assert errors == ""
 
 
-def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(figures_set: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(figures_set), "fork", "2", "leave"]
+def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(small_set: Path) -> None:
+    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set), "fork", "2", "leave"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     await_end([int(word) for word in done.stdout.split()])

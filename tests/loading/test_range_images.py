@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from folders import ROOT
+from small_rig import SMALL
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
@@ -70,10 +71,10 @@ def test_the_public_classes_print_in_one_readable_line(figures_set: Path) -> Non
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_bits_do_not_depend_on_the_number_of_workers(figures_set: Path, variant: str) -> None:
+def test_bits_do_not_depend_on_the_number_of_workers(small_set: Path, variant: str) -> None:
     one, two = (
         [bits(batches), bits(batches)]
-        for batches in (loader(RangeImages(figures_set, variant), 5, workers, shuffle=True) for workers in (0, 2))
+        for batches in (loader(RangeImages(small_set, variant), 5, workers, shuffle=True) for workers in (0, 2))
     )
     assert one == two
     assert one[0] != one[1]
@@ -81,27 +82,27 @@ def test_bits_do_not_depend_on_the_number_of_workers(figures_set: Path, variant:
 
 @pytest.mark.filterwarnings("ignore:This DataLoader will create")  # more workers than processors, on purpose
 @pytest.mark.parametrize("workers", [1, 3])
-def test_other_numbers_of_workers_give_the_same_bits_too(figures_set: Path, workers: int) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_other_numbers_of_workers_give_the_same_bits_too(small_set: Path, workers: int) -> None:
+    images = RangeImages(small_set, "all", "train")
     assert bits(loader(images, 5, workers)) == bits(loader(images, 5, 0))
 
 
 def test_bits_do_not_depend_on_the_shard_size(
-    figures_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]
+    small_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]
 ) -> None:
-    other = pack_figures(tmp_path / "other", shard_samples=7)
+    other = pack_figures(tmp_path / "other", rig=SMALL, shard_samples=7)
     assert bits(loader(RangeImages(other, "all", "train"), 5)) == bits(
-        loader(RangeImages(figures_set, "all", "train"), 5)
+        loader(RangeImages(small_set, "all", "train"), 5)
     )
 
 
-def test_bits_do_not_depend_on_the_codec(figures_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]) -> None:
-    other = pack_figures(tmp_path / "png", codec="png")
-    assert bits(loader(RangeImages(other, "all"), 5)) == bits(loader(RangeImages(figures_set, "all"), 5))
+def test_bits_do_not_depend_on_the_codec(small_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]) -> None:
+    other = pack_figures(tmp_path / "png", rig=SMALL, codec="png")
+    assert bits(loader(RangeImages(other, "all"), 5)) == bits(loader(RangeImages(small_set, "all"), 5))
 
 
-def test_every_pass_is_another_epoch_in_order_and_draws(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_every_pass_is_another_epoch_in_order_and_draws(small_set: Path) -> None:
+    images = RangeImages(small_set, "all", "train")
     batches = loader(images, 5)
     first, second = bits(batches), bits(batches)
     assert batches.epoch == 2
@@ -112,20 +113,20 @@ def test_every_pass_is_another_epoch_in_order_and_draws(figures_set: Path) -> No
     assert bits(batches) == second, "an epoch asked for is that epoch"
     images.set_epoch(0)
     assert bits(batches) == first
-    assert bits(loader(RangeImages(figures_set, "all", "train", epoch=1), 5)) == second
-    assert bits(loader(RangeImages(figures_set, "all", "train", seed=1), 5)) != first
+    assert bits(loader(RangeImages(small_set, "all", "train", epoch=1), 5)) == second
+    assert bits(loader(RangeImages(small_set, "all", "train", seed=1), 5)) != first
 
 
-def test_the_noise_of_one_image_differs_between_epochs(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "noise")
+def test_the_noise_of_one_image_differs_between_epochs(small_set: Path) -> None:
+    images = RangeImages(small_set, "noise")
     before = images[0]["range"]
     images.set_epoch(1)
     assert not torch.equal(before, images[0]["range"])
 
 
-def test_len_is_exact(figures_set: Path) -> None:
+def test_len_is_exact(small_set: Path) -> None:
     for split, count in ((None, 24), ("train", 16), ("test", 8)):
-        images = RangeImages(figures_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
+        images = RangeImages(small_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
         assert len(images) == count
         for size in (1, 5, 8, 100):
             whole = loader(images, size)
@@ -140,9 +141,9 @@ def test_len_is_exact(figures_set: Path) -> None:
             assert len(keys(short)) == count // size * size
 
 
-def test_shuffling_is_for_training_unless_said_otherwise(figures_set: Path) -> None:
+def test_shuffling_is_for_training_unless_said_otherwise(small_set: Path) -> None:
     for split, shuffled in ((None, False), ("train", True), ("test", False)):
-        images = RangeImages(figures_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
+        images = RangeImages(small_set, split=split)  # type: ignore[arg-type]  # literals in a tuple
         assert (keys(loader(images, 4)) != images.keys) == shuffled
         assert keys(loader(images, 4, shuffle=False)) == images.keys
 
@@ -159,8 +160,8 @@ def test_paths_and_globs_choose_shards(figures_set: Path) -> None:
     ]
 
 
-def test_a_plain_dataloader_works_as_well(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all")
+def test_a_plain_dataloader_works_as_well(small_set: Path) -> None:
+    images = RangeImages(small_set, "all")
     plain = list(DataLoader(images, batch_size=5, num_workers=2))
     ours = list(loader(images, 5))
     assert all(torch.equal(a["range"], b["range"]) for a, b in zip(plain, ours, strict=True))
@@ -169,8 +170,8 @@ def test_a_plain_dataloader_works_as_well(figures_set: Path) -> None:
 
 # webdataset leaves closing its files to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
-def test_a_webdataset_pipeline_gives_the_same_bits(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", "train", epoch=3)
+def test_a_webdataset_pipeline_gives_the_same_bits(small_set: Path) -> None:
+    images = RangeImages(small_set, "all", "train", epoch=3)
     streamed = list(images.webdataset())
     gc.collect()
     assert [sample["key"] for sample in streamed] == images.keys
@@ -198,9 +199,9 @@ def test_a_webdataset_pipeline_checks_every_sample(figures_set: Path, tmp_path: 
     gc.collect()
 
 
-def test_one_pass_of_a_loader_runs_at_a_time(figures_set: Path) -> None:
+def test_one_pass_of_a_loader_runs_at_a_time(small_set: Path) -> None:
     for workers in (0, 2):
-        batches = loader(RangeImages(figures_set), 4, workers)
+        batches = loader(RangeImages(small_set), 4, workers)
         older = iter(batches)
         next(older)
         assert len(keys(batches)) == 24
@@ -208,33 +209,33 @@ def test_one_pass_of_a_loader_runs_at_a_time(figures_set: Path) -> None:
             next(older)
 
 
-def test_two_loaders_of_the_same_images_do_not_meet(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all")
+def test_two_loaders_of_the_same_images_do_not_meet(small_set: Path) -> None:
+    images = RangeImages(small_set, "all")
     pairs = list(zip(loader(images, 4, 2), loader(images, 4, 0), strict=True))
     assert all(torch.equal(a["range"], b["range"]) for a, b in pairs)
     assert len(pairs) == 6
 
 
-def test_threads_may_read_at_once(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all")
+def test_threads_may_read_at_once(small_set: Path) -> None:
+    images = RangeImages(small_set, "all")
     expected = [images[index]["range"] for index in range(24)]
     with ThreadPoolExecutor(8) as executor:
         read = list(executor.map(lambda index: images[index % 24]["range"], range(120)))
     assert all(torch.equal(image, expected[number % 24]) for number, image in enumerate(read))
 
 
-def test_the_order_belongs_to_the_seed(figures_set: Path) -> None:
-    orders = [keys(loader(RangeImages(figures_set, "none", "train", seed=seed), 4)) for seed in (0, 0, 1)]
+def test_the_order_belongs_to_the_seed(small_set: Path) -> None:
+    orders = [keys(loader(RangeImages(small_set, "none", "train", seed=seed), 4)) for seed in (0, 0, 1)]
     assert orders[0] == orders[1] != orders[2]
 
 
 def test_the_lines_of_the_readme_run_and_differ_by_epoch(
-    figures_set: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_set: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     readme = (ROOT / "README.md").read_text()
     (lines,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    lines = lines.replace("demo/shards", str(figures_set))
-    assert str(figures_set) in lines
+    lines = lines.replace("demo/shards", str(small_set))
+    assert str(small_set) in lines
     seen: dict[int, list[bytes]] = {}
     lines += "\n        seen.setdefault(epoch, []).append(range_m.numpy().tobytes())"
     exec(lines, {"seen": seen})
@@ -243,14 +244,14 @@ def test_the_lines_of_the_readme_run_and_differ_by_epoch(
     assert seen[0] != seen[1]
 
 
-def test_images_survive_pickling(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all", sensor=load_sensor_model().with_artifacts(MissingData(rates=(0.5,))))
+def test_images_survive_pickling(small_set: Path) -> None:
+    images = RangeImages(small_set, "all", sensor=load_sensor_model().with_artifacts(MissingData(rates=(0.5,))))
     again = pickle.loads(pickle.dumps(images))
     assert torch.equal(images[3]["range"], again[3]["range"])
 
 
-def test_indices_are_those_of_a_list(figures_set: Path) -> None:
-    images = RangeImages(figures_set)
+def test_indices_are_those_of_a_list(small_set: Path) -> None:
+    images = RangeImages(small_set)
     assert images[-1]["key"] == images.keys[-1]
     for index in (24, -25):
         with pytest.raises(IndexError, match=f"index {index} of 24 samples"):
@@ -277,13 +278,13 @@ def test_a_bad_sample_stops_the_run_in_one_line(figures_set: Path, tmp_path: Pat
         ({"epoch": -1}, "an epoch must be a whole number of at least 0, found -1"),
     ],
 )
-def test_bad_options_are_refused(figures_set: Path, options: dict[str, object], message: str) -> None:
+def test_bad_options_are_refused(small_set: Path, options: dict[str, object], message: str) -> None:
     with pytest.raises(BadConfig, match=message):
-        RangeImages(figures_set, **options)  # type: ignore[arg-type]  # on purpose
+        RangeImages(small_set, **options)  # type: ignore[arg-type]  # on purpose
 
 
-def test_bad_loader_options_are_refused(figures_set: Path) -> None:
-    images = RangeImages(figures_set)
+def test_bad_loader_options_are_refused(small_set: Path) -> None:
+    images = RangeImages(small_set)
     with pytest.raises(BadConfig, match="batch_size must be a whole number of at least 1, found 0"):
         loader(images, 0)
     with pytest.raises(BadConfig, match="num_workers must be a whole number of at least 0, found -1"):

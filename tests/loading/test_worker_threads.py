@@ -54,30 +54,30 @@ def keys(batches: Loader) -> list[str]:
 
 @pytest.mark.parametrize("variant", ["none", "all"])
 @pytest.mark.parametrize("metres", [True, False])
-def test_threads_give_the_bits_of_processes_and_of_no_workers(figures_set: Path, variant: str, metres: bool) -> None:
+def test_threads_give_the_bits_of_processes_and_of_no_workers(small_set: Path, variant: str, metres: bool) -> None:
     ways: list[tuple[int, Any]] = [(0, "thread"), (2, "process"), (1, "thread"), (2, "thread"), (5, "thread")]
     found = []
     for workers, method in ways:
-        batches = loader(RangeImages(figures_set, variant, "train"), 3, workers, metres=metres, worker_method=method)
+        batches = loader(RangeImages(small_set, variant, "train"), 3, workers, metres=metres, worker_method=method)
         found.append([bits(batch) for _ in range(3) for batch in batches])
     assert found == found[:1] * len(ways)
 
 
 @pytest.mark.parametrize(("first", "second"), [("process", "thread"), ("thread", "process")])
-def test_a_state_goes_on_with_the_other_kind_of_workers(figures_set: Path, first: Any, second: Any) -> None:
-    images = RangeImages(figures_set, "all", "train")
+def test_a_state_goes_on_with_the_other_kind_of_workers(small_set: Path, first: Any, second: Any) -> None:
+    images = RangeImages(small_set, "all", "train")
     batches = loader(images, 3, 2, worker_method=first)
     whole = [bits(batch) for batch in batches]
     images.set_epoch(0)
     delivered = iter(batches)
     begun = [bits(next(delivered)) for _ in range(2)]
-    again = loader(RangeImages(figures_set, "all", "train"), 3, 2, worker_method=second)
+    again = loader(RangeImages(small_set, "all", "train"), 3, 2, worker_method=second)
     again.load_state_dict(batches.state_dict())
     assert begun + [bits(batch) for batch in again] == whole
 
 
-def test_a_bad_sample_is_the_same_line(figures_set: Path, tmp_path: Path) -> None:
-    damaged = damaged_copy(figures_set, tmp_path)
+def test_a_bad_sample_is_the_same_line(small_set: Path, tmp_path: Path) -> None:
+    damaged = damaged_copy(small_set, tmp_path)
     messages = []
     for workers, method in ((0, "thread"), (2, "process"), (2, "thread")):
         with pytest.raises(BadShard) as caught:
@@ -89,8 +89,8 @@ def test_a_bad_sample_is_the_same_line(figures_set: Path, tmp_path: Path) -> Non
     )
 
 
-def test_bad_samples_are_skipped_within_the_budget(figures_set: Path, tmp_path: Path) -> None:
-    damaged = damaged_copy(figures_set, tmp_path)
+def test_bad_samples_are_skipped_within_the_budget(small_set: Path, tmp_path: Path) -> None:
+    damaged = damaged_copy(small_set, tmp_path)
     found = []
     for method in ("process", "thread"):
         batches = loader(
@@ -106,13 +106,13 @@ def test_bad_samples_are_skipped_within_the_budget(figures_set: Path, tmp_path: 
     assert len(found[0][1]) == 1
 
 
-def damaged_copy(figures_set: Path, tmp_path: Path) -> Path:
+def damaged_copy(small_set: Path, tmp_path: Path) -> Path:
     """A set with one altered byte in the second shard's third sample."""
     damaged = tmp_path / "damaged"
     damaged.mkdir()
-    for path in figures_set.iterdir():
+    for path in small_set.iterdir():
         (damaged / path.name).write_bytes(path.read_bytes())
-    record = RangeImages(figures_set).manifest.shards[1]
+    record = RangeImages(small_set).manifest.shards[1]
     with (damaged / record.name).open("r+b") as shard:
         shard.seek(record.offsets[2] + record.lengths[2] // 2)
         before = shard.read(1)
@@ -122,20 +122,20 @@ def damaged_copy(figures_set: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("error", [MemoryError("no more\nof it"), SystemExit("no more of it")])
-def test_an_unforeseen_error_is_one_line_with_its_trace_noted(figures_set: Path, error: BaseException) -> None:
+def test_an_unforeseen_error_is_one_line_with_its_trace_noted(small_set: Path, error: BaseException) -> None:
     class Failing(RangeImages):
         def write(self, *where: Any) -> None:
             raise error
 
     with pytest.raises(WorkerLost) as caught:
-        keys(threaded(Failing(figures_set)))
+        keys(threaded(Failing(small_set)))
     assert re.fullmatch(
         rf"worker [01] of 2 \(thread\) failed: {type(error).__name__}: no more of it", str(caught.value)
     )
     assert "in write" in caught.value.__notes__[0]
 
 
-def test_an_error_ends_the_threads_and_the_next_pass_has_new_ones(figures_set: Path) -> None:
+def test_an_error_ends_the_threads_and_the_next_pass_has_new_ones(small_set: Path) -> None:
     class Failing(RangeImages):
         failing = True
 
@@ -144,7 +144,7 @@ def test_an_error_ends_the_threads_and_the_next_pass_has_new_ones(figures_set: P
                 raise BodysegError("twenty")
             super().write(index, *where)
 
-    images = Failing(figures_set)
+    images = Failing(small_set)
     batches = threaded(images)
     for _ in range(3):
         with pytest.raises(BodysegError, match="^twenty$"):
@@ -155,8 +155,8 @@ def test_an_error_ends_the_threads_and_the_next_pass_has_new_ones(figures_set: P
     assert len(worker_threads()) == 2
 
 
-def test_a_pass_may_be_left_and_another_begun(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "all")
+def test_a_pass_may_be_left_and_another_begun(small_set: Path) -> None:
+    images = RangeImages(small_set, "all")
     batches = threaded(images)
     whole = [bits(batch) for batch in batches]
     before = worker_threads()
@@ -169,10 +169,10 @@ def test_a_pass_may_be_left_and_another_begun(figures_set: Path) -> None:
 
 
 @pytest.mark.parametrize("held", ["nothing", "a batch", "an unfinished pass"])
-def test_a_loader_that_is_dropped_ends_its_threads_at_once(figures_set: Path, held: str) -> None:
+def test_a_loader_that_is_dropped_ends_its_threads_at_once(small_set: Path, held: str) -> None:
     gc.disable()  # none of this waits for the garbage collector
     try:
-        batches: Any = threaded(RangeImages(figures_set))
+        batches: Any = threaded(RangeImages(small_set))
         delivered: Any = iter(batches)
         batch: Any = next(delivered)
         if held != "a batch":
@@ -188,11 +188,11 @@ def test_a_loader_that_is_dropped_ends_its_threads_at_once(figures_set: Path, he
         gc.enable()
 
 
-def test_epochs_leave_nothing_behind(figures_set: Path) -> None:
+def test_epochs_leave_nothing_behind(small_set: Path) -> None:
     def open_files() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))
 
-    images = RangeImages(figures_set, "all")
+    images = RangeImages(small_set, "all")
     before = open_files()
     batches: Any = threaded(images)
     for epoch in range(9):
@@ -206,7 +206,7 @@ def test_epochs_leave_nothing_behind(figures_set: Path) -> None:
     assert open_files() == before
 
 
-def test_an_interrupt_is_passed_on_and_ends_the_threads(figures_set: Path) -> None:
+def test_an_interrupt_is_passed_on_and_ends_the_threads(small_set: Path) -> None:
     begun = threading.Event()
 
     class Slow(RangeImages):
@@ -218,7 +218,7 @@ def test_an_interrupt_is_passed_on_and_ends_the_threads(figures_set: Path) -> No
                 time.sleep(0.5)
             super().write(*where)
 
-    images = Slow(figures_set)
+    images = Slow(small_set)
     batches = threaded(images, batch_size=2)
 
     def interrupt() -> None:
@@ -239,8 +239,8 @@ def test_an_interrupt_is_passed_on_and_ends_the_threads(figures_set: Path) -> No
     assert len(keys(batches)) == 24
 
 
-def test_a_fork_has_threads_of_its_own(figures_set: Path) -> None:
-    batches = threaded(RangeImages(figures_set, "all"))
+def test_a_fork_has_threads_of_its_own(small_set: Path) -> None:
+    batches = threaded(RangeImages(small_set, "all"))
     delivered = iter(batches)
     first = bits(next(delivered))
 
@@ -258,12 +258,12 @@ def test_a_fork_has_threads_of_its_own(figures_set: Path) -> None:
     assert len(first[0]) + sum(len(batch["key"]) for batch in delivered) == 24
 
 
-def test_a_daemonic_process_may_have_threads(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_daemonic_process_may_have_threads(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
-    assert len(keys(threaded(RangeImages(figures_set)))) == 24
+    assert len(keys(threaded(RangeImages(small_set)))) == 24
 
 
-def test_threads_that_cannot_start(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_that_cannot_start(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     start = threading.Thread.start
 
     def limited(thread: threading.Thread) -> None:
@@ -275,7 +275,7 @@ def test_threads_that_cannot_start(figures_set: Path, monkeypatch: pytest.Monkey
     with pytest.raises(
         WorkerLost, match="^worker 1 of 2 could not be started: can't start new thread; use fewer workers$"
     ):
-        keys(threaded(RangeImages(figures_set)))
+        keys(threaded(RangeImages(small_set)))
 
 
 def test_workers_may_be_closed_by_one_of_their_threads() -> None:
@@ -336,8 +336,8 @@ while True:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_run(figures_set: Path, number: int) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(figures_set)]
+def test_a_signal_ends_the_run(small_set: Path, number: int) -> None:
+    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set)]
     with start_interruptible(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as run:
@@ -350,19 +350,19 @@ def test_a_signal_ends_the_run(figures_set: Path, number: int) -> None:
 
 
 @pytest.mark.parametrize(("way", "status"), [("leave", 0), ("fail", 1)])
-def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(figures_set: Path, way: str, status: int) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(figures_set), way]
+def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(small_set: Path, way: str, status: int) -> None:
+    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set), way]
     done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN_S, check=False)
     assert done.returncode == status
     assert done.stderr.count("Traceback") == status
     assert "bodyseg-worker" not in done.stderr
 
 
-def test_pytorch_keeps_its_number_of_threads(figures_set: Path) -> None:
+def test_pytorch_keeps_its_number_of_threads(small_set: Path) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        for _ in threaded(RangeImages(figures_set, "all")):
+        for _ in threaded(RangeImages(small_set, "all")):
             assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)

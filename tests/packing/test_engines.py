@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -62,6 +62,14 @@ def answers(port: int) -> bool:
     return False
 
 
+_QUIET: Final = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
+}
+"""Settings of Dask with which nodes that wait take next to no processor time."""
+
+
 @dataclass
 class Nodes:
     """A scheduler and its workers, each in a process group of its own."""
@@ -78,7 +86,13 @@ class Nodes:
     def start(self, *module: str, **environment: str) -> subprocess.Popen[bytes]:
         log = self.folder / f"{module[0]}-{len(self.workers)}.log"
         paths = os.pathsep.join([str(HELPERS), str(ROOT)])
-        settings = {"BODYSEG_TROUBLE": str(self.folder), "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **environment}
+        settings = {
+            "BODYSEG_TROUBLE": str(self.folder),
+            "PYTHONPATH": paths,
+            "OMP_NUM_THREADS": "1",
+            **_QUIET,
+            **environment,
+        }
         command = [sys.executable, "-m", f"distributed.cli.dask_{module[0]}", *module[1:]]
         with log.open("wb") as file:
             return subprocess.Popen(

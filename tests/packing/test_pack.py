@@ -19,6 +19,7 @@ import pytest
 from fakes import Figures
 from folders import HELPERS
 from processes import start_interruptible
+from small_rig import SMALL
 
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -60,12 +61,13 @@ def test_shard_size_changes_how_samples_are_cut_and_nothing_else(
 
 def test_views_drawn_from_ranges_are_the_same_however_they_are_packed(tmp_path: Path, pack_figures: Pack) -> None:
     views = ViewGrid(span_deg=360, count=3, pitch_deg=Drawn(-30, 10), roll_deg=(0, 5), height_cm=Drawn(-20, 20))
-    once = pack_figures(tmp_path / "once", views=views, meshes=3, shard_samples=4)
+    wanted: dict[str, Any] = {"views": views, "rig": SMALL, "meshes": 3, "shard_samples": 4}
+    once = pack_figures(tmp_path / "once", **wanted)
     rendered: dict[Any, Any] = {}
     with pytest.raises(Interrupted):
-        pack_figures(tmp_path / "again", Renders(rendered, 2), views=views, meshes=3, shard_samples=4)
+        pack_figures(tmp_path / "again", Renders(rendered, 2), **wanted)
     with ThreadPoolExecutor(2) as two:
-        pack_figures(tmp_path / "again", two, views=views, meshes=3, shard_samples=4)
+        pack_figures(tmp_path / "again", two, **wanted)
     assert contents(tmp_path / "again") == contents(once)
     keys = [key for shard in read_manifest(once).shards for key in shard.keys]
     drawn = {key.partition("-d")[2] for key in keys}
@@ -78,7 +80,7 @@ def test_views_drawn_from_ranges_are_the_same_however_they_are_packed(tmp_path: 
     ]
     other = replace(views, pitch_deg=Drawn(-30, 11))
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-        pack_figures(once, views=other, meshes=3, shard_samples=4)
+        pack_figures(once, **wanted | {"views": other})
 
 
 def test_no_mesh_has_views_on_both_sides(figures_set: Path) -> None:

@@ -73,8 +73,8 @@ def test_a_packing_that_writes_in_place_would_be_seen(
         path.write_bytes(data)
 
     monkeypatch.setattr("bodyseg_data.shards.manifest.write_atomically", in_place)
-    wrong = [fault for n in range(1, interrupted.operations + 1) for fault in interrupted.at("killed", n)]
-    assert any("manifest.json is half-written or a stray" in fault for fault in wrong)
+    seen = (fault for n in range(interrupted.operations, 0, -1) for fault in interrupted.at("killed", n))
+    assert any("manifest.json is half-written or a stray" in fault for fault in seen)
 
 
 @contextmanager

@@ -569,20 +569,21 @@ def test_a_webdataset_pipeline_reads_addresses(web: WebServer, tmp_path: Path, e
     assert [sample["key"] for sample in images.webdataset()] == [image[0] for image in expected]
 
 
-@pytest.mark.parametrize(
-    "address", ["ftp://127.0.0.1:1/set", "ftp:///set", "github://set", "foo://set", "webhdfs:///s"]
-)
-def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_standard_error(address: str) -> None:
+def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_standard_error() -> None:
+    addresses = ["ftp://127.0.0.1:1/set", "ftp:///set", "github://set", "foo://set", "webhdfs:///s"]
     program = (
         "import sys\n"
         "from bodyseg_data.core.errors import BodysegError\n"
         "from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy\n"
-        "try:\n    RemoteFolder(sys.argv[1], {}, RetryPolicy())\n"
-        "except BodysegError as error:\n    print(error)\n"
+        "for address in sys.argv[1:]:\n"
+        "    try:\n        RemoteFolder(address, {}, RetryPolicy())\n"
+        "    except BodysegError as error:\n        print(error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program, address], capture_output=True, text=True, timeout=100)
+    done = subprocess.run([sys.executable, "-c", program, *addresses], capture_output=True, text=True, timeout=100)
     assert done.stderr == "" and done.returncode == 0
-    assert done.stdout.startswith(f"{address}: ") and done.stdout.count("\n") == 1
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(addresses)
+    assert all(line.startswith(f"{address}: ") for line, address in zip(lines, addresses, strict=True)), lines
 
 
 def test_host_and_port_of_an_address_reach_the_filesystem() -> None:

@@ -14,16 +14,18 @@ from benches.data.workers.subject import Setup
 from PIL import Image
 
 from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.kernels import VARIABLE
 
 
 @pytest.fixture(scope="module")
-def figures(figures_set: Path) -> dict[str, Any]:
+def figures(small_set: Path) -> dict[str, Any]:
     """A whole measurement, without trainings, of loaders of batches of 3."""
     ticks: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "VARIANTS", ("all",))
+        patch.setenv(VARIABLE, "numpy")  # for the processes: of so few pixels, loading the compiler costs more
         found = bench.measure(
-            figures_set,
+            small_set,
             (1,),
             batch=3,
             rounds=2,
@@ -57,15 +59,17 @@ def test_the_figure_shows_it(figures: dict[str, Any], tmp_path: Path) -> None:
         assert image.width > 1000
 
 
-def test_other_images_are_seen(figures_set: Path) -> None:
+def test_other_images_are_seen(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "numpy")
     with pytest.raises(BadSample, match=r"^0 workers \(thread\) deliver other images than were stored$"):
-        bench._rounds(figures_set, [Setup("all", "thread", 0)], 5, 1, {"other": 1}, lambda: None)
+        bench._rounds(small_set, [Setup("all", "thread", 0)], 5, 1, {"other": 1}, lambda: None)
 
 
-def test_a_training_is_measured(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_is_measured(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "numpy")
     monkeypatch.setattr(bench, "TRAINING_STEPS", 3)
     monkeypatch.setattr(bench, "TRAINING_BATCH", 1)
-    found = bench._trainings(figures_set, [Setup("all", "thread", 1)], 1, lambda: None)
+    found = bench._trainings(small_set, [Setup("all", "thread", 1)], 1, lambda: None)
     assert [(one["method"], one["workers"]) for one in found] == [("thread", 1)]
     for one in found:
         assert one["images_per_second"][0] > 0 and 0 <= one["data_wait"][0] < 1

@@ -282,9 +282,9 @@ sys.exit("the hook does not work")
 """
 
 
-def test_streaming_in_one_process_reads_no_pickle(figures_set: Path) -> None:
+def test_streaming_in_one_process_reads_no_pickle(small_set: Path) -> None:
     """Besides what numba keeps of its compiled loops, which is code, like Python's own."""
-    command = [sys.executable, "-c", _READ_EVERYTHING, str(figures_set), "compiled"]
+    command = [sys.executable, "-c", _READ_EVERYTHING, str(small_set), "compiled"]
     environment = {**os.environ, "BODYSEG_KERNELS": "compiled"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
     assert done.returncode == 0, done.stderr

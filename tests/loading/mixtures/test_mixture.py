@@ -7,14 +7,13 @@ import json
 import pickle
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from small_rig import SMALL
 from torch.utils.data import DataLoader
 from torchdata.stateful_dataloader import StatefulDataLoader
 
@@ -41,15 +40,15 @@ def samples_of(batches: Iterable[Any]) -> list[tuple[str, bytes]]:
 
 
 @pytest.fixture(scope="module")
-def known(figures_set: Path) -> RangeImages:
+def known(small_set: Path) -> RangeImages:
     """The 8 samples of subject A for training."""
-    return RangeImages(figures_set, "all", "train", only=["open-A-*"])
+    return RangeImages(small_set, "all", "train", only=["open-A-*"])
 
 
 @pytest.fixture(scope="module")
-def people(figures_set: Path) -> RangeImages:
+def people(small_set: Path) -> RangeImages:
     """The 8 samples of other people for training."""
-    return RangeImages(figures_set, "none", "train", seed=5, only=["open-people-*"])
+    return RangeImages(small_set, "none", "train", seed=5, only=["open-people-*"])
 
 
 @pytest.fixture
@@ -197,9 +196,9 @@ def test_a_late_epoch_reads_and_orders_no_other(
     assert min(ordered) > 900_000
 
 
-def test_a_state_of_another_mixture_is_refused(known: RangeImages, people: RangeImages, figures_set: Path) -> None:
+def test_a_state_of_another_mixture_is_refused(known: RangeImages, people: RangeImages, small_set: Path) -> None:
     state = loader(Mixture([(known, 1), (people, 3)], samples=10), 5).state_dict()
-    other = RangeImages(figures_set, "occ", "train", seed=5, only=["open-people-*"])
+    other = RangeImages(small_set, "occ", "train", seed=5, only=["open-people-*"])
     made = [
         (Mixture([(known, 1), (people, 2)], samples=10), r"mixture\[1\].weight 3.0, here 2.0"),
         (Mixture([(known, 1), (other, 3)], samples=10), r"mixture\[1\].variant 'none', here 'occ'"),
@@ -243,13 +242,13 @@ def test_a_position_alone_is_that_of_the_epoch_set(mixture: Mixture) -> None:
         mixture.set_epoch(epoch + 1)
 
 
-def test_samples_are_those_of_their_sets(mixture: Mixture, figures_set: Path) -> None:
+def test_samples_are_those_of_their_sets(mixture: Mixture, small_set: Path) -> None:
     known, people = mixture.sets
     assert np.array_equal(mixture.clean(9).range, people.clean(1).range)
     assert np.array_equal(mixture.image(3, 4).range, known.image(3, 4).range)
     assert mixture.image(15, 0).key == mixture.keys[15] == mixture.location(15)[1] == people.keys[7]
     shard, key, offset = people.location(0)
-    assert mixture.location(8) == mixture.location(-8) == (f"{figures_set}/{shard}", key, offset)
+    assert mixture.location(8) == mixture.location(-8) == (f"{small_set}/{shard}", key, offset)
 
 
 def test_samples_that_stand_for_a_mixture_have_its_shares(known: RangeImages, people: RangeImages) -> None:
@@ -262,9 +261,9 @@ def test_samples_that_stand_for_a_mixture_have_its_shares(known: RangeImages, pe
 
 
 def test_bad_samples_of_one_set_are_skipped_within_the_budget(
-    figures_set: Path, tmp_path: Path, people: RangeImages
+    small_set: Path, tmp_path: Path, people: RangeImages
 ) -> None:
-    folder = shutil.copytree(figures_set, tmp_path / "damaged")
+    folder = shutil.copytree(small_set, tmp_path / "damaged")
     damaged = RangeImages(folder, "none", "train", only=["open-A-*"])
     shard, key, offset = damaged.location(2)
     with (folder / shard).open("r+b") as file:
@@ -303,13 +302,13 @@ def test_a_mixture_prints_in_one_line(mixture: Mixture) -> None:
 
 
 def test_sets_that_differ_in_what_a_batch_needs_are_refused(
-    known: RangeImages, figures_set: Path, tmp_path: Path, pack_figures: Callable[..., Path]
+    known: RangeImages, small_set: Path, figures_set: Path
 ) -> None:
-    small = RangeImages(pack_figures(tmp_path / "small", rig=SMALL), "all", "train")
-    size = r"^a mixture needs images of one size: .* has \(640, 329\), .*small has \(160, "
+    large = RangeImages(figures_set, "all", "train")
+    size = r"^a mixture needs images of one size: .* has \(160, 82\), .* has \(640, 329\)"
     with pytest.raises(BadConfig, match=size):
-        Mixture([(known, 1), (small, 1)])
-    limbs = RangeImages(figures_set, "all", "train", labels="limbs14")
+        Mixture([(known, 1), (large, 1)])
+    limbs = RangeImages(small_set, "all", "train", labels="limbs14")
     with pytest.raises(BadConfig, match=r"^a mixture needs one label map: .* has LabelMap\('parts33', .*'limbs14', "):
         Mixture([(known, 1), (limbs, 1)])
 
