@@ -23,7 +23,7 @@ _LONG_FILES: Final = (
     "packing/test_pack.py",
     "packing/test_engines.py",
     "training/test_loop.py",
-    "training/test_train_command.py",
+    "training/test_torchrun.py",
     "bodies/test_landmark_fitting.py",
     "commands/test_cli.py",
     "loading/test_loader_faults.py",
@@ -39,7 +39,6 @@ _LONG_FILES: Final = (
     "loading/test_loader.py",
     "loading/test_range_images.py",
     "networks/test_registry.py",
-    "training/test_distributed.py",
     "meshes/partition/test_geodesics.py",
     "test_structure.py",
 )

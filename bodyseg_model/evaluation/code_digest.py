@@ -60,7 +60,7 @@ def code_digest(*modules: str) -> str:
 
 
 class SourceTree:
-    """The source files of some packages, each parsed once.
+    """The source files of some packages.
 
     packages: name -> folder of a package, or name -> file of a single module. versions: of libraries.
     """
@@ -127,19 +127,16 @@ class SourceTree:
         return next((file for file in files if file.is_file()), None)
 
     def _parse(self, name: str, file: Path) -> _Source:
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
         try:
-            tree = ast.parse(_contents(file))
+            read = _read(_contents(file), package)
         except (SyntaxError, ValueError) as error:
             raise BadConfig(f"cannot parse {file}: {error}") from error
-        _drop_docstrings(tree)
-        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        nodes = list(ast.walk(tree))
-        imported, mentioned = set(_imported(nodes, package)), set(_mentioned(nodes, package))
         return _Source(
-            syntax=_hash(ast.dump(tree).encode()),
-            modules=frozenset(each for text in imported | mentioned for each in self._resolve(text)),
-            libraries=frozenset(name.partition(".")[0] for name in imported) - self._packages.keys() - _STANDARD,
-            data=frozenset(_data(nodes, package)),
+            syntax=read.syntax,
+            modules=frozenset(each for text in read.imported | read.mentioned for each in self._resolve(text)),
+            libraries=frozenset(name.partition(".")[0] for name in read.imported) - self._packages.keys() - _STANDARD,
+            data=read.data,
         )
 
     def _resolve(self, name: str) -> Iterator[str]:
@@ -175,6 +172,30 @@ class _Source:
     modules: frozenset[str]
     libraries: frozenset[str]
     data: frozenset[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Facts of a module's text alone. syntax, data: as in `_Source`. imported, mentioned: full names; see below."""
+
+    syntax: str
+    imported: frozenset[str]
+    mentioned: frozenset[str]
+    data: frozenset[tuple[str, str]]
+
+
+@cache
+def _read(text: bytes, package: str) -> _Read:
+    """Read a module of `package`, once in a process whichever tree it is in. Raises SyntaxError or ValueError."""
+    tree = ast.parse(text)
+    _drop_docstrings(tree)
+    nodes = list(ast.walk(tree))
+    return _Read(
+        syntax=_hash(ast.dump(tree).encode()),
+        imported=frozenset(_imported(nodes, package)),
+        mentioned=frozenset(_mentioned(nodes, package)),
+        data=frozenset(_data(nodes, package)),
+    )
 
 
 @cache

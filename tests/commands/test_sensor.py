@@ -29,7 +29,7 @@ def frames(tmp_path: Path) -> Path:
     """Three frames in millimetres: a ball of 40 cm, 1 m away, before a wall, its shadow on the right."""
     folder = tmp_path / "frames"
     folder.mkdir()
-    v, u = np.mgrid[:240, :320] - np.array([120, 160])[:, None, None] + 0.5
+    v, u = np.mgrid[:208, :224] - np.array([104, 112])[:, None, None] + 0.5
     generator = np.random.default_rng(0)
     ball = u**2 + v**2 < 90**2
     depth = 1.2 - 0.2 * np.sqrt(np.clip(1 - (u**2 + v**2) / 90**2, 0, 1))
@@ -70,7 +70,7 @@ def test_figures_as_json(frames: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "rig.toml"
-    camera = "rows = 240\ncolumns = 320\nfocal_px = 450.0\n"
+    camera = "rows = 208\ncolumns = 224\nfocal_px = 450.0\n"
     rig.write_text(
         f'format = "bodyseg rig 1"\nname = "mine"\nstand_off_m = 1.0\n[camera]\n{camera}'
         f"[projector]\n{camera}position_m = [0.05, 0.0, 0.0]\naims_at_m = [0.05, 0.0, 1.0]\n"
@@ -86,7 +86,7 @@ def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pyte
         (("--focal", "450", "--nearer-than", "-1"), "--nearer-than must be above 0 m, found -1"),
         (("--focal", "450", "--background", "keep", "--far", "2"), "--near and --far limit what is kept"),
         (("--focal", "450", "--nearer-than", "0.3"), "no frame shows a body"),
-        (("--nearer-than", "1.5"), "no sensor is assumed for frames of 240 x 320 pixels"),
+        (("--nearer-than", "1.5"), "no sensor is assumed for frames of 208 x 224 pixels"),
         (("--focal", "450", "--picture", "x.jpg"), "--picture must be a .png file, found x.jpg"),
         (("--focal", "450", "--out", "absent/x.toml"), "--out needs a file in a folder that is there"),
         (("--focal", "450", "--name", "two words"), "a sensor's name must be one plain word"),

@@ -93,9 +93,9 @@ def plainly(network: Network, images: RangeImages) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("variant", "batch_size", "workers"), [("all", 3, 0), ("all", 16, 1), ("none", 5, 0)])
 def test_scores_are_those_of_single_images(
-    figures_set: Path, network: ByRange, variant: str, batch_size: int, workers: int
+    small_set: Path, network: ByRange, variant: str, batch_size: int, workers: int
 ) -> None:
-    images = open_images(str(figures_set), variant)
+    images = open_images(str(small_set), variant)
     steps: list[tuple[int, int]] = []
     found = evaluate(
         network, images, batch_size=batch_size, num_workers=workers, progress=lambda *step: steps.append(step)
@@ -126,35 +126,35 @@ def keys_seen(network: Network, images: RangeImages, count: int | None, batch_si
 
 
 def test_a_number_of_images_means_the_same_bodies_whatever_else_is_asked(
-    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluation, "predict", at_once)
-    images = open_images(str(figures_set))
+    images = open_images(str(small_set))
     chosen = [images.keys[index] for index in images.order(0)[:5]]
     assert keys_seen(network, images, 5, 2) == chosen
-    assert keys_seen(network, open_images(str(figures_set), "noise", noise_mm=40), 5, 16) == chosen
+    assert keys_seen(network, open_images(str(small_set), "noise", noise_mm=40), 5, 16) == chosen
     assert sorted(keys_seen(network, images, 99, 3)) == sorted(images.keys)
-    assert keys_seen(network, open_images(str(figures_set), seed=1), 5, 2) != chosen
+    assert keys_seen(network, open_images(str(small_set), seed=1), 5, 2) != chosen
     with pytest.raises(BadConfig, match="number of images .*found 0"):
         evaluate(network, images, 0)
 
 
 def test_the_order_is_that_of_this_process_under_torchrun(
-    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluation, "predict", at_once)
     monkeypatch.setenv("RANK", "1")
     monkeypatch.setenv("WORLD_SIZE", "2")
-    assert len(keys_seen(network, open_images(str(figures_set)), None, 4)) == 8
+    assert len(keys_seen(network, open_images(str(small_set)), None, 4)) == 8
 
 
 def test_sets_merge_into_what_one_set_of_both_gives(
-    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluation, "predict", at_once)
 
     def judged(split: Any) -> Evaluation:
-        return evaluate(network, RangeImages(figures_set, "all", split))
+        return evaluate(network, RangeImages(small_set, "all", split))
 
     whole, merged = judged(None), judged("train")
     merged.merge(judged("test"))
@@ -166,10 +166,10 @@ def test_sets_merge_into_what_one_set_of_both_gives(
         merged.total(["people", "hard"])
 
 
-def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fewer_scores_can_be_counted(small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation, "predict", at_once)
 
-    images = open_images(str(figures_set))
+    images = open_images(str(small_set))
     whole, fewer = evaluate(network, images), evaluate(network, images, extras=())
     assert np.array_equal(whole.total().confusion.counts, fewer.total().confusion.counts)
     assert fewer.total().confidences is None and fewer.total().borders is None
@@ -180,24 +180,24 @@ def test_fewer_scores_can_be_counted(figures_set: Path, network: ByRange, monkey
         evaluate(network, images, extras=["speed"])  # type: ignore[list-item]
 
 
-def test_strengths_of_artifacts_can_be_fixed(figures_set: Path) -> None:
-    images = open_images(str(figures_set), "all", noise_mm=40, missing=0.25)
+def test_strengths_of_artifacts_can_be_fixed(small_set: Path) -> None:
+    images = open_images(str(small_set), "all", noise_mm=40, missing=0.25)
     assert {images.image(index).drawn["sigma_mm"] for index in range(8)} == {40}
     assert {images.image(index).drawn["missing_rate"] for index in range(8)} == {0.25}
-    drawn = open_images(str(figures_set), "all")
+    drawn = open_images(str(small_set), "all")
     assert len({drawn.image(index).drawn["sigma_mm"] for index in range(8)}) == 8
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
         with pytest.raises(BadConfig, match=f"has (noise|missing_data), found variant '{variant}'"):
-            open_images(str(figures_set), variant, **strengths)  # type: ignore[arg-type]
+            open_images(str(small_set), variant, **strengths)  # type: ignore[arg-type]
     with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
-        open_images(str(figures_set), missing=1.5)
+        open_images(str(small_set), missing=1.5)
     with pytest.raises(BadConfig, match="noise must satisfy"):
-        open_images(str(figures_set), noise_mm=float("nan"))
+        open_images(str(small_set), noise_mm=float("nan"))
 
 
 @pytest.mark.parametrize("sensor", sensor_model_names())
-def test_images_of_every_sensor_are_evaluated_whole(figures_set: Path, network: ByRange, sensor: str) -> None:
-    images = open_images(str(figures_set), "all", "test", sensor=sensor)
+def test_images_of_every_sensor_are_evaluated_whole(small_set: Path, network: ByRange, sensor: str) -> None:
+    images = open_images(str(small_set), "all", "test", sensor=sensor)
     found = evaluate(network, images, 6)
     pixels = sum(np.count_nonzero(images.image(index).range) for index in images.order(0)[:6].tolist())
     total = found.total()
@@ -205,8 +205,8 @@ def test_images_of_every_sensor_are_evaluated_whole(figures_set: Path, network: 
     assert total.confusion.counts.sum() == total.borders.counts.sum() == pixels
 
 
-def test_answers_that_are_none_are_refused(figures_set: Path) -> None:
-    images = open_images(str(figures_set))
+def test_answers_that_are_none_are_refused(small_set: Path) -> None:
+    images = open_images(str(small_set))
     with pytest.raises(BadConfig, match="must have the 33 classes of labels 'parts33', found 40"):
         evaluate(ByRange(40).eval(), images)
     with pytest.raises(BadConfig, match="confidences must be 0 to 1, found nan"):
@@ -292,7 +292,7 @@ def test_scores_stay_small() -> None:
 
 
 def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
-    figures_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluation, "predict", at_once)
     picture = SamplePicture()
@@ -302,7 +302,7 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
         picture.watch(one, accuracy)
         seen.append((accuracy, one.subset, one.key))
 
-    evaluate(network, open_images(str(figures_set)), watch=watch, extras=())
+    evaluate(network, open_images(str(small_set)), watch=watch, extras=())
     first = {subset: key for _, subset, key in reversed(seen)}
     assert {name: one.key for name, (_, one) in picture._first.items()} == first
     assert picture._worst is not None and picture._worst[1].key == min(seen)[2]

@@ -87,8 +87,8 @@ def test_kinds_are_told_where_the_classes_tell_them() -> None:
     }  # fmt: skip
 
 
-def test_a_network_of_classes_is_scored_by_its_classes(figures_set: Path) -> None:
-    images = open_images(str(figures_set), "all", labels=LIMBS)
+def test_a_network_of_classes_is_scored_by_its_classes(small_set: Path) -> None:
+    images = open_images(str(small_set), "all", labels=LIMBS)
     network = Bands(14)
     found = evaluate(network, images, batch_size=3)
     counts = np.zeros((14, 14), np.int64)
@@ -112,10 +112,10 @@ def test_a_network_of_classes_is_scored_by_its_classes(figures_set: Path) -> Non
     assert all(row["both"] is None and row["other"] is not None for row in tree["border_distance_px"][:3])
 
 
-def test_parts_of_a_network_are_joined(figures_set: Path) -> None:
+def test_parts_of_a_network_are_joined(small_set: Path) -> None:
     network = Places(0, 20)
-    parts = evaluate(network, open_images(str(figures_set), "all")).total()
-    joined = evaluate(network, open_images(str(figures_set), "all", labels=ITOP), label_map=PARTS33).total()
+    parts = evaluate(network, open_images(str(small_set), "all")).total()
+    joined = evaluate(network, open_images(str(small_set), "all", labels=ITOP), label_map=PARTS33).total()
     expected = np.zeros((15, 15), np.int64)
     np.add.at(expected, (ITOP.table[:33, None], ITOP.table[None, :33]), parts.confusion.counts)
     np.testing.assert_array_equal(joined.confusion.counts, expected)
@@ -124,19 +124,19 @@ def test_parts_of_a_network_are_joined(figures_set: Path) -> None:
     assert joined.confidences.mean() == parts.confidences.mean(), "a label keeps its own confidence"
 
 
-def test_borders_between_joined_parts_are_none(figures_set: Path) -> None:
+def test_borders_between_joined_parts_are_none(small_set: Path) -> None:
     one = LabelMap("one", (("body", PARTS33.names),))
-    found = evaluate(Places(0, 20), open_images(str(figures_set), "md", labels=one), label_map=PARTS33).total()
+    found = evaluate(Places(0, 20), open_images(str(small_set), "md", labels=one), label_map=PARTS33).total()
     assert found.borders is not None
     assert found.borders.counts[:-1].sum() == 0 and found.borders.counts[-1].sum() == found.confusion.pixels
     assert found.confusion.pixel_accuracy() == 1
 
 
-def test_scores_of_other_classes_are_refused(figures_set: Path) -> None:
+def test_scores_of_other_classes_are_refused(small_set: Path) -> None:
     with pytest.raises(BadConfig, match="the network must have the 14 classes of labels 'limbs14', found 33"):
-        evaluate(Places(0, 20), open_images(str(figures_set), labels=LIMBS))
+        evaluate(Places(0, 20), open_images(str(small_set), labels=LIMBS))
     with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15'"):
-        evaluate(Bands(14), open_images(str(figures_set), labels=ITOP), label_map=LIMBS)
+        evaluate(Bands(14), open_images(str(small_set), labels=ITOP), label_map=LIMBS)
     with pytest.raises(BadConfig, match="scores to merge must be of the same labels, found 'parts33' and 'limbs14'"):
         Scores().merge(Scores(label_map=LIMBS))
     mixed, other = Evaluation(), Evaluation(label_map=LIMBS)

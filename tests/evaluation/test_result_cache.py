@@ -53,23 +53,31 @@ def test_a_result_is_of_one_subject(module: str, tmp_path: Path) -> None:
 def test_a_result_is_of_some_code(module: str, tmp_path: Path) -> None:
     file = tmp_path / "results.json"
     measured_by = f"""
-import sys
+import os, sys
 from pathlib import Path
 sys.path.insert(0, {str(tmp_path)!r})
 from bodyseg_model.evaluation.result_cache import ResultCache
-print(ResultCache(Path({str(file)!r}), {SUBJECT!r}, {module!r}).get({QUESTION!r}))
+for line in sys.stdin:
+    if not os.fork():  # a process of its own, which has read no code yet
+        print(ResultCache(Path({str(file)!r}), {SUBJECT!r}, {module!r}).get({QUESTION!r}), flush=True)
+        os._exit(0)
+    os.wait()
 """
+    process = subprocess.Popen([sys.executable, "-c", measured_by], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def found() -> str:
-        done = subprocess.run([sys.executable, "-c", measured_by], capture_output=True, text=True, timeout=60)
-        assert done.returncode == 0, done.stderr
-        return done.stdout.strip()
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        return process.stdout.readline().decode().strip()
 
     ResultCache(file, SUBJECT, module).put(QUESTION, RESULT)
     (tmp_path / f"{module}.py").write_text("# Half.\nSHARE = 0.5\n")
     assert found() == str(RESULT)
     (tmp_path / f"{module}.py").write_text("SHARE = 0.6\n")
     assert found() == "None"
+    process.communicate(timeout=60)
+    assert process.returncode == 0
 
 
 def test_results_of_two_ways_to_measure_do_not_replace_each_other(module: str, tmp_path: Path) -> None:
@@ -84,34 +92,20 @@ def test_results_of_two_ways_to_measure_do_not_replace_each_other(module: str, t
 
 
 def test_two_processes_lose_nothing(tmp_path: Path) -> None:
-    file, count = tmp_path / "results.json", 15
+    file, count, names = tmp_path / "results.json", 15, ("first", "second")
     writing = f"""
-import sys
+import os, sys
 from pathlib import Path
 from bodyseg_model.evaluation.result_cache import ResultCache
 cache = ResultCache(Path({str(file)!r}), {SUBJECT!r}, "bodyseg_data.core.errors")
-print("ready", flush=True)
-sys.stdin.readline()
+other = os.fork()  # both begin when all is loaded
 for number in range({count}):
-    cache.put({{"by": sys.argv[1], "number": number}}, {{"number": number}})
+    cache.put({{"by": {names!r}[other == 0], "number": number}}, {{"number": number}})
     cache.put({{"by": "both", "number": number}}, {{"number": number}})
+if other:
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]))
 """
-    names = "first", "second"
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", writing, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        for name in names
-    ]
-    for each in processes:  # both begin when both have loaded
-        assert each.stdout is not None and each.stdout.readline() == "ready\n"
-    for each in processes:
-        assert each.stdin is not None
-        each.stdin.write("\n")
-        each.stdin.flush()
-    for each in processes:
-        each.communicate(timeout=100)
-        assert each.returncode == 0
+    subprocess.run([sys.executable, "-c", writing], check=True, timeout=100)
     cache = ResultCache(file, SUBJECT, "bodyseg_data.core.errors")
     for name in (*names, "both"):
         assert [cache.get({"by": name, "number": n}) for n in range(count)] == [{"number": n} for n in range(count)]

@@ -1,4 +1,4 @@
-"""Recordings of the plain figure by sensors with known artifacts, on the rig of a Kinect v1 with steps of 0.1 mm."""
+"""Recordings of the plain figure by sensors with known artifacts, on a narrow Kinect v1's rig with steps of 0.1 mm."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from fakes import Figures
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_model.segmentation.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import Finding
 from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.recording import Recording
 
-RIG: Final = replace(load_rig("kinect_v1"), range_step_mm=0.1)
+
+def _narrow_rig() -> Rig:
+    """The rig of a Kinect v1 whose camera has the middle 224 columns alone: a body at 2 m covers 170 of them."""
+    rig = load_rig("kinect_v1")
+    return replace(rig, range_step_mm=0.1, camera=replace(rig.camera, columns=224, centre_px=(112.0, 240.0)))
+
+
+RIG: Final = _narrow_rig()
 CAMERA: Final = FrameCamera(RIG.camera, "known", rig=RIG)
 
 

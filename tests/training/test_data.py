@@ -30,40 +30,40 @@ def words(data: list[Path], out: Path, *more: str) -> list[str]:
     return [*given, "--batch-size", "2", "--num-workers", "0", "--log-every", "1", "--threads", "1", *more]
 
 
-def opened(figures_set: Path, names: list[str], *options: Any) -> Any:
+def opened(small_set: Path, names: list[str], *options: Any) -> Any:
     def open_set(name: str) -> RangeImages:
-        return RangeImages(figures_set, "all", "train", only=[name])
+        return RangeImages(small_set, "all", "train", only=[name])
 
     return open_data(names, *options, 3, open_set)
 
 
-def test_one_set_is_read_as_before(figures_set: Path) -> None:
-    images = opened(figures_set, ["*"], (), None)
+def test_one_set_is_read_as_before(small_set: Path) -> None:
+    images = opened(small_set, ["*"], (), None)
     assert isinstance(images, RangeImages)
-    assert isinstance(opened(figures_set, ["*"], (2.5,), None), RangeImages)
+    assert isinstance(opened(small_set, ["*"], (2.5,), None), RangeImages)
 
 
-def test_several_sets_are_mixed(figures_set: Path) -> None:
+def test_several_sets_are_mixed(small_set: Path) -> None:
     names = ["open-A-*", "*-people-1-*"]
-    images = opened(figures_set, names, (), None)
+    images = opened(small_set, names, (), None)
     assert isinstance(images, Mixture)
     assert (len(images), images.counts(0), images.counts(5), images.seed) == (12, [8, 4], [8, 4], 3)
-    weighted = opened(figures_set, names, (1.0, 3.0), 40)
+    weighted = opened(small_set, names, (1.0, 3.0), 40)
     assert (len(weighted), weighted.counts(0)) == (40, [10, 30])
-    assert opened(figures_set, ["*"], (), 5).counts(7) == [5]
+    assert opened(small_set, ["*"], (), 5).counts(7) == [5]
 
 
-def test_every_set_needs_a_weight(figures_set: Path) -> None:
+def test_every_set_needs_a_weight(small_set: Path) -> None:
     with pytest.raises(BadConfig, match=r"^--weights needs a number for each of 2 sets in --data, found 3$"):
-        opened(figures_set, ["*", "*"], (1.0, 2.0, 3.0), None)
+        opened(small_set, ["*", "*"], (1.0, 2.0, 3.0), None)
 
 
-def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(figures_set: Path, tmp_path: Path) -> None:
-    data = [figures_set, figures_set]
+def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(small_set: Path, tmp_path: Path) -> None:
+    data = [small_set, small_set]
     more = ["--weights", "3", "1", "--samples", "12", "--only", "open-A-*"]
     assert main(words(data, tmp_path / "run", *more)) == 0
     plan = json.loads((tmp_path / "run" / "run.json").read_text())
-    one = RangeImages(figures_set, "all", "train", only=["open-A-*"])
+    one = RangeImages(small_set, "all", "train", only=["open-A-*"])
     expected = [{"weight": weight, **one.identity()} for weight in (3.0, 1.0)]
     assert plan["data"] == {"mixture": expected, "seed": 0}
     assert plan["variant"] == "all"
@@ -72,12 +72,12 @@ def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(figures_set: 
     assert (state["samples"], state["position"]) == (12, 4)
 
 
-def test_a_training_on_a_mixture_carries_on_with_the_same_bits(figures_set: Path, tmp_path: Path) -> None:
+def test_a_training_on_a_mixture_carries_on_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:
     class CutError(Exception):
         pass
 
     def train(out: Path, resume: bool, last: int) -> None:
-        images = opened(figures_set, ["open-A-*", "*-people-1-*"], (1.0, 3.0), 5)
+        images = opened(small_set, ["open-A-*", "*-people-1-*"], (1.0, 3.0), 5)
         recipe = recipe_for("compact", steps=6, batch_size=2, bf16=False)
         network = build("compact", TINY, 1)
         made = Training(network, "compact", images, recipe, RunFolder(out), ONE, run_options=RunOptions(1, 1, 0))
@@ -96,8 +96,8 @@ def test_a_training_on_a_mixture_carries_on_with_the_same_bits(figures_set: Path
     assert networks[0] == networks[1]
 
 
-def test_a_sample_that_comes_again_in_an_epoch_is_mirrored_as_drawn_anew(figures_set: Path) -> None:
-    images = Mixture([(RangeImages(figures_set, "none", "train"), 1)], samples=64)
+def test_a_sample_that_comes_again_in_an_epoch_is_mirrored_as_drawn_anew(small_set: Path) -> None:
+    images = Mixture([(RangeImages(small_set, "none", "train"), 1)], samples=64)
     (batch,) = loader(images, 64)
     drawn = mirror_draws(0, batch["epoch"], batch["key"])
     assert sorted(set(batch["epoch"])) == [0, 1, 2, 3]
@@ -116,9 +116,9 @@ def test_a_sample_that_comes_again_in_an_epoch_is_mirrored_as_drawn_anew(figures
     ],
 )
 def test_bad_arguments_get_one_line(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
 ) -> None:
-    assert main(words([figures_set, figures_set], tmp_path / "run", *more)) == 2
+    assert main(words([small_set, small_set], tmp_path / "run", *more)) == 2
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1

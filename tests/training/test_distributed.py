@@ -1,15 +1,11 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from folders import HELPERS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -221,30 +217,3 @@ def test_fewer_shards_than_ranks_and_workers(figures_set: Path) -> None:
     alone = [batch["key"] for batch in loader(images, 5, shuffle=True)]
     shared = [[batch["key"] for batch in loader(images, 1, 0, True, rank=rank, world_size=5)] for rank in range(5)]
     assert put_together(shared) == alone
-
-
-def test_two_processes_of_torchrun_and_going_on_with_one_and_three(figures_set: Path, tmp_path: Path) -> None:
-    images = RangeImages(figures_set, "all")
-    expected = [batch["key"] for batch in loader(images, 6, shuffle=True)]
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    script = str(HELPERS / "rank_worker.py")
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [*command, script, str(tmp_path), str(figures_set), "2"],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        env=environment,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    world_size = [json.loads((tmp_path / f"{rank}-of-2.json").read_text()) for rank in range(2)]
-    assert world_size[0]["state"] == world_size[1]["state"]
-    assert put_together([rank["keys"] for rank in world_size]) == expected[:2]
-    for count in (1, 3):
-        shares = []
-        for rank in range(count):
-            order = loader(images, 12 // count // 2, shuffle=True, rank=rank, world_size=count)
-            order.load_state_dict(world_size[0]["state"])
-            shares.append([batch["key"] for batch in order])
-        assert put_together(shares) == expected[2:]

@@ -63,8 +63,8 @@ def _legs() -> tuple[str, ...]:
     return tuple(landmark for name, landmarks in LIMBS.classes[8:] for landmark in landmarks)
 
 
-def test_a_network_of_other_classes_is_refused(figures_set: Path, tmp_path: Path) -> None:
-    images = RangeImages(figures_set, "none", "train", labels="limbs14")
+def test_a_network_of_other_classes_is_refused(small_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(small_set, "none", "train", labels="limbs14")
     recipe = recipe_for("compact", steps=1, batch_size=2)
     with pytest.raises(BadConfig, match="the network must have the 14 classes of labels 'limbs14', found 33"):
         Training(build("compact", TINY), "compact", images, recipe, RunFolder(tmp_path / "run"), ONE)
@@ -76,14 +76,12 @@ def command(data: Path, out: Path, *more: str) -> list[str]:
     return [*words, "--batch-size", "2", "--num-workers", "0", "--log-every", "1", "--threads", "1", *more]
 
 
-def test_the_command_writes_the_whole_map(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_the_whole_map(small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "mine.toml"
     text = 'format = "bodyseg labels 1"\nname = "mine"\n[classes]\narms = ["Rt. Olecranon", "Lt. Olecranon"]\n'
     file.write_text(text + 'head = ["Sellion", "Nuchale"]\n')
     out = tmp_path / "run"
-    assert main(command(figures_set, out, "--labels", str(file), "--checkpoint-every", "1")) == 0
+    assert main(command(small_set, out, "--labels", str(file), "--checkpoint-every", "1")) == 0
     expected = {
         "name": "mine",
         "classes": [
@@ -99,12 +97,12 @@ def test_the_command_writes_the_whole_map(
 
     (out / "network.json").unlink()
     file.write_text(text.replace("arms = [", 'head = ["Sellion", "Nuchale"]\narms = ['))
-    assert main(command(figures_set, out, "--labels", str(file), "--resume")) == 2
+    assert main(command(small_set, out, "--labels", str(file), "--resume")) == 2
     assert "holds another training" in capsys.readouterr().err, "the same classes in another order are other labels"
 
 
-def test_without_labels_nothing_is_written_of_them(figures_set: Path, tmp_path: Path) -> None:
-    assert main(command(figures_set, tmp_path / "run")) == 0
+def test_without_labels_nothing_is_written_of_them(small_set: Path, tmp_path: Path) -> None:
+    assert main(command(small_set, tmp_path / "run")) == 0
     for name in ("network.json", "run.json"):
         content: dict[str, Any] = json.loads((tmp_path / "run" / name).read_text())
         assert "labels" not in content and "classes" not in content["settings"] and "labels" not in content["data"]
@@ -122,18 +120,16 @@ def test_without_labels_nothing_is_written_of_them(figures_set: Path, tmp_path: 
     ],
 )
 def test_labels_that_are_none_get_one_line(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
-    assert main([*command(figures_set, tmp_path / "run"), *words]) == 2
+    assert main([*command(small_set, tmp_path / "run"), *words]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bodyseg train: ")]
     assert message in lines[-1]
     assert not list(tmp_path.glob("run/*.json"))
 
 
-def test_classes_are_weighed_by_their_pixels(
-    figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    images = RangeImages(figures_set, "none", "train", labels="limbs14")
+def test_classes_are_weighed_by_their_pixels(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = RangeImages(small_set, "none", "train", labels="limbs14")
     pixels = np.zeros(14, np.int64)
     for index in range(len(images)):
         pixels += np.bincount(images[index]["labels"].numpy().ravel(), minlength=256)[:14]

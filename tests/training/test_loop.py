@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from folders import HELPERS
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig, Diverged
@@ -165,60 +159,6 @@ def test_dropout_carries_on_too(small_set: Path, tmp_path: Path) -> None:
         go("cut", False, 1)
     go("cut", True, 3)
     assert files(tmp_path / "cut") == files(tmp_path / "whole")
-
-
-def test_a_killed_training_carries_on(small_set: Path, tmp_path: Path) -> None:
-    def command(out: Path, *more: str) -> list[str]:
-        words = ["train", "--data", str(small_set), "--out", str(out), "--settings", json.dumps(TINY), "--steps", "6"]
-        return [
-            *words,
-            "--batch-size",
-            "2",
-            "--num-workers",
-            "1",
-            "--log-every",
-            "1",
-            "--checkpoint-every",
-            "1",
-            "--threads",
-            "1",
-            *more,
-        ]
-
-    assert main(command(tmp_path / "whole")) == 0
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bodyseg_model", *command(tmp_path / "cut")], stderr=subprocess.PIPE
-    )
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "cut" / "checkpoint.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-    assert main(command(tmp_path / "cut", "--resume")) == 0
-    assert (tmp_path / "cut/network.safetensors").read_bytes() == (tmp_path / "whole/network.safetensors").read_bytes()
-
-
-def test_processes_together_learn_as_one(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two processes with half of each batch give the weights of one with all of it, but for rounding."""
-    settings = {"width": 1 / 16}
-    words = ["train", "--data", str(small_set), "--network", "fcn_alexnet", "--settings", json.dumps(settings)]
-    words += ["--steps", "2", "--batch-size", "2", "--accumulate", "2", "--num-workers", "0"]
-    words += ["--device", "cpu", "--seed", "4"]
-    worker = HELPERS / "train_worker.py"
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(worker)]
-    done = subprocess.run(
-        [*torchrun, *words, "--out", str(tmp_path / "two")],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stderr
-    monkeypatch.setattr(torch.nn.Dropout, "forward", lambda self, x: x)  # as in the worker
-    assert main([*words, "--out", str(tmp_path / "one")]) == 0
-    one, two = (load_network(tmp_path / name).network.state_dict() for name in ("one", "two"))
-    for name, weight in one.items():
-        torch.testing.assert_close(two[name], weight, atol=2e-5, rtol=1e-3)
 
 
 def test_what_does_not_shape_the_result_may_change(small_set: Path, tmp_path: Path) -> None:

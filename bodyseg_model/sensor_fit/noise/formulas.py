@@ -177,8 +177,10 @@ def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
         else:
             axial = strengths["constant_mm"] + strengths["quadratic_mm"] * (z - FROM_M) ** 2
         axial = axial + strengths.get("grazing_mm", 0.0) * bins.ratio2 / np.sqrt(z)
-        lateral = strengths.get("constant_px", 0.0) + strengths.get("grazing_px", 0.0) * bins.ratio
-        total: Floats = axial**2 + bins.slope2_mm2 * _whole_pixels(lateral)
+        total: Floats = axial**2
+        if "constant_px" in strengths:
+            lateral = strengths["constant_px"] + strengths.get("grazing_px", 0.0) * bins.ratio
+            total += bins.slope2_mm2 * _whole_pixels(lateral)
         return total
 
     return variance
@@ -188,8 +190,8 @@ def _whole_pixels(sigma_px: Floats | float) -> Floats:
     """Variance of Gaussian offsets rounded to whole pixels, as `lateral_noise` has them, pixels squared."""
     sigma = np.maximum(np.asarray(sigma_px, np.float64), 1e-6)
     # For small deviations hardly any offset reaches the next pixel; from 0.5 on, rounding adds a twelfth.
-    tails = [(2 * k - 1) * _beyond((k - 0.5) / sigma) for k in range(1, 12)]
-    return np.asarray(sum(tails))
+    offsets = np.arange(1.0, 12.0).reshape(-1, *(1 for _ in sigma.shape))
+    return np.asarray(((2 * offsets - 1) * _beyond((offsets - 0.5) / sigma)).sum(axis=0))
 
 
 def _beyond(size: Floats) -> Floats:

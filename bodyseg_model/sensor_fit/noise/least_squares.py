@@ -71,11 +71,10 @@ def _misfit(point: Floats, names: Sequence[str], model: Model, measured: Floats,
 
 
 def _jacobian(point: Floats, names: Sequence[str], model: Model, errors: Floats) -> Floats:
-    columns = []
+    columns, before = [], model(dict(zip(names, point.tolist(), strict=True)))
     for index in range(len(names)):
         width = 1e-5 * max(float(point[index]), 1e-2)
         shifted = point.copy()
         shifted[index] += width
-        before = model(dict(zip(names, point.tolist(), strict=True)))
         columns.append((model(dict(zip(names, shifted.tolist(), strict=True))) - before) / width / errors)
     return np.stack(columns, 1)

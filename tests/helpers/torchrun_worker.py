@@ -1,0 +1,46 @@
+"""Program that torchrun starts: a few batches of a loader, then trainings; dropout, which ranks draw apart, is off.
+
+torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES TRAININGS
+
+This rank's keys and the state of its loader go to files in OUT; TRAININGS: a JSON list of command lines of `bodyseg`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import torch.distributed
+from torch import nn
+
+from bodyseg_data import RangeImages, loader
+from bodyseg_model.commands.cli import main
+
+
+def batches(out: Path, folder: str, count: int) -> None:
+    """Write the keys of this rank's first batches, and the loader's state behind them."""
+    torch.distributed.init_process_group("gloo")
+    rank, world_size = torch.distributed.get_rank(), torch.distributed.get_world_size()
+    batches = loader(RangeImages(folder, "all"), 3, num_workers=1, shuffle=True)
+    keys = []
+    for batch in batches:
+        keys.append(batch["key"])
+        if len(keys) == count:
+            break
+    everyone = [None] * world_size
+    torch.distributed.all_gather_object(everyone, keys)
+    assert everyone[rank] == keys
+    (out / f"{rank}-of-{world_size}.json").write_text(json.dumps({"keys": keys, "state": batches.state_dict()}))
+    torch.distributed.destroy_process_group()
+
+
+if __name__ == "__main__":
+    batches(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))
+    nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]
+    for number, words in enumerate(json.loads(sys.argv[4]), 1):
+        # As torchrun counts when it starts processes again: each process group finds its addresses, not the last one's.
+        os.environ["TORCHELASTIC_RESTART_COUNT"] = str(number)
+        if status := main(words):
+            sys.exit(status)
