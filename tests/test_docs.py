@@ -185,8 +185,8 @@ def options_on_command_lines() -> dict[str, set[str]]:
 def options_of(name: str) -> set[str]:
     """The options that a command's help lists, or those of a group's commands."""
     out = io.StringIO()
-    group = [each.split() for each in COMMANDS if each.startswith(f"{name} ")]
-    for words in group or [[name]]:
+    group = [each.split() for each in (*COMMANDS, *ALL) if each.startswith(f"{name} ")]
+    for words in [*group, [name]] if name in ONLY_IN_A_CHECKOUT else group or [[name]]:
         with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
             (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([*words, "--help"])
     return set(re.findall(r"--[a-z][a-z-]*", out.getvalue()))
