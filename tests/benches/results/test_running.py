@@ -231,23 +231,28 @@ def test_steps_run_side_by_side_but_for_those_that_take_times(shop: Workshop, ca
 
 
 def test_trainings_can_have_a_second_name(shop: Workshop) -> None:
-    links = (("runs/other/z-0", "runs/x-0"), ("runs/box.json", "shipped"))
-    script = 'test -e runs/box.json; cat "$0/z-0/network.safetensors" > "$1"'
+    links = (("runs/other/z-0", "runs/x-0"), ("runs/box", "shipped"))
+    script = (
+        'test -s runs/box/network.safetensors; test -s runs/box/network.json; cat "$0/z-0/network.safetensors" > "$1"'
+    )
     files = (("results/z.json", "z.json"),)
     step = shell("z", "results", script, "runs/other", "results/z.json", results=files, links=links)
     shop.steps = [a_set('mkdir -p "$1" && echo \'"made"\' > "$1/manifest.json"'), a_training("runs/x-0"), step]
     assert shop.run() == 0
     assert shop.results() == {"z": "made"}
-    link = shop.home / "work" / "runs" / "other" / "z-0"
+    link = shop.home / "work" / "runs" / "other" / "z-0" / "network.safetensors"
+    assert not link.parent.is_symlink(), "commands name a run after its folder"
     assert link.is_symlink() and not link.readlink().is_absolute()
     assert {*shop.records()["z"]["inputs"]} == {"runs/x-0", "shipped"}
 
 
-def test_a_link_never_replaces_a_folder(shop: Workshop, capsys: Capture) -> None:
+def test_a_link_never_replaces_a_network(shop: Workshop, capsys: Capture) -> None:
     shop.steps[3] = a_result("x", "runs/x-0", links=(("runs/other", "runs/x-0"),))
-    (shop.home / "work" / "runs" / "other").mkdir(parents=True)
+    other = shop.home / "work" / "runs" / "other" / "network.safetensors"
+    other.parent.mkdir(parents=True)
+    other.touch()
     assert shop.run("x") == 1
-    assert "runs/other must be a link to" in capsys.readouterr().err
+    assert "runs/other/network.safetensors must be a link to" in capsys.readouterr().err
 
 
 def test_patterns_choose_steps_and_what_they_need(shop: Workshop, capsys: Capture) -> None:

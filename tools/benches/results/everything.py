@@ -28,8 +28,8 @@ from benches.results.trainings import (
 FAUST: Final = "data/faust"
 MIT: Final = "data/mit"
 
-_BOX: Final = "runs/box.safetensors"
-_BOX_LINKS: Final[Links] = ((_BOX, SHIPPED), ("runs/box.json", SHIPPED))
+_BOX: Final = "runs/box"
+_BOX_LINKS: Final[Links] = ((_BOX, SHIPPED),)
 _STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
 _MOTION: Final = ("--parts", "temporal", "numerical", "--images", "25", "--threads", "1")
 

@@ -20,6 +20,7 @@ from benches.results.survey import Status, Survey
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
+from bodyseg_model.networks.checkpoints import NETWORK
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 PROGRAMS: Final = {
@@ -121,8 +122,7 @@ class Runner:
         if step.kind in ("set", "training") and self._records.begun(step) != key:
             _set_aside(work, step.name)
         for link, target in step.links:
-            shipped = SHIPPED_FILE.with_suffix(Path(link).suffix)
-            _link(work / link, shipped if target == SHIPPED else work / target)
+            _link(work / link, SHIPPED_FILE if target == SHIPPED else work / target / NETWORK)
         for source, _ in step.results:
             self._places.path(source).parent.mkdir(parents=True, exist_ok=True)
         (work / step.name).parent.mkdir(parents=True, exist_ok=True)
@@ -237,10 +237,15 @@ def _set_aside(work: Path, name: str) -> None:
     shutil.move(product, target)
 
 
-def _link(link: Path, target: Path) -> None:
-    """Make a relative link, or replace one. Raises BadConfig if something else has its name."""
-    if link.exists() and not link.is_symlink():
-        raise BadConfig(f"{link} must be a link to {target}: move it away")
-    link.parent.mkdir(parents=True, exist_ok=True)
-    link.unlink(missing_ok=True)
-    link.symlink_to(os.path.relpath(target, link.parent))
+def _link(folder: Path, weights: Path) -> None:
+    """Make a run's folder whose network is a link to `weights` and its card. Raises BadConfig if a network is there.
+
+    The folder itself is no link, since commands name a run after the folder that it is in.
+    """
+    for target in (weights, weights.with_suffix(".json")):
+        link = (folder / NETWORK).with_suffix(target.suffix)
+        if link.exists() and not link.is_symlink():
+            raise BadConfig(f"{link} must be a link to {target}: move it away")
+        folder.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.path.relpath(target.resolve(), folder.resolve()))

@@ -44,10 +44,10 @@ class Step:
 
     name: of a set or training, its folder in the work folder. words: the command; `bodyseg`, `tools/bench` and
     `tools/chart` stand for the checkout's, and names of files are as `Places.path` reads them. results: (file or
-    folder that the command writes, its name in docs/results). links: (name in the work folder, what it is a link to),
-    made before the command runs, for commands that read a training by another name. reads: further products that no
-    word names, such as `SHIPPED`. alone: no other step may run beside it, because it takes times. gpu: needs one.
-    modules: that compute the product; those of the command unless given.
+    folder that the command writes, its name in docs/results). links: (folder of a run, the training that it is another
+    name of), made before the command runs. reads: further products that no word names, such as `SHIPPED`. alone: no
+    other step may run beside it, because it takes times. gpu: needs one. modules: that compute the product; those of
+    the command unless given.
     """
 
     name: str
