@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from benches.__main__ import ALL
 from benches.__main__ import main as tools_main
 from benches.bench import BENCHES
 
@@ -128,7 +129,7 @@ def wrong_names(text: str, folder: Path) -> list[str]:
     wrong += [f"name {name}" for name in [*DOTTED_NAME.findall(text), *imported(text)] if not is_defined(name)]
     wrong += [f"name {kind}.{name}" for kind, name in MEMBER.findall(text) if name not in members().get(kind, {name})]
     wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
-    wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES]
+    wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES and f"bench {name}" not in ALL]
     return wrong + [f"target {link}" for link in LINK.findall(text) if not is_reached(link, text, folder)]
 
 
@@ -184,8 +185,8 @@ def options_on_command_lines() -> dict[str, set[str]]:
 def options_of(name: str) -> set[str]:
     """The options that a command's help lists, or those of a group's commands."""
     out = io.StringIO()
-    group = [each.split() for each in COMMANDS if each.startswith(f"{name} ")]
-    for words in group or [[name]]:
+    group = [each.split() for each in (*COMMANDS, *ALL) if each.startswith(f"{name} ")]
+    for words in [*group, [name]] if name in ONLY_IN_A_CHECKOUT else group or [[name]]:
         with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
             (tools_main if name in ONLY_IN_A_CHECKOUT else bodyseg_main)([*words, "--help"])
     return set(re.findall(r"--[a-z][a-z-]*", out.getvalue()))

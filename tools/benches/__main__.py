@@ -13,10 +13,16 @@ COMMANDS: Final[cli.Commands] = {
     "chart": ("benches.chart", "chart speed against accuracy, one chart a choice"),
 }
 
+ALL: Final[cli.Commands] = {
+    "bench all": ("benches.results.command", "make all results on accuracy anew, as far as they are stale"),
+}
+"""Apart from `COMMANDS`, where a name of two words would make a group of `bench`."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of `COMMANDS`; see `bodyseg_data.commands.cli.main`."""
-    return cli.main(arguments, COMMANDS, "tools/")
+    """Run one of `COMMANDS`, or `tools/bench all`; see `bodyseg_data.commands.cli.main`."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return cli.main(words, ALL if " ".join(words[:2]) in ALL else COMMANDS, "tools/")
 
 
 if __name__ == "__main__":

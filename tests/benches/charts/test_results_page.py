@@ -83,3 +83,14 @@ def test_the_page_reads_every_kind_of_result() -> None:
     assert "loader.json" in by_now
     assert {f"{choice.bench}.json" for choice in CHOICES} <= read | by_now | {"reduction.json", "partition.json"}
     assert {"stability.json", "ablation.json", "failures.json", "compact.json", "compact_hard.json"} <= read
+
+
+@pytest.mark.parametrize(
+    ("document", "results"),
+    [("README.md", ["compact"]), ("docs/model_card.md", ["compact", "compact_hard"])],
+)
+def test_readme_and_card_state_the_accuracy_of_the_network_that_ships(document: str, results: list[str]) -> None:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    for name in results:
+        accuracy = json.loads((RESULTS / f"{name}.json").read_text())["average_per_class_accuracy"]
+        assert f"{100 * accuracy:.1f} %" in text, f"{name}.json"

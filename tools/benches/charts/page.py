@@ -10,6 +10,7 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ charts.left_out[0] }}                                    what `bodyseg chart` writes into charts.json
     {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
+    {{ outdated }}                                              a sentence on files with other labels than today's
 
 `processors` has a record of each folder of `processors/`: its `name`, and its files' contents by their names without
 `.json`. `each` takes the value at a path of names from all records that have the path's first name.
@@ -27,12 +28,14 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
+from benches.charts.outdated import outdated
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
-_SPECIAL: Final = {_SOURCES, FOLDER}  # variables that are no file
+_OUTDATED: Final = "outdated"
+_SPECIAL: Final = {_SOURCES, _OUTDATED, FOLDER}  # variables that are no file
 _TEMPLATE: Final = "<template>"  # the name that Jinja2 gives to one from a string
 _ORIGIN: Final = ("command", "commit", "hardware")
 
@@ -55,6 +58,8 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
         if name not in HEAD
     }
     sources = {_SOURCES: _origins(read)} if _SOURCES in names else {}
+    if _OUTDATED in names:
+        sources[_OUTDATED] = outdated(folder, [f"{name}.json" for name in read])
     try:
         return _environment().from_string(template).render(files | given | sources)
     except (TemplateError, AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:

@@ -1,0 +1,158 @@
+"""The steps that are declared: their commands can be read, and every result of today belongs to one."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+
+import pytest
+from benches.__main__ import main
+from benches.bench import Options as BenchOptions
+from benches.chart import Options as ChartOptions
+from benches.charts.outdated import landmarks_digest, outdated
+from benches.charts.page import render_page, sources_of
+from benches.results.everything import everything
+from benches.results.records import Records
+from benches.results.running import duration
+from benches.results.step import Graph, Places, Step
+from benches.results.trainings import SEEDS
+from folders import ROOT
+from made_steps import Workshop, a_result, a_set, a_training
+
+from bodyseg_data.commands.options import parse
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.commands.cli import COMMANDS
+
+RESULTS = ROOT / "docs" / "results"
+
+OF_SPEED = {"codec", "occlusion", "partition", "reduction", "loader_by_hand"}
+"""Results on the page that tell of speed: they are measured by hand, on a machine that does nothing else."""
+
+
+def options_of(step: Step) -> type:
+    program, name = step.words[:2]
+    if program == "bodyseg":
+        return importlib.import_module(COMMANDS[name][0]).Options
+    return {"tools/bench": BenchOptions, "tools/chart": ChartOptions}[program]
+
+
+def test_every_declared_command_can_be_read() -> None:
+    for step in everything().steps.values():
+        words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
+        assert parse(options_of(step), words, step.name, "", "") is not None, step.command
+
+
+def test_every_result_on_the_page_is_of_a_step_but_those_of_speed() -> None:
+    made = {name for step in everything().steps.values() for _, name in step.results}
+    on_page = {*sources_of((RESULTS / "index.md.in").read_text())} - {f"{name}.json" for name in OF_SPEED}
+    assert on_page <= made
+    pictures = {path.name for path in RESULTS.glob("*.png")} & {f"{Path(name).stem}.png" for name in on_page}
+    assert pictures <= made
+
+
+def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -> None:
+    graph = everything()
+    names = [name for name, step in graph.steps.items() if step.kind == "training"]
+    assert sum(name.startswith("runs/variants/") for name in names) == 15
+    for folder in ("runs/variants", "runs/networks", "runs/alexnet", "runs/wide"):
+        of_folder = [name.rpartition("-")[0] for name in names if name.startswith(f"{folder}/")]
+        assert {of_folder.count(name) for name in of_folder} == {SEEDS}
+
+
+def test_steps_read_what_their_commands_name() -> None:
+    graph = everything()
+    assert graph.inputs(graph.steps["failures_wide"]) == ("sets/open18", "runs/wide/wide-0", "sets/hard18")
+    assert graph.external(graph.steps["people"]) == ("data/faust", "shipped")
+    assert graph.external(graph.steps["stability_networks"]) == ("shipped",)
+    assert graph.inputs(graph.steps["network"]) == ("compact",)
+    architectures = graph.inputs(graph.steps["architectures"])
+    assert {"runs/variants/all-2", "runs/networks/deeplab_half-0"} <= {*architectures}
+    ablation = graph.inputs(graph.steps["ablation"])
+    assert {"runs/variants/all-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
+    assert graph.external(graph.steps["page"]) == ("docs/results/index.md.in",)
+
+
+def test_code_is_that_of_the_command() -> None:
+    steps = everything().steps
+    assert steps["sets/hard18"].code == ("bodyseg_data.commands.shard",)
+    assert steps["failures_open"].code == ("benches.model.failures.bench",)
+    assert steps["page"].code == ("benches.chart",)
+
+
+def test_the_list_of_a_fresh_checkout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "all", "--list", "--work", str(tmp_path / "work"), "--only", "sets/hard18", "people"]
+    assert main(words) == 1
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == ["sets/hard18", "stale", "never", "made"]
+    assert lines[1][:2] == ["people", "blocked"] and lines[1][2] == f"{tmp_path}/work/data/faust"
+    assert not (tmp_path / "work").exists()
+
+
+def test_the_help_of_the_command_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "all", "--help"]) == 0
+    assert "--accept" in capsys.readouterr().out
+    assert main(["bench", "--help"]) == 0
+    assert "--accept" not in capsys.readouterr().out
+
+
+def test_a_step_of_the_product_runs_in_any_folder(tmp_path: Path) -> None:
+    """The checkout's programs are found from the work folder."""
+    shop = Workshop(tmp_path)
+    words = ("tools/chart", "--in", "docs/results", "--out", "docs/results/charts")
+    chart = Step("page", "page", words, (("docs/results/charts", "charts"),))
+    shop.steps = [chart]
+    assert shop.run() == 1
+    said = (tmp_path / "work" / "logs" / "page.log").read_text()
+    assert "chart networks is left out: no architectures.json" in said
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ([a_set(), a_set()], "steps need different names, found sets/a 2 times"),
+        ([a_training("runs/x"), a_set()], "runs/x must stand behind sets/a, whose products it reads"),
+        (
+            [
+                a_result("x", "runs/x"),
+                Step("twin", "results", ("true",), (("results/x.json", "x.json"),)),
+            ],
+            "docs/results/x.json is made by two steps, x and twin",
+        ),
+    ],
+)
+def test_graphs_are_checked(steps: list[Step], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        Graph(steps)
+
+
+def test_words_name_files_of_three_folders() -> None:
+    places = Places(Path("/work"), Path("/external"), Path("/checkout/docs/results"))
+    found = [str(places.path(word)) for word in ("data/mit", "docs/results/a.json", "docs/results", "runs/x-0")]
+    assert found == ["/external/mit", "/checkout/docs/results/a.json", "/checkout/docs/results", "/work/runs/x-0"]
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(95, "95 s"), (720, "12 min"), (12240, "3.4 h")])
+def test_times_have_two_digits(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_the_page_names_results_with_other_labels(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.json").write_text('{"n": 1}')
+    template = "{{ outdated }}{{ a.n | number }}{{ b.n | number }}{{ c.n | number }}\n"
+    assert render_page(template, tmp_path) == "111\n", "nothing is known of them"
+    steps = {
+        "first": {"landmarks": "others", "made": {"a.json": "", "a.png": ""}},
+        "second": {"landmarks": landmarks_digest(), "made": {"b.json": ""}},
+    }
+    (tmp_path / "steps.json").write_text(json.dumps({"steps": steps}))
+    first, *_, last = render_page(template, tmp_path).splitlines()
+    assert "landmarks" in first and "[a.json](a.json)." in first and last == "111"
+    assert outdated(tmp_path, ["b.json", "c.json"]) == ""
+
+
+def test_the_records_that_are_committed_are_of_declared_steps() -> None:
+    records = Records(everything(), Places(Path("nowhere"), Path("nowhere"), RESULTS))
+    for name in json.loads((RESULTS / "steps.json").read_text())["steps"]:
+        assert records.get(everything().steps[name]) is not None

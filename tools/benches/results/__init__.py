@@ -1,0 +1,1 @@
+"""The steps that make docs/results, and `tools/bench all`, which runs those that are stale."""

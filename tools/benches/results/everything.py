@@ -1,0 +1,120 @@
+"""All steps that make docs/results, as far as they tell of accuracy: sets, trainings, results, the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+from benches.results.step import RESULTS, SHIPPED, Graph, Step
+from benches.results.trainings import (
+    ABLATION_LINKS,
+    ALEXNET_RUNS,
+    BARE,
+    COMPACT_LINKS,
+    DRESSED,
+    HARD,
+    LOSSES_RUNS,
+    NETWORK_RUNS,
+    OPEN,
+    REFERENCE_RUNS,
+    VARIANT_RUNS,
+    WIDE_RUNS,
+    Links,
+    seeds,
+    sets,
+    trainings,
+)
+
+FAUST: Final = "data/faust"
+MIT: Final = "data/mit"
+
+_BOX: Final = "runs/box"
+_BOX_LINKS: Final[Links] = ((_BOX, SHIPPED),)
+_STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
+_MOTION: Final = ("--parts", "temporal", "numerical", "--images", "25", "--threads", "1")
+
+
+def everything() -> Graph:
+    """The graph of `tools/bench all`."""
+    steps = [*sets(), *trainings(), *_landmarks(), *_shipped(), *_trained(), *_stability()]
+    names = [f"{RESULTS}/{name}" for step in steps for _, name in step.results]
+    return Graph([*steps, _page(names)])
+
+
+def _bench(name: str, *words: str, to: str = "", drawn: bool = False, more: tuple[str, ...] = (), **facts: Any) -> Step:
+    """A step of `tools/bench NAME` that writes TO.json, and TO.png if it is `drawn`; more: pictures beside it."""
+    to = to or name
+    targets = ["--json", f"results/{to}.json", *(["--figure", f"results/{to}.png"] if drawn else [])]
+    files = [f"{to}.json", *([f"{to}.png"] if drawn else []), *more]
+    results = tuple((f"results/{file}", file) for file in files)
+    return Step(to, "results", ("tools/bench", name, *words, *targets), results, **facts)
+
+
+def _landmarks() -> Iterator[Step]:
+    """Landmarks, labels and bodies, before any network."""
+    yield _bench("proposal", "--mit", MIT, drawn=True)
+    yield _bench("borders", "--views", "12", drawn=True)
+    yield _bench("clothes", "--mit", MIT)
+    yield _bench("interpenetration", "--views", "5")
+    yield _bench("everyday", "--views", "91")
+
+
+def _shipped() -> Iterator[Step]:
+    """The network that ships."""
+    shipped = (SHIPPED,)
+    for to, data, more in (("compact", OPEN, ("--images", "4000")), ("compact_hard", HARD, ())):
+        drawn = ("--figures", "results/compact") if to == "compact" else ()
+        words = ("bodyseg", "evaluate", "--data", data, "--json", f"results/{to}.json", *more, *drawn)
+        results = ((f"results/{to}.json", f"{to}.json"), *((("results/compact", "compact"),) if drawn else ()))
+        yield Step(to, "results", words, results, reads=shipped)
+    yield _bench("network", "--scores", f"{RESULTS}/compact.json", drawn=True, reads=shipped, alone=True)
+    yield _bench("people", "--data", FAUST, reads=shipped)
+    yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
+    yield _bench("things", "--views", "300", reads=shipped)
+    failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
+    yield _bench("failures", *failures, drawn=True, more=("failures_hard.png",), reads=shipped)
+
+
+def _trained() -> Iterator[Step]:
+    """Networks that were trained for the comparison."""
+    folder = ("--runs", "runs/variants")
+    yield _bench("variants", "--data", OPEN, *folder, "--seeds", "3", "--images", "100", drawn=True)
+    folder = ("--runs", "runs/networks")
+    yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", links=COMPACT_LINKS, alone=True)
+    for to, run in (("open", "runs/variants/all-0"), ("wide", "runs/wide/wide-0")):
+        named = ("--data", OPEN, "--runs", run, "--hard", HARD)
+        yield _bench("failures", *named, "--images", "500", to=f"failures_{to}")
+    sets_read = ("--data", OPEN, "--hard", HARD, "--clothes", DRESSED, BARE)
+    rows = ("--runs", "runs/ablation", "--images", "40")
+    yield _bench("ablation", *sets_read, *rows, drawn=True, links=ABLATION_LINKS, alone=True)
+    rows = ("--runs", "runs/sensors", "--images", "40")
+    yield _bench("ablation", "--data", DRESSED, *rows, to="ablation_sensors", alone=True)
+
+
+def _stability() -> Iterator[Step]:
+    """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
+    yield _stability_of("stability", VARIANT_RUNS)
+    yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
+    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), _BOX, *LOSSES_RUNS, *WIDE_RUNS), _BOX_LINKS)
+    yield _stability_of("stability_architectures", NETWORK_RUNS, COMPACT_LINKS)
+    yield _stability_of("stability_motion", VARIANT_RUNS, parts=_MOTION)
+    yield _stability_of("stability_fcn_alexnet_motion", ALEXNET_RUNS, parts=_MOTION)
+    hidden = ("--parts", "images", "--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
+    yield _stability_of("stability_hidden", (_BOX,), _BOX_LINKS, parts=hidden)
+
+
+def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), parts: tuple[str, ...] = _STILL_IMAGES) -> Step:
+    out = f"stability/{name}"
+    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if parts == _STILL_IMAGES else ()
+    words = ("bodyseg", "stability", "--run", *runs, "--data", OPEN, "--out", out, *compared, *parts)
+    results = [(f"{out}/stability.json", f"{name}.json")]
+    if compared:
+        results.append((f"{out}/stability.png", f"{name}.png"))
+    return Step(name, "results", words, tuple(results), links)
+
+
+def _page(results: list[str]) -> Step:
+    """Charts and the page of results, of all that is there, whether measured anew or not."""
+    page, charts = f"{RESULTS}/index.md", f"{RESULTS}/charts"
+    words = ("tools/chart", "--in", RESULTS, "--out", charts, "--page", page)
+    return Step("page", "page", words, ((charts, "charts"), (page, "index.md")), reads=(*results, f"{page}.in"))

@@ -1,0 +1,87 @@
+"""Digests of what steps read and make: two products with one digest are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+from benches.results.step import RESULTS, SHIPPED, Places, Step
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_model.networks.checkpoints import NETWORK, read_json
+from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
+
+_CHUNK: Final = 1 << 20
+
+
+def digest_of(value: Any) -> str:
+    """Digest of JSON, 32 hexadecimal digits."""
+    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+class Products:
+    """Reads digests of products, each file once while its size and time stay the same.
+
+    A set is identified by its manifest, which has the digests of its shards; a training by network, settings and
+    weights; all else by the bytes of its files.
+    """
+
+    def __init__(self, places: Places) -> None:
+        self._places = places
+        self._files: dict[tuple[str, int, int], str] = {}
+
+    def __repr__(self) -> str:
+        return f"Products({self._places.work})"
+
+    def made_by(self, step: Step) -> dict[str, str] | None:
+        """Product -> digest, as a step has left them in the work folder or in docs/results; None if one is missing."""
+        if step.kind == "set":
+            manifest = self._places.path(step.name) / MANIFEST_NAME
+            return {step.name: self._file(manifest)} if manifest.is_file() else None
+        if step.kind == "training":
+            network = self._network(self._places.path(step.name) / NETWORK)
+            return None if network is None else {step.name: network}
+        return self._contents(self._places.path(f"{RESULTS}/{name}") for _, name in step.results)
+
+    def external(self, name: str) -> str | None:
+        """Digest of a product that no step makes; None if it is missing."""
+        if name == SHIPPED:
+            return self._network(SHIPPED_FILE)
+        found = self._contents([self._places.path(name)])
+        return None if not found else digest_of(found)
+
+    def _network(self, weights: Path) -> str | None:
+        """Digest of weights and of what their card says of the network; None without either file."""
+        card = weights.with_suffix(".json")
+        if not weights.is_file() or not card.is_file():
+            return None
+        content = read_json(card)
+        facts = {name: content.get(name) for name in ("network", "settings", "labels")}
+        return digest_of({**facts, "weights": self._file(weights)})
+
+    def _contents(self, paths: Iterable[Path]) -> dict[str, str] | None:
+        """Path below its parent -> digest, of files and of all files in folders; None if a path is missing."""
+        found: dict[str, str] = {}
+        for path in paths:
+            if not path.exists():
+                return None
+            files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
+            found |= {each.relative_to(path.parent).as_posix(): self._file(each) for each in files}
+        return found
+
+    def _file(self, path: Path) -> str:
+        try:
+            facts = path.stat()
+            key = str(path), facts.st_size, facts.st_mtime_ns
+            if key not in self._files:
+                digest = hashlib.blake2b(digest_size=16)
+                with path.open("rb") as file:
+                    while chunk := file.read(_CHUNK):
+                        digest.update(chunk)
+                self._files[key] = digest.hexdigest()
+        except OSError as error:
+            raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+        return self._files[key]

@@ -1,0 +1,130 @@
+"""The sets and the trainings that results are made from."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Final
+
+from benches.model.ablation.rows import ROWS, Source
+from benches.model.ablation.sensor_artifacts import ADDED
+from benches.results.step import Step
+from bodyseg_data.artifacts.variants import VARIANTS
+
+SEEDS: Final = 3
+
+OPEN: Final = "sets/open18"
+HARD: Final = "sets/hard18"
+DRESSED: Final = "sets/dressed233"
+BARE: Final = "sets/bare233"
+WIDE: Final = "sets/wide18"
+
+SETS: Final = {
+    OPEN: ("open",),
+    HARD: ("hard",),
+    WIDE: ("wide",),
+    DRESSED: ("open", "--meshes", "233"),
+    BARE: ("bare", "--meshes", "233"),
+}
+"""Folder -> source, and further options of `bodyseg shard`."""
+
+_SHORT: Final = ("--steps", "1400", "--batch-size", "8")
+_STILL: Final = "--no-geometric-augmentation"
+_HOW: Final = ("--threads", "1", "--num-workers", "1", "--checkpoint-every", "250", "--log-every", "50", "--resume")
+
+_ALEXNET: Final = ("--network", "fcn_alexnet", "--recipe", "compact", "--lr", "0.0005")
+
+NETWORKS: Final = {
+    "compact_half": ("--settings", '{"shrink":2,"patch":8}'),
+    "compact_quarter": ("--settings", '{"shrink":4,"patch":4}'),
+    "compact_small": ("--settings", '{"widths":[64,80,96],"blocks":[1,1,1]}'),
+    "compact_fine": ("--settings", '{"patch":8,"widths":[48,96,128,144],"blocks":[1,2,2,1]}'),
+    "compact_large": ("--settings", '{"widths":[160,208,240],"blocks":[3,3,2]}'),
+    "deeplab_half": ("--network", "deeplab", "--recipe", "compact", "--settings", '{"shrink":2}'),
+    "segformer_half": ("--network", "segformer", "--recipe", "compact", "--settings", '{"size":0,"shrink":2}'),
+    "fcn_alexnet_8th": (*_ALEXNET, "--settings", '{"width":0.125}'),
+    "fcn_alexnet_4th": (*_ALEXNET, "--settings", '{"width":0.25}'),
+    "fcn_alexnet_half": (*_ALEXNET, "--settings", '{"width":0.5}'),
+}
+"""Row of the table of networks, which `compact` heads -> options of its trainings."""
+
+_SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
+_ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
+_SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare": BARE}
+
+Links = tuple[tuple[str, str], ...]
+
+
+def seeds(name: str, count: int = SEEDS) -> tuple[str, ...]:
+    """NAME-0, NAME-1 ..."""
+    return tuple(f"{name}-{seed}" for seed in range(count))
+
+
+VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/variants/{variant}") for variant in VARIANTS)))
+"""The fifteen trainings: five variants, three seeds each."""
+
+REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
+"""The networks that mCE compares with."""
+
+ALEXNET_RUNS: Final = (
+    *(run for variant in VARIANTS if variant != "all" for run in seeds(f"runs/alexnet/fcn_alexnet_8th_{variant}")),
+    *seeds("runs/networks/fcn_alexnet_8th"),
+)
+NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for name in ("compact", *NETWORKS))))
+LOSSES_RUNS: Final = seeds("runs/ablation/losses")
+WIDE_RUNS: Final = seeds("runs/wide/wide")
+
+COMPACT_LINKS: Final[Links] = tuple(zip(seeds("runs/networks/compact"), seeds("runs/variants/all"), strict=True))
+"""`compact` of the table of networks is the training on `all` among the fifteen."""
+
+ABLATION_LINKS: Final[Links] = (
+    *zip(seeds("runs/ablation/all"), seeds("runs/variants/all"), strict=True),
+    *(
+        pair
+        for row, name in _ROWS_OF_NETWORKS.items()
+        for pair in zip(seeds(f"runs/ablation/{row}"), seeds(f"runs/networks/{name}"), strict=True)
+    ),
+)
+
+
+def sets() -> Iterator[Step]:
+    """Steps that pack sets, of 18 views a body."""
+    for name, (source, *more) in SETS.items():
+        yield Step(name, "set", ("bodyseg", "shard", "--source", source, *more, "--views", "18", "--out", name))
+
+
+def trainings() -> Iterator[Step]:
+    """Steps that train, in an order in which the results that need few trainings come first."""
+    for seed, variant in itertools.product(range(SEEDS), VARIANTS):
+        yield _training(f"runs/variants/{variant}-{seed}", OPEN, "--variant", variant, seed=seed)
+    for (name, options), seed in itertools.product(NETWORKS.items(), range(SEEDS)):
+        yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
+    for variant, seed in itertools.product(VARIANTS, range(SEEDS)):
+        if variant != "all":
+            options = ("--variant", variant, *NETWORKS["fcn_alexnet_8th"])
+            yield _training(f"runs/alexnet/fcn_alexnet_8th_{variant}-{seed}", OPEN, *options, seed=seed)
+    for seed in range(SEEDS):
+        yield _training(f"runs/wide/wide-{seed}", WIDE, seed=seed)
+    sensors = {artifact.name for artifact in ADDED.values()}
+    for row in ROWS:
+        if row.arguments is None or row.name in _ROWS_OF_NETWORKS:
+            continue
+        if row.name in sensors:
+            yield _sensor_training(row.name, *row.arguments)
+            continue
+        for seed in range(_SEEDS_OF_ROWS.get(row.name, 1)):
+            yield _training(f"runs/ablation/{row.name}-{seed}", _SETS_OF_ROWS[row.source], *row.arguments, seed=seed)
+    yield _sensor_training("all")
+
+
+def _training(name: str, data: str, *options: str, seed: int) -> Step:
+    chosen = (*options, *(("--seed", str(seed)) if seed else ()))
+    words = ("bodyseg", "train", "--data", data, "--out", name, *_SHORT, _STILL, *chosen, *_HOW)
+    return Step(name, "training", words)
+
+
+def _sensor_training(row: str, *options: str) -> Step:
+    """A training of the small ablation, of artifacts of real sensors."""
+    name = f"runs/sensors/{row}-0"
+    words = ("bodyseg", "train", "--data", DRESSED, "--out", name, "--steps", "400", "--batch-size", "8")
+    return Step(name, "training", (*words, *options, *_HOW))
