@@ -51,11 +51,6 @@ class Body:
     notes: tuple[str, ...] = ()
     pieces: tuple[Piece, ...] = ()
 
-    @property
-    def holds_things(self) -> bool:
-        """True for a body with a thing, which has a range and no label."""
-        return any(not piece.parts for piece in self.pieces)
-
     def partition(self, method: GeodesicMethod = "exact") -> Partition:
         """Label every vertex of the mesh, as `partition` does and with its errors."""
         return partition(self.mesh, self.landmarks, method, self.pieces)

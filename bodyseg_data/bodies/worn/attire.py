@@ -106,7 +106,7 @@ _DRAPE_PLACES: Final = ("belly", "waist", "back", "hip", "buttock", "thigh", "kn
 _FREE: Final = ("in the air", "free")
 
 _BUN, _LONG = 0.12, 0.25  # shares of people
-_SKIRT, _DRESS, _COAT = 0.18, 0.12, 0.15  # of the dressed ones whose hands lie on no cloth
+_SKIRT, _DRESS, _COAT = 0.22, 0.14, 0.2  # of the dressed ones whose hands lie on no cloth
 _OPEN: Final = 0.5  # of coats
 _SHOD: Final = 0.6  # of the dressed ones
 _HOLDS: Final = 0.35  # of people with a free hand
@@ -141,7 +141,7 @@ def _touched(contacts: tuple[str, str], places: tuple[str, ...]) -> bool:
 
 
 def _drawn_hair(draws: np.random.Generator) -> Hair | None:
-    kind, values, seed = draws.random(), draws.random(3), int(draws.random() * _SEEDS)
+    kind, values, seed = draws.random(), draws.random(3).tolist(), int(draws.random() * _SEEDS)
     if kind < _BUN:
         return Hair("bun", 0.003 + 0.008 * values[0], 0.03 + 0.028 * values[1], values[2])
     if kind < _BUN + _LONG:
@@ -150,7 +150,7 @@ def _drawn_hair(draws: np.random.Generator) -> Hair | None:
 
 
 def _drawn_drape(draws: np.random.Generator) -> Drape | None:
-    kind, values, seed = draws.random(), draws.random(6), int(draws.random() * _SEEDS)
+    kind, values, seed = draws.random(), draws.random(6).tolist(), int(draws.random() * _SEEDS)
     low, high = map(float, chosen(_LENGTHS, draws).split())
     length = low + (high - low) * values[0]
     low, high = map(float, chosen(_FLARES, draws).split())

@@ -64,6 +64,7 @@ _RANGES: Final[dict[str, tuple[float, float]]] = {
 
 _LEVEL_M: Final = 0.025  # between rings
 _BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
+_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
 _COLUMNS: Final = 96
 _LEAST_M: Final = 0.006  # of the cloth from the hull
 _THICK_M: Final = 0.003
@@ -111,22 +112,26 @@ class _Rings:
         whole = wearer.solid & ~wearer.arms
         rest, points = wearer.rest[whole], wearer.points[whole]
         near = [np.abs(rest[:, 1] - height) < _BAND_M for height in heights]
-        sections = [points[ring] for ring in near]
         lefts = [points[ring & (rest[:, 0] > 0)].mean(axis=0) for ring in near]
         rights = [points[ring & (rest[:, 0] <= 0)].mean(axis=0) for ring in near]
         self.centres: Floats = (np.array(lefts) + np.array(rights)) / 2
         axes = gaussian_filter1d(np.gradient(self.centres, axis=0), 2.0, axis=0, mode="nearest")
-        self.axes: Floats = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        self.axes: Floats = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
         self._turns(wearer)
         angles = np.arange(_COLUMNS) * (2 * np.pi / _COLUMNS)
         self._ways: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        flat = [
-            (section - centre) @ frame.T
-            for section, centre, frame in zip(sections, self.centres, self.frames, strict=True)
+        local = [(points - centre) @ frame.T for centre, frame in zip(self.centres, self.frames, strict=True)]
+        tilts = [
+            np.linalg.lstsq(at[ring, :2], at[ring, 2], rcond=None)[0] for at, ring in zip(local, near, strict=True)
         ]
-        self.body: Floats = np.array([hull_radius(section[:, :2], self._ways) for section in flat])
-        tilts = np.array([np.linalg.lstsq(section[:, :2], section[:, 2], rcond=None)[0] for section in flat])
-        self._tilts = gaussian_filter1d(np.clip(tilts, -_STEEPEST, _STEEPEST), 2.0, axis=0, mode="nearest")
+        tilts = np.clip(tilts, -_STEEPEST, _STEEPEST)
+        self._tilts: Floats = gaussian_filter1d(tilts, 2.0, axis=0, mode="nearest")
+        hulls = []
+        for at, ring, tilt, height in zip(local, near, self._tilts, heights, strict=True):
+            # Of a raised leg, other skin than that of its own height is beside the ring, too.
+            beside = (np.abs(at[:, 2] - at[:, :2] @ tilt) < _LEVEL_M) & (np.abs(rest[:, 1] - height) < _RAISED_M)
+            hulls.append(hull_radius(at[ring | beside, :2], self._ways))
+        self.body: Floats = np.array(hulls)
 
     def _turns(self, wearer: Wearer) -> None:
         """Frames [K, 3, 3], rows: to the left, to the back, down the garment; carried along without twist."""

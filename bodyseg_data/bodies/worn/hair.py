@@ -79,7 +79,7 @@ def _above_hairline(wearer: Wearer, rest: Floats) -> Floats:
 def bun(wearer: Wearer, hair: Hair) -> Solid:
     """A bun: an ellipsoid that sits on the back of the head."""
     centre, points = _skull(wearer)
-    angle = np.radians(-20 + 95 * hair.height)
+    angle = np.radians(-45 + 105 * hair.height)
     out = np.array([0.0, np.sin(angle), -np.cos(angle)])
     ways = points - centre
     lengths = np.linalg.norm(ways, axis=1)
