@@ -199,6 +199,17 @@ def test_all_of_it_on_a_body_is_a_mesh_and_takes_the_labels_beneath() -> None:
     assert not any(hand in piece.parts for piece in pieces)
 
 
+def test_vertices_amid_edges_move_with_the_scalp() -> None:
+    person, _ = adult()
+    body = wearer("standing")
+    ends = find_edges(person.faces).ends[::7]
+    finer = np.concatenate([body.points, body.points[ends].mean(axis=1)])
+    vertices, _, _ = joined(finer, person.faces, put_on(body, Attire(hair=BUN), None))
+    amid = vertices[len(body.points) :][: len(ends)]
+    np.testing.assert_allclose(amid, vertices[ends].mean(axis=1), atol=0.003)
+    assert np.abs(amid - finer[len(body.points) :]).max() > 0.004
+
+
 def test_attire_is_drawn_like_a_crowd_and_keeps_clear_of_hands() -> None:
     draws = generator(0, 0, "tests/worn", "attire")
     free = [drawn_attire(draws, ("in the air", "free"), True) for _ in range(600)]

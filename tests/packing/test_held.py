@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapes import ball, evenly_drawn, figure
+from shapes import evenly_drawn, figure
 from small_rig import SMALL
+from spheres import icosphere
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.core.errors import BadSample
@@ -25,10 +26,10 @@ BARE = figure()
 
 
 def holding(subdivisions: int = 2) -> Body:
-    """The figure with a ball of 6 cm before its trunk."""
-    thing = ball(0.06, (0.0, 1.1, 0.4), subdivisions)
-    vertices = np.concatenate([BARE.vertices, thing.vertices])
-    mesh = Mesh("holding", vertices, np.concatenate([BARE.faces, thing.faces + len(BARE.vertices)]))
+    """The figure with a ball of 6 cm before its trunk, within its bounding box."""
+    points, faces = icosphere(subdivisions, 0.06)
+    vertices = np.concatenate([BARE.vertices, points + np.array([-0.1, 1.2, 0.24])])
+    mesh = Mesh("holding", vertices, np.concatenate([BARE.faces, faces + len(BARE.vertices)]))
     return Body(mesh, evenly_drawn(BARE), pieces=(Piece(len(BARE.vertices)),))
 
 

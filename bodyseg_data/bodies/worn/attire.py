@@ -90,8 +90,19 @@ def under(drape: Drape, outfit: Outfit) -> Outfit:
 def joined(
     vertices: Floats, faces: NDArray[np.int32], worn: Worn
 ) -> tuple[Floats, NDArray[np.int32], tuple[Piece, ...]]:
-    """Join a body, [V, 3] and [F, 3], of which `worn.points` are the first vertices, and all that is over it."""
-    points = [np.concatenate([worn.points, vertices[len(worn.points) :]])]
+    """Join a body, [V, 3] and [F, 3], of which `worn.points` are the first vertices, and all that is over it.
+
+    Further vertices of the body, in the middle of its edges, move as the nearest of the first ones do.
+    """
+    from scipy.spatial import cKDTree
+
+    own, between = np.split(vertices, [len(worn.points)])
+    moved = worn.points - own
+    if moved.any() and len(between):
+        apart, near = cKDTree(own).query(between, 2)
+        weights = 1 / np.maximum(apart, 1e-9)
+        between = between + np.einsum("nk,nki->ni", weights / weights.sum(axis=1, keepdims=True), moved[near])
+    points = [worn.points, between]
     triangles, pieces, count = [faces], [], len(vertices)
     for solid, parts in worn.over:
         pieces.append(Piece(count, parts))
@@ -150,7 +161,7 @@ def _drawn_hair(draws: np.random.Generator) -> Hair | None:
 
 
 def _drawn_drape(draws: np.random.Generator) -> Drape | None:
-    kind, values, seed = draws.random(), draws.random(6).tolist(), int(draws.random() * _SEEDS)
+    kind, values, seed = draws.random(), draws.random(7).tolist(), int(draws.random() * _SEEDS)
     low, high = map(float, chosen(_LENGTHS, draws).split())
     length = low + (high - low) * values[0]
     low, high = map(float, chosen(_FLARES, draws).split())
@@ -161,6 +172,6 @@ def _drawn_drape(draws: np.random.Generator) -> Drape | None:
         top = 0.1 + 0.3 * values[5] if kind < _SKIRT else 0.45 + 0.35 * values[5]
         return Drape(top, length, 0.008 + 0.012 * values[2], flare, girth, *folds, 0, seed)
     if kind < _SKIRT + _DRESS + _COAT:
-        open_deg = 8 + 20 * values[5] if draws.random() < _OPEN else 0
+        open_deg = 8 + 20 * values[5] if values[6] < _OPEN else 0
         return Drape(0.92, length, 0.02 + 0.03 * values[2], 0.4 * flare, girth + 0.2, *folds, open_deg, seed)
     return None

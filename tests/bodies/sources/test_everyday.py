@@ -23,6 +23,7 @@ from bodyseg_data.bodies.sources.everyday import EVERYDAY, EverydayBodies
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.wide import WideBodies
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND
 
 DRAWN = (1, 14, 2, 34)
 """Bodies whose poses are drawn here: stepping twice, on one leg, on all fours."""
@@ -130,3 +131,16 @@ def test_drawn_poses_are_pinned() -> None:
     pose = drawn(1).pose
     assert drawn(1).contacts == ("in the air", "palm on chest")
     assert (pose.left_leg.flex, pose.left_leg.knee) == (7.3, 33.4)
+
+
+def test_what_people_wear_is_drawn_from_their_names_and_goes_into_the_mesh() -> None:
+    """Body 33 kneels in a dress and holds a bag."""
+    ref = source().bodies()[33]
+    attire = source().attire(ref)
+    assert attire == EverydayBodies().attire(ref) and None not in (attire.drape, attire.held)
+    built, bare = source().build(ref), source().build(ref, dressed=False)
+    assert built.pieces and not bare.pieces and len(bare.mesh.vertices) < len(built.mesh.vertices)
+    assert set(built.partition().labels) >= {0, 32, BACKGROUND}
+    assert built.mesh.vertices[:, 1].min() == 0
+    again = source().build(ref).mesh
+    assert again.vertices.tobytes() == built.mesh.vertices.tobytes() and (again.faces == built.mesh.faces).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from shapes import ball, evenly_drawn
+from spheres import icosphere
 
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.core.errors import BadLandmarks
@@ -19,9 +20,10 @@ COUNT = len(WHOLE.vertices)
 
 
 def with_a_ball_over(at: tuple[float, float, float], radius_m: float = 0.04) -> Mesh:
-    small = ball(radius_m, at, subdivisions=2)
-    faces = np.concatenate([WHOLE.faces, small.faces + COUNT])
-    return Mesh("two balls", np.concatenate([WHOLE.vertices, small.vertices]), faces)
+    points, faces = icosphere(2, radius_m)
+    return Mesh(
+        "two balls", np.concatenate([WHOLE.vertices, points + at]), np.concatenate([WHOLE.faces, faces + COUNT])
+    )
 
 
 def test_a_piece_takes_the_nearest_label_of_those_that_it_covers() -> None:
