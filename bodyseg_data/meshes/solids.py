@@ -30,6 +30,12 @@ class Solid:
         corners = self.vertices[self.faces]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, m3; negative if normals point inwards."""
+        corners = self.vertices[self.faces] - self.vertices.mean(axis=0)
+        return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+
     def turned(self, angle_rad: float) -> Solid:
         """The same, rotated about the vertical axis y."""
         cos, sin = math.cos(angle_rad), math.sin(angle_rad)

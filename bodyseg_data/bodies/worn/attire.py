@@ -77,7 +77,7 @@ def put_on(wearer: Wearer, attire: Attire, cloth: Solid | None) -> Worn:
         ]
     if attire.held is not None:
         over += [(thing, ()) for thing in held_thing(wearer, attire.held)]
-    return Worn(points, tuple(over))
+    return Worn(points, tuple(each for each in over if each[0].volume > 0))  # not what is crumpled inside out
 
 
 def under(drape: Drape, outfit: Outfit) -> Outfit:

@@ -79,7 +79,7 @@ _LEFT_OVER: Final = 0.6  # of the length below the crotch, the least that a drap
 
 def draped(wearer: Wearer, drape: Drape) -> Solid | None:
     """The surface of a drape on a posed person, or None if too little of it would be left: its legs need more cloth
-    than its girth, as when one is kicked up.
+    than its girth, as when one is kicked up, or it is crumpled so far that it encloses nothing.
     """
     hip = (wearer.landmark("Lt. ASIS")[1] + wearer.landmark("Rt. ASIS")[1]) / 2
     armpit = (wearer.landmark("Lt. Axilla, Post.")[1] + wearer.landmark("Rt. Axilla, Post.")[1]) / 2
@@ -100,7 +100,8 @@ def draped(wearer: Wearer, drape: Drape) -> Solid | None:
     if drape.open_deg:
         loop = _opened(loop, np.radians(drape.open_deg) * (0.3 + 0.7 * np.linspace(0, 1, kept)))
     cloth = shell(loop, _THICK_M, around=not drape.open_deg)
-    return Solid(settled(cloth.vertices, wearer.floor), cloth.faces)
+    cloth = Solid(settled(cloth.vertices, wearer.floor), cloth.faces)
+    return cloth if cloth.volume > 0 else None
 
 
 class _Rings:

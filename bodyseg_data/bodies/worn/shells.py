@@ -52,9 +52,8 @@ def ringed(rings: Floats) -> Solid:
     ]
     points = np.concatenate([rings.reshape(-1, 3), rings[0].mean(axis=0)[None], rings[-1].mean(axis=0)[None]])
     faces = np.concatenate([_quads(around), *ends]).astype(np.int32)
-    corners = points[faces] - points.mean(axis=0)
-    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return Solid(points, faces if volume > 0 else faces[:, ::-1])
+    solid = Solid(points, faces)
+    return solid if solid.volume > 0 else Solid(points, faces[:, ::-1])
 
 
 def hull_radius(points: Floats, ways: Floats) -> Floats:
