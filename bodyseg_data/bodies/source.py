@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import Split
 from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
+from bodyseg_data.meshes.partition.pieces import Piece
+from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 
 Entry = TypeVar("Entry")
 
@@ -40,12 +43,17 @@ class Body:
     """A body ready to be labelled.
 
     landmarks: int64 [33], the vertex of each landmark in the order of `PARTS`. notes: repairs of the mesh and the like,
-    one line each, for its owner.
+    one line each, for its owner. pieces: those of the mesh that lie over the body, like a skirt or a held thing.
     """
 
     mesh: Mesh
     landmarks: NDArray[np.int64]
     notes: tuple[str, ...] = ()
+    pieces: tuple[Piece, ...] = ()
+
+    def partition(self, method: GeodesicMethod = "exact") -> Partition:
+        """Label every vertex of the mesh, as `partition` does and with its errors."""
+        return partition(self.mesh, self.landmarks, method, self.pieces)
 
 
 class BodySource(Protocol):

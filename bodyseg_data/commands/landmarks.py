@@ -71,7 +71,7 @@ def _listed(options: Options) -> list[LabelledBody]:
     labelled = []
     for body in bodies:
         built = source.build(body)
-        parts = partition(built.mesh, built.landmarks)
+        parts = built.partition()
         labelled.append((f"{body.subject}, {body.pose}", built.mesh, parts, built.landmarks))
     return labelled
 

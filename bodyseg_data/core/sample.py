@@ -47,6 +47,9 @@ SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
+HELD: Final = "held"
+"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
+
 _OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
 
 
@@ -55,7 +58,8 @@ class SampleInfo:
     """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
 
     distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`. things: "before", "behind" or "both" where
-    things stand around the body (docs/things.md), else ""; hidden_pct: percent of the body's pixels that they hide.
+    things stand around the body (docs/things.md), `HELD` where it only holds one, else ""; hidden_pct: percent of the
+    body's pixels that things around it hide.
     """
 
     source: str

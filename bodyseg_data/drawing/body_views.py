@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import COLOURS, PART_COUNT
+from bodyseg_data.core.parts import PART_COUNT, colour_labels
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import surface_points
@@ -101,7 +101,9 @@ def draw_parts(
     brightness = 0.42 + 0.62 * np.clip(facing @ (light / np.linalg.norm(light)), 0, 1)
     canvas = np.empty((*seen.face.shape, 3), np.uint8)
     canvas[:] = PAPER
-    canvas[rows, columns] = np.clip(COLOURS[parts.labels_at(mesh, faces, points)] * brightness[:, None], 0, 255)
+    canvas[rows, columns] = np.clip(
+        colour_labels(parts.labels_at(mesh, faces, points), THING) * brightness[:, None], 0, 255
+    )
     image = Image.fromarray(canvas).reduce(_SUPERSAMPLING)
 
     pixels, ranges = camera.project(mesh.vertices[landmarks])

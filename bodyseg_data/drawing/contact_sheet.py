@@ -16,7 +16,7 @@ from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.core.sample import Sample
+from bodyseg_data.core.sample import HELD, Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
 
 _EMPTY: Final = (24, 26, 32)
@@ -134,6 +134,7 @@ def _fit(picture: NDArray[np.uint8]) -> Image.Image:
 def _caption(sample: Sample) -> str:
     info = sample.info
     things = f", things {info.things}: {info.hidden_pct} % hidden" if info.things else ""
+    things = ", holds a thing" if info.things == HELD else things
     return f"{info.subject}, {info.pose}, {info.view.words}{things} ({info.split}, {sample.key})"
 
 

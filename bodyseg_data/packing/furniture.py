@@ -8,87 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core.randomness import Stream, pixel_draws
-
-Floats = NDArray[np.float64]
-
-_CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
-_SIDES: Final = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
-_FACES: Final = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]]).astype(np.int32)
+from bodyseg_data.meshes.solids import Solid, cuboid, together, turned_solid
 
 _MOST_DRAWS: Final = 1024
-_SEGMENTS: Final = 24  # of a turned solid
-
-
-@dataclass(frozen=True)
-class Solid:
-    """The surface of things. vertices: float64 [V, 3], metres. faces: int32 [F, 3], normals outwards."""
-
-    vertices: Floats = field(repr=False)
-    faces: NDArray[np.int32] = field(repr=False)
-
-    @property
-    def normals(self) -> Floats:
-        """Outward normals of all faces, float64 [F, 3]; length twice the face's area."""
-        corners = self.vertices[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-    def turned(self, angle_rad: float) -> Solid:
-        """The same, rotated about the vertical axis y."""
-        cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-        return Solid(self.vertices @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]), self.faces)
-
-    def moved(self, by_m: tuple[float, float, float]) -> Solid:
-        """The same, moved by [3], metres."""
-        return Solid(self.vertices + np.asarray(by_m), self.faces)
-
-    def placed(self, axes: Floats, origin: Floats) -> Solid:
-        """The same in another frame: `axes` [3, 3] (rows: x, y, z of this frame there, orthonormal), `origin` [3].
-
-        A mirroring would turn normals inwards, so faces are then traversed the other way round.
-        """
-        mirrored = float(np.linalg.det(axes)) < 0
-        return Solid(self.vertices @ axes + origin, self.faces[:, ::-1] if mirrored else self.faces)
-
-
-def together(solids: list[Solid]) -> Solid:
-    """Join solids into one, in their order; the empty list gives one without faces."""
-    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
-    vertices = [solid.vertices for solid in solids]
-    faces = [solid.faces + np.int32(start) for solid, start in zip(solids, starts[:-1], strict=True)]
-    none = np.empty((0, 3))
-    return Solid(np.concatenate([none, *vertices]), np.concatenate([none.astype(np.int32), *faces]))
-
-
-def cuboid(size_m: tuple[float, float, float], centre_m: tuple[float, float, float]) -> Solid:
-    """A cuboid of 12 triangles with faces along the axes. size_m, centre_m: [3], metres."""
-    return Solid(_CORNERS * np.asarray(size_m) + np.asarray(centre_m), _FACES)
-
-
-def turned_solid(profile_m: list[tuple[float, float]]) -> Solid:
-    """A closed solid of revolution about y. profile_m: (radius, height) from the bottom up, metres."""
-    angles = np.arange(_SEGMENTS) * (2 * math.pi / _SEGMENTS)
-    around = np.stack([np.cos(angles), np.zeros(_SEGMENTS), np.sin(angles)], axis=1)
-    rings = [around * radius + (0.0, height, 0.0) for radius, height in profile_m]
-    ends = np.array([[0.0, profile_m[0][1], 0.0], [0.0, profile_m[-1][1], 0.0]])
-    here = np.arange(_SEGMENTS)
-    after, last = (here + 1) % _SEGMENTS, len(rings) * _SEGMENTS
-    faces = [np.stack([np.full(_SEGMENTS, last), here, after], axis=1)]
-    for ring in range(len(rings) - 1):
-        low, high = ring * _SEGMENTS, (ring + 1) * _SEGMENTS
-        faces += [
-            np.stack([low + here, high + here, high + after], axis=1),
-            np.stack([low + here, high + after, low + after], axis=1),
-        ]
-    top = last - _SEGMENTS
-    faces.append(np.stack([top + here, np.full(_SEGMENTS, last + 1), top + after], axis=1))
-    return Solid(np.concatenate([*rings, ends]), np.concatenate(faces).astype(np.int32))
 
 
 class Numbers:

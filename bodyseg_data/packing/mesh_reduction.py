@@ -57,7 +57,7 @@ _REST: Final = {
 
 @dataclass(frozen=True)
 class Reduction:
-    """A coarser mesh. landmarks: int64 [33], the vertices that are the landmarks. error_m: its `range_error`.
+    """A coarser mesh. landmarks: int64 [N], the vertices of the marks. error_m: its `range_error`.
 
     note: one line on the reduction, or on why none was possible; None for a mesh that is as coarse as it may be.
     """
@@ -84,9 +84,12 @@ def reduced_body(
     if tolerance_mm == 0 or (tolerance_mm is None and len(body.mesh.faces) < PAYS_FROM):
         return body
     tolerance_m = TOLERANCE_M if tolerance_mm is None else tolerance_mm / 1000
-    reduction = reduce(body.mesh, body.landmarks, tolerance_m, rig, distance_cm, pitches_deg)
+    marks = np.array([*body.landmarks, *(piece.vertex for piece in body.pieces)], np.int64)
+    reduction = reduce(body.mesh, marks, tolerance_m, rig, distance_cm, pitches_deg)
     notes = body.notes if reduction.note is None else (*body.notes, reduction.note)
-    return replace(body, mesh=reduction.mesh, landmarks=reduction.landmarks, notes=notes)
+    landmarks, others = np.split(reduction.landmarks, [len(body.landmarks)])
+    pieces = tuple(replace(piece, vertex=int(at)) for piece, at in zip(body.pieces, others, strict=True))
+    return replace(body, mesh=reduction.mesh, landmarks=landmarks, notes=notes, pieces=pieces)
 
 
 def reduce(
@@ -99,7 +102,7 @@ def reduce(
 ) -> Reduction:
     """A mesh of few triangles whose ranges are those of `mesh` within the tolerance.
 
-    landmarks: int64 [33], vertices of `mesh`. tolerance_m: metres, positive; `range_error` of the result is at most
+    landmarks: int64 [N], vertices of `mesh`. tolerance_m: metres, positive; `range_error` of the result is at most
     that, as the rig's camera sees it from four sides at each pitch, `distance_cm` away. The triangles round landmarks
     and at open edges stay as they are, and so does the bounding box, by which views are placed. No piece goes, none is
     joined to another. The same mesh gives the same bits each time.

@@ -29,7 +29,6 @@ from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.checking import find_faults
 from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
 from bodyseg_data.packing.sampler import Sampler, body_key
@@ -212,7 +211,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     source = packing.opened(plan)
     nearest_cm = min(packing.views.distances_cm)
     built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm, packing.views.pitches_deg)
-    parts = partition(built.mesh, built.landmarks, packing.geodesics)
+    parts = built.partition(packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
         sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, packing.things)

@@ -12,7 +12,7 @@ from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_tests
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import Sample, SampleInfo, steps
+from bodyseg_data.core.sample import HELD, Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
@@ -55,6 +55,7 @@ class Sampler:
         self._tests = shadow_tests(rig)
         corners = parts.labels[mesh.faces]
         whole = (corners == corners[:, :1]).all(axis=1)
+        self._holding = bool((parts.labels == BACKGROUND).any())
         self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
         self._normals, self._offsets = (
             mesh.normals,
@@ -103,7 +104,7 @@ class Sampler:
             view.pitch_deg,
             view.roll_deg,
             view.height_cm,
-            *(() if things is None else (self._place, round(100 * things.hidden))),
+            *((HELD if self._holding else "",) if things is None else (self._place, round(100 * things.hidden))),
         )
         second = facing[1] if len(facing) == 2 else None
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)

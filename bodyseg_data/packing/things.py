@@ -19,7 +19,8 @@ from bodyseg_data.core.rig import PlacedCamera, axes_at
 from bodyseg_data.core.sample import FARTHEST_STEPS
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, together
+from bodyseg_data.meshes.solids import Solid, together
+from bodyseg_data.packing.furniture import FURNITURE, Numbers
 from bodyseg_data.rendering.renderer import Renderer, Surface
 
 ThingsPlace = Literal["none", "before", "behind", "both"]

@@ -13,7 +13,6 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.sampler import faces_towards, sample_key
 from bodyseg_data.rendering import open_renderer
 from bodyseg_model.stability.correspondence import RenderedBody
@@ -94,7 +93,7 @@ def _frame(
     rendered = RenderedBody(body.mesh, camera, renderer.render(camera))
     lit = [renderer.render(projector).range for projector in projectors]
     renderer.close()
-    labels = rendered.labels(partition(body.mesh, body.landmarks))
+    labels = rendered.labels(body.partition())
     facing = []
     for projector in projectors:
         facing.append(np.zeros(labels.shape, np.bool_))

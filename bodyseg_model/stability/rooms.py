@@ -20,8 +20,9 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator, stream
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, cuboid, together
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.meshes.solids import Solid, cuboid, together
+from bodyseg_data.packing.furniture import FURNITURE, Numbers
 from bodyseg_data.rendering.raster import RasterRenderer
 
 MOST_PEOPLE: Final = 3
@@ -95,7 +96,7 @@ class Rooms:
 
     def _build(self, index: int) -> _Person:
         built = self._source.build(self._bodies[index])
-        return _Person(built.mesh, partition(built.mesh, built.landmarks) if self._parts else None)
+        return _Person(built.mesh, built.partition() if self._parts else None)
 
     def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Place]]) -> Room:
         shape = camera.camera.rows, camera.camera.columns

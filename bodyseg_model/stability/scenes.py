@@ -24,7 +24,7 @@ from bodyseg_data.core.views import View
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.things import draw_things, in_front
 from bodyseg_data.rendering import open_renderer
@@ -122,7 +122,7 @@ class Scenes:
             name = sample.info.mesh
             if name not in built:
                 body = source.build(refs[name])
-                parts = partition(body.mesh, body.landmarks)
+                parts = body.partition()
                 built[name] = _PosedBody(refs[name], body.mesh, parts, open_renderer("raster", body.mesh), 0)
             posed.append(replace(built[name], azimuth_deg=sample.info.azimuth_deg))
             self._progress(len(posed), self._count)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bodyseg_data.core.randomness import stream
-from bodyseg_data.packing.furniture import FURNITURE, Numbers, Solid, cuboid, together, turned_solid
+from bodyseg_data.meshes.solids import Solid, cuboid, together, turned_solid
+from bodyseg_data.packing.furniture import FURNITURE, Numbers
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
 

@@ -25,7 +25,7 @@ from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.views import View
 from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.furniture import Solid, cuboid, together
+from bodyseg_data.meshes.solids import Solid, cuboid, together
 from bodyseg_data.packing.pack import Packing, plan
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, in_front, nearest

@@ -56,11 +56,7 @@ class AnnyModel:
             vertices, faces = finer(vertices), finer.faces
             if dressed:
                 vertices = wardrobe.worn(vertices)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        offset = np.array([(low[0] + high[0]) / 2, low[1] - figure.height_m, (low[2] + high[2]) / 2])
-        # To the micrometre, which hides nearly all differences between processors in the last bits.
-        rounded: NDArray[np.float64] = np.round(vertices - offset, _DECIMALS) + 0.0  # which makes -0 into 0
-        return rounded, faces
+        return standing(vertices, figure.height_m), faces
 
     def posable(self, who: Person) -> Posable:
         """Return a person's surface and skeleton at rest, to be posed without Anny."""
@@ -117,3 +113,12 @@ class AnnyModel:
         for bone, rotation in bone_rotations(pose).items():
             turns[0, self._bones[bone], :3, :3] = BODY_FROM_ANNY.T @ rotation @ BODY_FROM_ANNY
         return self._torch.from_numpy(turns)
+
+
+def standing(vertices: NDArray[np.float64], height_m: float = 0.0) -> NDArray[np.float64]:
+    """Return vertices [V, 3] over the origin, the lowest one `height_m` above the floor, rounded to the micrometre."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    offset = np.array([(low[0] + high[0]) / 2, low[1] - height_m, (low[2] + high[2]) / 2])
+    # To the micrometre, which hides nearly all differences between processors in the last bits.
+    rounded: NDArray[np.float64] = np.round(vertices - offset, _DECIMALS) + 0.0  # which makes -0 into 0
+    return rounded

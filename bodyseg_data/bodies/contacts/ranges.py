@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
+
+Name = TypeVar("Name", bound=str)
 
 Ranges = dict[str, tuple[float, float]]
 """Least and most of an angle in degrees, or of a length in metres, by its name."""
@@ -43,7 +45,7 @@ def uniform(draws: np.random.Generator, low: float, high: float) -> float:
     return float(low + (high - low) * draws.random())
 
 
-def chosen(weights: dict[str, float], draws: np.random.Generator) -> str:
+def chosen(weights: dict[Name, float], draws: np.random.Generator) -> Name:
     """Draw a name with a chance in proportion to its weight."""
     sums = np.cumsum([*weights.values()])
     return [*weights][int(np.searchsorted(sums, draws.random() * sums[-1], side="right"))]

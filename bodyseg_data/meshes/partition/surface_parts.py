@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition.borders import Borders, find_borders
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, check_method, nearest_sources
+from bodyseg_data.meshes.partition.pieces import Piece, label_pieces
 from bodyseg_data.meshes.topology import components
 
 _FEATURE: Final = "partitioning a body"
@@ -24,10 +26,11 @@ _FEATURE: Final = "partitioning a body"
 class Partition:
     """The part of every vertex of one mesh, and of every point of its triangles.
 
-    labels: uint8 [V], 0 to 32, index in `parts.PARTS`. distance: float64 [V], metres along the surface to the
-    landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex that
-    no face uses), where the label is that of the nearest reached triangle in a straight line. borders: the triangles
-    that parts share. note: repairs and a change of method in words, or None.
+    labels: uint8 [V], 0 to 32, index in `parts.PARTS`; 255 on things. distance: float64 [V], metres along the surface
+    to the landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex
+    that no face uses), where the label is that of the nearest reached triangle in a straight line, or, on a `Piece`,
+    of the nearest vertex of the parts that it covers. borders: the triangles that parts share. note: repairs and a
+    change of method in words, or None.
     """
 
     labels: NDArray[np.uint8]
@@ -49,11 +52,13 @@ class Partition:
         return chosen
 
 
-def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact") -> Partition:
+def partition(
+    mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact", pieces: Sequence[Piece] = ()
+) -> Partition:
     """Label every vertex of `mesh` with its nearest landmark along the surface.
 
     landmarks: vertex indices [33] of any integer dtype, one for each of `parts.PARTS`, in that order. method: of
-    measuring distances (`geodesics.nearest_sources`).
+    measuring distances (`geodesics.nearest_sources`). pieces: those that lie over the body (`Body.pieces`).
 
     Defects that prevent distances along the surface are mended first (`mending.mend`): seams that are not welded,
     duplicate and degenerate faces, edges with more than two faces. If `method` fails even so,
@@ -62,9 +67,9 @@ def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod =
     A body of several pieces, like a head with separate eyes, may have landmarks on some of them only: a vertex of
     any other piece gets the label of the nearest labelled triangle, of that triangle's corner nearest to it.
 
-    Raises BadLandmarks for landmarks that are not 33 vertices at distinct points of the surface, BadConfig for an
-    unknown method, MissingLibrary without pygeodesic (potpourri3d for `marching` and `heat`), scipy,
-    trimesh or rtree.
+    Raises BadLandmarks for landmarks that are not 33 vertices at distinct points of the surface or pieces that are not
+    over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic (potpourri3d for `marching` and
+    `heat`), scipy, trimesh or rtree.
     """
     check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks)
@@ -79,7 +84,7 @@ def partition(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod =
         labels, distance, note = _nearest_landmarks(mesh, landmarks, mended, method)
     notes += [] if note is None else [note]
     line = f"distances by the method {method!r}: {', '.join(notes)}" if notes else None
-    return _with_borders(mesh, mended, labels, distance, line)
+    return _with_borders(mesh, mended, labels, distance, line, pieces)
 
 
 def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod) -> Partition:
@@ -98,7 +103,7 @@ def _nearest_landmarks(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
     """Labels [V] and distances [V] from the landmarks along `surface`, and the method's note. Raises Unanswerable."""
     sources = surface.representative[landmarks]
-    piece = components(len(mesh.vertices), surface.faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    piece = _connected(mesh, surface)
     faces = surface.faces[np.isin(piece[surface.faces[:, 0]], piece[sources])]
     # Renumbered: no method accepts vertices without faces, and pieces without landmarks only cost time.
     used, corners = np.unique(faces, return_inverse=True)
@@ -109,10 +114,23 @@ def _nearest_landmarks(
     return labels[surface.representative], distance[surface.representative], nearest.note
 
 
+def _connected(mesh: Mesh, surface: MendedSurface) -> NDArray[np.int32]:
+    """Index of the connected piece of each vertex, int32 [V]."""
+    return components(len(mesh.vertices), surface.faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+
+
 def _with_borders(
-    mesh: Mesh, surface: MendedSurface, labels: NDArray[np.uint8], distance: NDArray[np.float64], note: str | None
+    mesh: Mesh,
+    surface: MendedSurface,
+    labels: NDArray[np.uint8],
+    distance: NDArray[np.float64],
+    note: str | None,
+    pieces: Sequence[Piece] = (),
 ) -> Partition:
-    unreached = np.flatnonzero(~np.isfinite(distance))
+    reached = np.isfinite(distance)
+    if pieces:
+        reached |= label_pieces(mesh, pieces, _connected(mesh, surface), labels, distance)
+    unreached = np.flatnonzero(~reached)
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
         nearest, _ = nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached], _FEATURE)

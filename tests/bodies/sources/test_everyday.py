@@ -130,3 +130,15 @@ def test_drawn_poses_are_pinned() -> None:
     pose = drawn(1).pose
     assert drawn(1).contacts == ("in the air", "palm on chest")
     assert (pose.left_leg.flex, pose.left_leg.knee) == (7.3, 33.4)
+
+
+def test_what_people_wear_is_drawn_from_their_names_and_goes_into_the_mesh() -> None:
+    """Body 39 stands in a coat and shoes, with long hair."""
+    ref = source().bodies()[39]
+    attire = source().attire(ref)
+    assert attire == EverydayBodies().attire(ref) and None not in (attire.drape, attire.hair, attire.shoes)
+    built, bare = source().build(ref), source().build(ref, dressed=False)
+    assert len(built.pieces) == 4 and not bare.pieces and len(bare.mesh.vertices) < len(built.mesh.vertices)
+    assert built.mesh.vertices[:, 1].min() == 0
+    again = source().build(ref).mesh
+    assert again.vertices.tobytes() == built.mesh.vertices.tobytes() and (again.faces == built.mesh.faces).all()

@@ -15,7 +15,6 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
 from bodyseg_data.drawing.style import new_chart, save_chart
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
 _COLOURS: Final = {
@@ -74,7 +73,7 @@ def _render(crop: dict[str, Any]) -> tuple[Foreground, NDArray[np.bool_]]:
     rig = with_baseline(load_rig(), group.baseline_m)
     (body,) = bodies_of(group.source, [crop["pose"]])
     built = open_source(group.source).build(body)
-    parts = partition(built.mesh, built.landmarks)
+    parts = built.partition()
     placed, renderer = View(crop["distance_cm"], crop["azimuth_deg"]), EmbreeRenderer(built.mesh)
     view = exact_view(rig, renderer, built, body, placed, parts=parts, source=group.source, scales=SCALES)
     return Foreground(group, view), ShadowTest(rig).lit(*view.images(1))

@@ -18,7 +18,7 @@ from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import Sampler, surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
@@ -219,7 +219,7 @@ def exact_views(
     for index, body in enumerate(bodies[:count]):
         built = made.build(body)
         renderer = EmbreeRenderer(built.mesh)
-        parts = partition(built.mesh, built.landmarks) if labelled else None
+        parts = built.partition() if labelled else None
         for turn in range(index, count, len(bodies)):
             view = mixed(grid, turn)
             yield exact_view(rig, renderer, built, body, view, parts=parts, source=source, scales=scales)

@@ -26,7 +26,6 @@ from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.pack import evenly_sampled
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
@@ -128,7 +127,7 @@ def _render(source: MadeBodies, bodies: Sequence[BodyRef], rig: Rig) -> None:
     for body in bodies:
         built = source.build(body)
         renderer = open_renderer("raster", built.mesh)
-        sampler = Sampler(renderer, rig, built.mesh, partition(built.mesh, built.landmarks), source.name, body)
+        sampler = Sampler(renderer, rig, built.mesh, built.partition(), source.name, body)
         for view in ViewGrid(count=_VIEWS_A_BODY):
             sampler.take(view)
         renderer.close()
