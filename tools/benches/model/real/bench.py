@@ -78,8 +78,6 @@ def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progr
     placements = load_placements(Path(data))
     stored = read_recording(Path(data), views)
     shadow, mirrored = settled(stored)
-    frames = [frame.mirrored() for frame in stored] if mirrored else stored
-    placements = placements.mirrored() if mirrored else placements
     turned = [frame.mirrored() for frame in stored] if mirrored else stored
     placements = placements.mirrored() if mirrored else placements
     with one_thread():
