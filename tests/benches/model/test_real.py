@@ -158,6 +158,14 @@ def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: Fu
     assert 0.5 * person < total < 0.95 * person
 
 
+def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface) -> None:
+    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+    points = on(body, PLACES)
+    known = surface_labels(fused, points, numbers)
+    fewer = surface_labels(fused, points[:-1], numbers[:-1], points[-1:])
+    np.testing.assert_array_equal(fewer, np.where(known == numbers[-1], BACKGROUND, known))
+
+
 def test_landmarks_off_the_surface_are_refused(fused: FusedSurface) -> None:
     with pytest.raises(BadConfig, match="within 30 mm of the fused surface, found Sellion at .* mm: are they of this"):
         surface_labels(fused, np.array([[0.0, -0.6, 0.0]]), np.array([0]))

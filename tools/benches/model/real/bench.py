@@ -151,7 +151,9 @@ def true_labels(
         "first": placements.first,
         "second": placements.second,
     }
-    labels = {name: surface_labels(fused, each, placements.labels) for name, each in points.items()}
+    labels = {
+        name: surface_labels(fused, each, placements.labels, placements.left_out) for name, each in points.items()
+    }
     tree = KDTree(fused.vertices)
     return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}, {
         **repeatability(placements, labels["first"], labels["second"]),
