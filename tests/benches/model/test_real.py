@@ -269,9 +269,9 @@ def test_a_mirrored_recording_has_the_same_scores(
     table = {name: [-x, y, z] for name, (x, y, z) in zip(SEEN, on(body, PLACES).tolist(), strict=True)}
     (tmp_path / "mirrored" / "landmarks.json").write_text(json.dumps({"first": table, "second": table}))
     monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
-    plain = bench_real(str(tmp_path / "plain"), views=6)
+    plain = bench_real(str(tmp_path / "plain"), views=9)
     monkeypatch.setattr(bench, "settled", lambda frames: (None, True))
-    turned = bench_real(str(tmp_path / "mirrored"), views=6)
+    turned = bench_real(str(tmp_path / "mirrored"), views=9)
     assert turned["mirrored"]["frames"] is True
     for name in ("accuracy", "pixel_accuracy", "share_of_the_person"):
         assert turned["scores"][name] == pytest.approx(plain["scores"][name], abs=0.02)
