@@ -95,7 +95,8 @@ def fitted(frames: Sequence[Frame], surface: FusedSurface) -> list[Frame]:
 
 def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
     """Median distance of each frame's points to the surface, along its normals, float64, metres; of frames that
-    have enough of them there."""
+    have enough of them there.
+    """
     from scipy.spatial import KDTree
 
     tree = KDTree(surface.vertices)
