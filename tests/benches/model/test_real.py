@@ -158,6 +158,14 @@ def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: Fu
     assert 0.5 * person < total < 0.95 * person
 
 
+def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface) -> None:
+    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+    points = on(body, PLACES)
+    known = surface_labels(fused, points, numbers)
+    fewer = surface_labels(fused, points[:-1], numbers[:-1], points[-1:])
+    np.testing.assert_array_equal(fewer, np.where(known == numbers[-1], BACKGROUND, known))
+
+
 def test_landmarks_off_the_surface_are_refused(fused: FusedSurface) -> None:
     with pytest.raises(BadConfig, match="within 30 mm of the fused surface, found Sellion at .* mm: are they of this"):
         surface_labels(fused, np.array([[0.0, -0.6, 0.0]]), np.array([0]))
@@ -250,7 +258,26 @@ def test_what_the_bench_finds(body: Mesh, frames: list[Frame], tmp_path: Path, m
     json.dumps(figures)
     draw_real(figures, tmp_path / "real.png")
     with Image.open(tmp_path / "real.png") as picture:
-        assert picture.width > 400 and picture.height > 200
+        assert picture.width > 300 and picture.height > 200
+
+
+def test_a_mirrored_recording_has_the_same_scores(
+    body: Mesh, frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "plain", frames, body)
+    write(tmp_path / "mirrored", [frame.mirrored() for frame in frames], body)
+    table = {name: [-x, y, z] for name, (x, y, z) in zip(SEEN, on(body, PLACES).tolist(), strict=True)}
+    (tmp_path / "mirrored" / "landmarks.json").write_text(json.dumps({"first": table, "second": table}))
+    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
+    plain = bench_real(str(tmp_path / "plain"), views=9)
+    monkeypatch.setattr(bench, "settled", lambda frames: (None, True))
+    turned = bench_real(str(tmp_path / "mirrored"), views=9)
+    assert turned["mirrored"]["frames"] is True
+    for name in ("accuracy", "pixel_accuracy", "share_of_the_person"):
+        assert turned["scores"][name] == pytest.approx(plain["scores"][name], abs=0.02)
+    for part in SEEN:
+        accuracies = [each["scores"]["parts"][part]["accuracy"] for each in (turned, plain)]
+        assert accuracies[0] == pytest.approx(accuracies[1], abs=0.04)
 
 
 def test_recordings_that_cannot_be_read_are_refused(body: Mesh, frames: list[Frame], tmp_path: Path) -> None:

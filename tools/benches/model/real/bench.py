@@ -78,8 +78,6 @@ def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progr
     placements = load_placements(Path(data))
     stored = read_recording(Path(data), views)
     shadow, mirrored = settled(stored)
-    frames = [frame.mirrored() for frame in stored] if mirrored else stored
-    placements = placements.mirrored() if mirrored else placements
     turned = [frame.mirrored() for frame in stored] if mirrored else stored
     placements = placements.mirrored() if mirrored else placements
     with one_thread():
@@ -153,7 +151,9 @@ def true_labels(
         "first": placements.first,
         "second": placements.second,
     }
-    labels = {name: surface_labels(fused, each, placements.labels) for name, each in points.items()}
+    labels = {
+        name: surface_labels(fused, each, placements.labels, placements.left_out) for name, each in points.items()
+    }
     tree = KDTree(fused.vertices)
     return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}, {
         **repeatability(placements, labels["first"], labels["second"]),

@@ -27,6 +27,7 @@ _RIM: Final = 0.2  # of the surface's height, from below: a boundary that reache
 _NEAR_M: Final = 0.02  # a pixel's point farther from the surface than this has no counterpart there
 _FACING: Final = 0.7  # least cosine between its normal and the surface's
 _STEPS: Final = 6  # of fitting one frame
+_LEAST_MATCHES: Final = 100  # a frame with fewer stays where it is
 _PIXELS: Final = 4000  # of a frame that fitting uses
 
 
@@ -78,6 +79,8 @@ def fitted(frames: Sequence[Frame], surface: FusedSurface) -> list[Frame]:
         sample, placed = _sample(frame), frame.placed
         for _ in range(_STEPS):
             points, vertices = _matches(sample, placed, surface, tree)
+            if len(points) < _LEAST_MATCHES:
+                break
             normals = surface.normals[vertices]
             away = ((points - surface.vertices[vertices]) * normals).sum(axis=1)
             middle = points.mean(axis=0)
@@ -91,7 +94,9 @@ def fitted(frames: Sequence[Frame], surface: FusedSurface) -> list[Frame]:
 
 
 def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
-    """Median distance of each frame's points to the surface, along its normals, float64 [frames], metres."""
+    """Median distance of each frame's points to the surface, along its normals, float64, metres; of frames that
+    have enough of them there.
+    """
     from scipy.spatial import KDTree
 
     tree = KDTree(surface.vertices)
@@ -99,7 +104,8 @@ def residuals_m(frames: Sequence[Frame], surface: FusedSurface) -> Floats:
     for frame in frames:
         points, vertices = _matches(_sample(frame), frame.placed, surface, tree)
         away = ((points - surface.vertices[vertices]) * surface.normals[vertices]).sum(axis=1)
-        medians.append(np.median(np.abs(away)))
+        if len(points) >= _LEAST_MATCHES:
+            medians.append(np.median(np.abs(away)))
     return np.array(medians)
 
 

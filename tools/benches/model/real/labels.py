@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,12 +34,14 @@ Labels = NDArray[np.uint8]
 @dataclass(frozen=True)
 class Placements:
     """The landmarks that are seen, placed twice. names: of `parts.LANDMARKS`. first, second: float64 [N, 3], metres, in
-    the world of the recording as it is stored, mirrored or not.
+    the world of the recording as it is stored, mirrored or not. left_out: [M, 3], where landmarks may be that cannot be
+    placed, at their nearest to those that can: what is nearest to them gets no label.
     """
 
     names: tuple[str, ...]
     first: Floats
     second: Floats
+    left_out: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def labels(self) -> NDArray[np.int64]:
@@ -55,7 +57,7 @@ class Placements:
     def mirrored(self) -> Placements:
         """The same in a world with left and right exchanged, where names are the person's own sides."""
         flip = np.array([-1.0, 1.0, 1.0])
-        return Placements(self.names, self.first * flip, self.second * flip)
+        return Placements(self.names, self.first * flip, self.second * flip, self.left_out * flip)
 
 
 def load_placements(folder: Path) -> Placements:
@@ -67,33 +69,37 @@ def load_placements(folder: Path) -> Placements:
     path = path if path.is_file() else KINECT_V1
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-        tables = [tree["first"], tree["second"]]
+        tables = [tree["first"], tree["second"], tree.get("left_out", {})]
         points = [np.array(list(table.values()), np.float64).reshape(-1, 3) for table in tables]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadLandmarks(f"landmarks {path}: needs 'first' and 'second', names with x, y, z: {error}") from error
     names = tuple(tables[0])
-    if not names or tuple(tables[1]) != names or not {*names} <= {*LANDMARKS}:
+    if not names or tuple(tables[1]) != names or not {*names, *tables[2]} <= {*LANDMARKS}:
         raise BadLandmarks(f"landmarks {path}: both tables need the same names of the 33, found {tables}")
-    return Placements(names, points[0], points[1])
+    return Placements(names, *points)
 
 
-def surface_labels(surface: FusedSurface, points: Floats, labels: NDArray[np.int64]) -> Labels:
+def surface_labels(
+    surface: FusedSurface, points: Floats, labels: NDArray[np.int64], left_out: Floats | None = None
+) -> Labels:
     """Part of every vertex, uint8 [V]: that of the nearest landmark along the surface; `BACKGROUND` where the rim is
-    nearer, as a landmark that is not seen may lie just behind it.
+    nearer, as a landmark that is not seen may lie just behind it, or a point of `left_out` [M, 3].
 
-    points: [N, 3], metres, of the landmarks that are seen. labels: their parts, [N]. Every landmark that is not in
-    `points` must lie beyond the rim. Raises BadConfig if a landmark is not on the surface.
+    points: [N, 3], metres, of the landmarks that are seen. labels: their parts, [N]. Every other landmark must lie
+    beyond the rim, or no nearer than its point of `left_out`. Raises BadConfig if a landmark is not on the surface.
     """
     from scipy.spatial import KDTree
 
-    away, vertices = KDTree(surface.vertices).query(points)
+    tree = KDTree(surface.vertices)
+    away, vertices = tree.query(points)
     if away.max() > OFF_SURFACE_M:
         worst = int(away.argmax())
         raise BadConfig(
             f"landmarks must lie within {1000 * OFF_SURFACE_M:g} mm of the fused surface, found "
             f"{LANDMARKS[labels[worst]]} at {1000 * away[worst]:.0f} mm: are they of this recording?"
         )
-    rim = np.setdiff1d(surface.rim, vertices)
+    unknown = surface.rim if left_out is None else np.concatenate([surface.rim, tree.query(left_out)[1]])
+    rim = np.setdiff1d(unknown, vertices)
     sources = np.concatenate([vertices, rim])
     try:
         nearest = nearest_sources("exact", surface.vertices, surface.faces, sources)
