@@ -56,7 +56,7 @@ def test_patches_of_a_moving_body_are_a_lower_bound() -> None:
 def test_stripes_and_their_direction(along: str) -> None:
     found = losses_of(recorded(StripeLoss(0.12, 0.12, along), frames=8))  # type: ignore[arg-type]
     assert "stripe_loss" in needed(found) and found["stripe_loss"].strengths["along"] == along
-    assert found["stripe_loss"].estimates["share"].value == pytest.approx(0.12, rel=0.1)
+    assert found["stripe_loss"].estimates["share"].value == pytest.approx(0.12, rel=0.15)
 
 
 @pytest.mark.parametrize(("width", "share"), [(1, 0.5), (2, 0.3)])

@@ -26,6 +26,7 @@ from benches.results.trainings import (
 )
 
 FAUST: Final = "data/faust"
+KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
 
 _BOX: Final = "runs/box"
@@ -68,7 +69,8 @@ def _shipped() -> Iterator[Step]:
         results = ((f"results/{to}.json", f"{to}.json"), *((("results/compact", "compact"),) if drawn else ()))
         yield Step(to, "results", words, results, reads=shipped)
     yield _bench("network", "--scores", f"{RESULTS}/compact.json", drawn=True, reads=shipped, alone=True)
-    yield _bench("people", "--data", FAUST, reads=shipped)
+    yield _bench("people", "--data", FAUST, "--alone", reads=shipped)
+    yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("things", "--views", "300", reads=shipped)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
@@ -101,6 +103,9 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability_fcn_alexnet_motion", ALEXNET_RUNS, parts=_MOTION)
     hidden = ("--parts", "images", "--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
     yield _stability_of("stability_hidden", (_BOX,), _BOX_LINKS, parts=hidden)
+    sweeps = ("patches", "stripes", "crop_above", "crop_below", "tilt")
+    harms = ("--parts", "images", "--sweeps", *sweeps, "--images", "20", "--threads", "1")
+    yield _stability_of("stability_shipped", (_BOX,), _BOX_LINKS, parts=harms)
 
 
 def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), parts: tuple[str, ...] = _STILL_IMAGES) -> Step:
