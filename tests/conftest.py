@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
+import hypothesis
 import pytest
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
@@ -18,6 +19,10 @@ from small_rig import SMALL
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
+
+# No test depends on how busy the machine is.
+hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
     "packing/test_pack.py",

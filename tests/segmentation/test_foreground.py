@@ -126,7 +126,7 @@ def on_one_surface(a: float, b: float) -> bool:
     return bool((np.diff(ends) / np.maximum(JUMP_M, JUMP_SHARE * middles)).sum() <= 1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 7), st.integers(1, 14)),
     st.integers(0, 2**32 - 1),

@@ -150,7 +150,7 @@ bodies = st.tuples(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(bodies)
 def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, float, float, float, int, bool]) -> None:
     rows, columns, scale, middle, filled, seed, mirrored = case

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -82,7 +82,6 @@ def test_samples_of_one_shard_are_spread_over_the_whole_pass() -> None:
         assert shard.min() < 50 < 950 < shard.max()
 
 
-@settings(deadline=None)
 @given(st.integers(1, 200), st.integers(1, 9), st.integers(1, 7), st.booleans(), st.integers(0, 3))
 def test_ranks_share_an_epoch_out_without_loss(
     count: int, batch_size: int, world_size: int, drop_last: bool, epoch: int
@@ -113,7 +112,6 @@ def test_ranks_share_an_epoch_out_without_loss(
         assert len(together) == len(alone)
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_a_pass_goes_on_with_other_ranks_and_batch_sizes(data: st.DataObject) -> None:
     images = Numbers(data.draw(st.integers(8, 150)), seed=data.draw(st.integers(0, 5)))
