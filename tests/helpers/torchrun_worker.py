@@ -1,14 +1,14 @@
-"""Program that torchrun starts: a few batches of a loader, then trainings; dropout, which ranks draw apart, is off.
+"""Program that torchrun starts: a few batches of a loader, or a training; dropout, which ranks draw apart, is off.
 
-torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES TRAININGS
+torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES [TRAINING ...]
 
-This rank's keys and the state of its loader go to files in OUT; TRAININGS: a JSON list of command lines of `bodyseg`.
+Without a training, this rank's keys and the state of its loader go to files in OUT. TRAINING: a command line of
+`bodyseg`.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -37,10 +37,7 @@ def batches(out: Path, folder: str, count: int) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[4:]:
+        nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]
+        sys.exit(main(sys.argv[4:]))
     batches(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))
-    nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]
-    for number, words in enumerate(json.loads(sys.argv[4]), 1):
-        # As torchrun counts when it starts processes again: each process group finds its addresses, not the last one's.
-        os.environ["TORCHELASTIC_RESTART_COUNT"] = str(number)
-        if status := main(words):
-            sys.exit(status)

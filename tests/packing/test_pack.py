@@ -21,15 +21,13 @@ from folders import HELPERS
 from processes import start_interruptible
 from small_rig import SMALL
 
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.views import Drawn, ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.pack import Packing, evenly_sampled, plan
 from bodyseg_data.packing.state import STATE_NAME, claimed
 from bodyseg_data.shards.manifest import read_manifest
@@ -154,16 +152,17 @@ def test_a_restart_renders_only_what_is_missing(tmp_path: Path, pack_figures: Pa
 def test_notes_of_a_body_are_in_the_shard_where_it_begins_also_after_a_restart(
     tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    build, divide = Figures.build, packing.partition
+    build, divide = Figures.build, Body.partition
     monkeypatch.setattr(
         Figures, "build", lambda self, body: replace(build(self, body), notes=("closed 2 holes",) * (body.mesh < "B"))
     )
 
-    def parted(mesh: Mesh, *rest: Any, **options: Any) -> Partition:
-        parts = divide(mesh, *rest, **options)
-        return replace(parts, note="by the edge graph: an edge has three faces") if mesh.name == "people-1" else parts
+    def parted(body: Body, *rest: Any, **options: Any) -> Partition:
+        parts = divide(body, *rest, **options)
+        note = "by the edge graph: an edge has three faces"
+        return replace(parts, note=note) if body.mesh.name == "people-1" else parts
 
-    monkeypatch.setattr(packing, "partition", parted)
+    monkeypatch.setattr(Body, "partition", parted)
     out, known = tmp_path / "shards", dict[Any, Any]()
     with pytest.raises(Interrupted):
         pack_figures(out, Renders(known, 4), shard_samples=5)

@@ -130,4 +130,4 @@ def test_a_network_of_another_rig_labels_frames_as_well_as_its_images(
             matrix.add(image["labels"].numpy(), labels_of(image["range"][0].numpy()).labels)
         scores.append(matrix.pixel_accuracy())
     own, papers = scores
-    assert own > 0.5 and papers < own - 0.3
+    assert own > 0.4 and papers < own - 0.25
