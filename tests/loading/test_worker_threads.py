@@ -34,6 +34,7 @@ def worker_threads() -> list[threading.Thread]:
 
 @pytest.fixture(autouse=True)
 def _no_thread_is_left() -> Iterator[None]:
+    gc.collect()  # loaders of other files' tests
     assert worker_threads() == []
     yield
     gc.collect()
