@@ -112,7 +112,7 @@ def colour_labels(
     background: tuple[int, int, int] = (24, 26, 32),
     colours: NDArray[np.uint8] = COLOURS,
 ) -> NDArray[np.uint8]:
-    """Draw labels: uint8 [...] -> sRGB uint8 [..., 3]; `background` where a label has no colour.
+    """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3]; `background` where a label has no colour.
 
     colours: sRGB of every label from 0 on, uint8 [N, 3]; by default those of the 33 parts.
     """

@@ -101,9 +101,8 @@ def draw_parts(
     brightness = 0.42 + 0.62 * np.clip(facing @ (light / np.linalg.norm(light)), 0, 1)
     canvas = np.empty((*seen.face.shape, 3), np.uint8)
     canvas[:] = PAPER
-    canvas[rows, columns] = np.clip(
-        colour_labels(parts.labels_at(mesh, faces, points), THING) * brightness[:, None], 0, 255
-    )
+    colours = colour_labels(parts.labels_at(mesh, faces, points)[None], THING)[0]  # as an image of one row
+    canvas[rows, columns] = np.clip(colours * brightness[:, None], 0, 255)
     image = Image.fromarray(canvas).reduce(_SUPERSAMPLING)
 
     pixels, ranges = camera.project(mesh.vertices[landmarks])
