@@ -84,7 +84,7 @@ class Mesh:
 
     def signed_volume(self) -> float:
         """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""
-        return float(_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
+        return float(signed_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
 
     def _lowest_closed_volume(self) -> float:
         """Smallest signed volume, m3, of all closed connected pieces; infinite if no piece is closed."""
@@ -99,7 +99,7 @@ class Mesh:
         # Measured about one vertex of each piece: far from the piece, rounding would exceed its volume.
         origin = self.vertices[np.unique(piece, return_index=True)[1][numbers]]
         corners = self.vertices[faces] - origin[piece_of_face][:, None]
-        return float(np.bincount(piece_of_face, weights=_volumes(corners)).min())
+        return float(np.bincount(piece_of_face, weights=signed_volumes(corners)).min())
 
     def pieces(self, feature: str) -> NDArray[np.int32]:
         """Index of the connected piece of the surface that each vertex belongs to, int32 [V].
@@ -147,7 +147,7 @@ class Mesh:
         return np.stack([1 - v - w, v, w], axis=1)
 
 
-def _volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed volumes [F], m3, of the tetrahedra between the origin and triangles [F, 3, 3]."""
     volumes: NDArray[np.float64] = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     return volumes

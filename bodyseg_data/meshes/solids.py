@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.meshes.mesh import signed_volumes
+
 Floats = NDArray[np.float64]
 
 _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
@@ -34,7 +36,7 @@ class Solid:
     def volume(self) -> float:
         """Enclosed volume, m3; negative if normals point inwards."""
         corners = self.vertices[self.faces] - self.vertices.mean(axis=0)
-        return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+        return float(signed_volumes(corners).sum())
 
     def turned(self, angle_rad: float) -> Solid:
         """The same, rotated about the vertical axis y."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.real.recording import Floats, Frame
+from bodyseg_data.bodies.contacts.surface import vertex_normals
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.meshes.topology import components, find_edges
@@ -63,7 +64,7 @@ def fuse(frames: Sequence[Frame], voxel_m: float = VOXEL_M) -> FusedSurface:
     used, corners = np.unique(faces, return_inverse=True)
     vertices = low + voxel_m * points[used].astype(np.float64)
     faces = corners.reshape(-1, 3)
-    return FusedSurface(vertices, faces, _normals(vertices, faces), _rim(vertices, faces))
+    return FusedSurface(vertices, faces, vertex_normals(vertices, faces.astype(np.int32)), _rim(vertices, faces))
 
 
 def fitted(frames: Sequence[Frame], surface: FusedSurface) -> list[Frame]:
@@ -167,16 +168,6 @@ def _matches(
     near = np.isfinite(away)
     near[near] = ((sample[1][near] @ placed.axes) * surface.normals[vertices[near]]).sum(axis=1) > _FACING
     return points[near], vertices[near]
-
-
-def _normals(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], across)
-    unit: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return unit
 
 
 def _rim(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.int64]:
