@@ -141,7 +141,7 @@ PRESETS: Final[dict[str, Recipe]] = {
         balance=0.5,
         bf16=True,
         loss_stride=4,
-        geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.15),
+        geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3),
     ),
 }
 """Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
