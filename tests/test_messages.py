@@ -30,8 +30,8 @@ from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build
+from bodyseg_model.recordings.frames import metres_a_step
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frames import metres_a_step
 from bodyseg_model.segmentation.segmenter import Segmenter
 
 NONE: Any = None

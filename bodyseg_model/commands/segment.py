@@ -25,11 +25,11 @@ from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
 from bodyseg_model.networks.registry import device_of
-from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
-from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters

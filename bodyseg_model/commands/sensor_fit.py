@@ -15,9 +15,9 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.frames import find_frames, metres_a_step
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.frames import find_frames, metres_a_step
 from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.picture import draw_comparison
 from bodyseg_model.sensor_fit.recording import read_recording

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, Finding
 from bodyseg_model.sensor_fit.losses.outlines import outlines_of
 from bodyseg_model.sensor_fit.losses.pixel_losses import measure_losses

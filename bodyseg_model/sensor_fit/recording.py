@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.recordings.frames import FrameFile, to_metres
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.frames import FrameFile, to_metres
 from bodyseg_model.sensor_fit.masks import closing
 
 MOST_FRAMES: Final = 40

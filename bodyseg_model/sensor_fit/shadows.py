@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding
 from bodyseg_model.sensor_fit.recording import Frame, Recording
 

@@ -22,7 +22,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.sample import Sample
-from bodyseg_model.segmentation.cameras import other_sensors
+from bodyseg_model.recordings.cameras import other_sensors
 
 Origin = Literal["stored", "rendered"]
 

@@ -13,7 +13,7 @@ from fakes import Figures
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import Finding
 from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.recording import Recording

@@ -12,8 +12,8 @@ import pytest
 from pngs import png
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.files.output_folder import IMAGES, OutputFolder
-from bodyseg_model.segmentation.frames import find_frames
 
 
 @pytest.fixture

@@ -26,8 +26,8 @@ from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
-from bodyseg_model.segmentation.files.camera_files import cameras_beside
-from bodyseg_model.segmentation.frames import find_frames
+from bodyseg_model.recordings.camera_files import cameras_beside
+from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.undistortion import Undistortion
 

@@ -19,7 +19,7 @@ from bodyseg_model.commands import cli, segment
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
 from bodyseg_model.networks.registry import build
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.training.distributed import ProcessGroup

@@ -16,9 +16,9 @@ from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
 from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
 from bodyseg_data.artifacts.sensor_model import parse_sensor_model
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.recordings.cameras import frame_camera
+from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frames import find_frames
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.fit import ORDER, SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.recording import read_recording

@@ -12,9 +12,9 @@ from PIL import Image
 from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.recordings.cameras import frame_camera
+from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frames import find_frames
 from bodyseg_model.sensor_fit.recording import chosen_frames, read_recording
 
 CAMERA = frame_camera((60, 80), "a frame", focal_px=100.0).camera

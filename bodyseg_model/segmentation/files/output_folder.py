@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import read_json, write_json
-from bodyseg_model.segmentation.frames import FrameFile
+from bodyseg_model.recordings.frames import FrameFile
 
 FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""

@@ -19,7 +19,7 @@ from shapes import figure
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.segmentation.cameras import frame_camera
+from bodyseg_model.recordings.cameras import frame_camera
 
 KINECT = frame_camera((480, 640), "a Kinect").camera
 

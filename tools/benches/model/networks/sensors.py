@@ -28,7 +28,7 @@ from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.segmentation.cameras import other_sensors
+from bodyseg_model.recordings.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
 
 Method = Literal["as it is", "scaled", "turned and scaled"]

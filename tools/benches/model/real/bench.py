@@ -28,7 +28,7 @@ from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
 from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
-from bodyseg_model.segmentation.cameras import FrameCamera, assumed_sensors
+from bodyseg_model.recordings.cameras import FrameCamera, assumed_sensors
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
 from bodyseg_model.sensor_fit.recording import Recording as ShadowRecording

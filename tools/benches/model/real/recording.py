@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from benches.measuring import evenly_spaced
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera, PlacedCamera
+from bodyseg_model.recordings.frames import find_frames, to_metres
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.frames import find_frames, to_metres
 
 BACKGROUND: Final = Background()
 """The rule by which people are found: that of `bodyseg segment` by default."""

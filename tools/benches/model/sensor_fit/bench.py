@@ -15,7 +15,7 @@ from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_model.segmentation.cameras import FrameCamera
+from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, Finding
 from bodyseg_model.sensor_fit.fit import fit_sensor
 

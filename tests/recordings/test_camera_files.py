@@ -15,9 +15,9 @@ from pngs import png
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
-from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
-from bodyseg_model.segmentation.frames import find_frames
+from bodyseg_model.recordings.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.frames import find_frames
 
 PLAIN = {"fx": 50.0, "fy": 50.0, "cx": 19.5, "cy": 14.5}
 

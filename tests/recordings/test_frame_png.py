@@ -10,7 +10,7 @@ import pytest
 from pngs import RAMP, png
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.files.frame_png import parse_frame
+from bodyseg_model.recordings.frame_png import parse_frame
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:

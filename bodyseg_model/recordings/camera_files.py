@@ -20,9 +20,9 @@ from bodyseg_data.core.files import refuse_special
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_data.core.tables import Table
-from bodyseg_model.segmentation.cameras import FrameCamera
-from bodyseg_model.segmentation.files.frame_tars import list_tar
-from bodyseg_model.segmentation.frames import FrameFile
+from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_model.recordings.frame_tars import list_tar
+from bodyseg_model.recordings.frames import FrameFile
 
 CAMERAS: Final = "cameras.json"
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import refuse_special
-from bodyseg_model.segmentation.files.frame_names import result_names
-from bodyseg_model.segmentation.files.frame_png import parse_frame
-from bodyseg_model.segmentation.files.frame_tars import Member, list_tar
+from bodyseg_model.recordings.frame_names import result_names
+from bodyseg_model.recordings.frame_png import parse_frame
+from bodyseg_model.recordings.frame_tars import Member, list_tar
 
 _LARGEST_FILE: Final = 1 << 28
 _UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")

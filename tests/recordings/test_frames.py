@@ -12,8 +12,8 @@ import pytest
 from pngs import RAMP, png
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.files.frame_tars import list_tar
-from bodyseg_model.segmentation.frames import FrameFile, find_frames, metres_a_step, to_metres
+from bodyseg_model.recordings.frame_tars import list_tar
+from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
 
 
 def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:
