@@ -25,9 +25,12 @@ from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
 from bodyseg_model.networks.registry import device_of
-from bodyseg_model.recordings.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
+from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
+from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_model.recordings.recording import Frame, Pixels
+from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
@@ -49,10 +52,11 @@ _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 class Options:
     """Options of `bodyseg segment`."""
 
-    frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
+    frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
-    units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
+    topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
+    units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
@@ -66,18 +70,19 @@ class Options:
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
+    skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif", 10.0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
-    step_m, background = metres_a_step(options.units), _background(options)
-    frames = find_frames(options.frames)
+    step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
+    frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     trained = shipped_network() if options.run is None else load_network(options.run)
     label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
     trained.network.to(find_device(options.device))
-    cameras = _cameras(options, frames, trained)
+    cameras = _cameras(options, frames, trained, skipping)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
     segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
@@ -88,9 +93,10 @@ def run(options: Options) -> int:
     summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
-            range_m, bodies = _segment(frame, cameras, step_m, segmenters, out, summary, preview, label_map)
-            if not cameras.is_own(frame):
-                shadows.add(number, frame.name, range_m, bodies)
+            if (pixels := _read(frame, skipping, watch := Stopwatch(STAGES))) is not None:
+                range_m, bodies = _segment(frame, pixels, watch, cameras, segmenters, out, summary, preview, label_map)
+                if not cameras.is_own(frame):
+                    shadows.add(number, frame.name, range_m, bodies)
             progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(label_map), options.out / LEGEND)
     write_result(options.out / PREVIEW, preview.to_gif())
@@ -98,7 +104,8 @@ def run(options: Options) -> int:
         "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
         "labels": {"name": label_map.name, "classes": [*label_map.names]},
         "camera": {**cameras.to_json(), "mirrored": options.mirrored},
-        "unit_m": step_m,
+        "unit_m": _units(frames),
+        "skipped": skipping.skipped,
         "background": background.to_json(),
         "person_score": None if first.people is None else {"model": first.people.model, "cutoff": first.people.cutoff},
         "resampling": {
@@ -119,7 +126,7 @@ def run(options: Options) -> int:
     return 0
 
 
-def _cameras(options: Options, frames: Sequence[FrameFile], trained: Trained) -> FrameCameras:
+def _cameras(options: Options, frames: list[Frame], trained: Trained, skipping: Skipping) -> FrameCameras:
     """Cameras of all frames: the one that options give, or those in files beside frames and one for all others."""
     given = options.rig is not None or options.focal is not None or bool(options.centre)
     beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
@@ -127,32 +134,42 @@ def _cameras(options: Options, frames: Sequence[FrameFile], trained: Trained) ->
     def choose(shape: tuple[int, int], where: str) -> FrameCamera:
         return frame_camera(shape, where, options.rig, options.focal, options.centre, trained.rig)
 
-    return FrameCameras(frames, beside, choose)
+    return FrameCameras(frames, beside, choose, skipping)
+
+
+def _units(frames: Sequence[Frame]) -> float | dict[str, float]:
+    """Metres in a step: one number, or one for the frames of each file where they differ."""
+    of = {str(frame.path): frame.step_m for frame in frames}
+    return frames[0].step_m if len(set(of.values())) == 1 else of
+
+
+def _read(frame: Frame, skipping: Skipping, watch: Stopwatch) -> Pixels | None:
+    with watch("read"):
+        return skipping.read(frame)
 
 
 def _segment(
-    frame: FrameFile,
+    frame: Frame,
+    pixels: Pixels,
+    watch: Stopwatch,
     cameras: FrameCameras,
-    step_m: float,
     segmenters: Segmenters,
     out: OutputFolder,
     summary: SequenceSummary,
     preview: Preview,
     label_map: LabelMap,
 ) -> tuple[NDArray[np.float32], list[NDArray[np.intp]]]:
-    """Read, label, write and count one frame; returns its ranges and the pixels of its bodies.
+    """Label, write and count one frame; returns its ranges and the pixels of its bodies.
 
     Raises BadConfig, naming it, before anything of it is written.
     """
-    watch = Stopwatch(STAGES)
     with watch("read"):
-        pixels = frame.read()
         camera = cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
         try:
             lens, segmenter = segmenters.of(camera.camera)
             if lens is not None:
                 pixels = lens(pixels)
-            range_m = to_metres(pixels, step_m)
+            range_m = to_metres(pixels, frame.step_m)
         except BadConfig as error:
             raise BadConfig(f"{frame.where}: {error}") from error
     try:

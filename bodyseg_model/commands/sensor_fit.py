@@ -17,6 +17,8 @@ from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
 from bodyseg_model.recordings.frames import find_frames, metres_a_step
+from bodyseg_model.recordings.recording import Frame
+from bodyseg_model.recordings.skipping import Skipping, first_readable
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.picture import draw_comparison
@@ -42,6 +44,7 @@ class Options:
         "people: find bodies as segment does; limits: all within the limits is a body; keep: all that was measured is",
         "people",
     )
+    skip_unreadable: int = option("skip up to this many frames that cannot be read", 0)
     near: float | None = option("the near limit of people and limits, metres (default: 0.5)", None)
     far: float | None = option("their far limit, metres (default: 5)", None)
     nearer_than: float | None = option("all that is nearer than this, metres, is a body, whatever its size", None)
@@ -55,11 +58,10 @@ def run(options: Options) -> int:
     if options.picture is not None:
         check_picture(options.picture, "--picture")
     SensorModel(options.name)  # a bad name is told before the measurement
-    step_m, background = metres_a_step(options.units), _background(options)
-    files = find_frames(options.frames)
-    first = files[0].read()
-    camera = frame_camera((first.shape[0], first.shape[1]), files[0].where, options.rig, options.focal, options.centre)
-    recording = read_recording(files, camera.camera, step_m, background, options.nearer_than)
+    step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
+    files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
+    camera = _camera(options, first_readable(files, skipping))
+    recording = read_recording(files, camera.camera, background, options.nearer_than, skipping)
     with Progress("measuring", "steps") as progress:
         fit = fit_sensor(recording, camera, progress.update)
     model = fit.model(options.name)
@@ -73,8 +75,18 @@ def run(options: Options) -> int:
     if options.picture is not None:
         save_picture(draw_comparison(recording, model), options.picture)
         sys.stderr.write(f"wrote {options.picture}\n")
-    sys.stderr.write("".join(f"{line}\n" for line in _remarks(fit, camera)))
+    skipped = [f"skipped {frame['file']}: {frame['error']}" for frame in skipping.skipped]
+    sys.stderr.write("".join(f"{line}\n" for line in (*_remarks(fit, camera), *skipped)))
     return 0
+
+
+def _camera(options: Options, first: Frame) -> FrameCamera:
+    """The camera that options give, or else the recording's own, or else one told by the size of the first frame."""
+    rows, columns = first.read().shape
+    given = options.rig is not None or options.focal is not None or bool(options.centre)
+    if first.camera is not None and not given:
+        return first.camera.frame_camera((rows, columns))
+    return frame_camera((rows, columns), first.where, options.rig, options.focal, options.centre)
 
 
 def _background(options: Options) -> Background:

@@ -9,64 +9,30 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import refuse_special
-from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_data.core.tables import Table
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.recordings.frame_tars import list_tar
 from bodyseg_model.recordings.frames import FrameFile
+from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_model.recordings.recording import Frame
+from bodyseg_model.recordings.skipping import Skipping, first_readable
 
 CAMERAS: Final = "cameras.json"
 
 _LARGEST_FILE: Final = 1 << 24
 _NEEDED: Final = ("fx", "fy", "cx", "cy")
 _COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
-_SQUARE: Final = 0.01
 
 
-@dataclass(frozen=True)
-class Intrinsics:
-    """Camera matrix and lens distortion of a frame as OpenCV gives them: pixels, pixel centres at whole numbers.
-
-    size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Raises BadConfig
-    for focal lengths that differ by more than 1 %, which square pixels do not have.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: Distortion | None
-    size: tuple[int, int] | None
-    where: str
-
-    def __post_init__(self) -> None:
-        if abs(self.fx / self.fy - 1) > _SQUARE:
-            raise BadConfig(f"{self.where}: pixels must be square, found 'fx' {self.fx:g} and 'fy' {self.fy:g}")
-
-    def frame_camera(self, shape: tuple[int, int]) -> FrameCamera:
-        """The camera of a frame of `shape` (rows, columns). Raises BadConfig for another size than the file's."""
-        if self.size is not None and self.size != shape:
-            expected, found = (" x ".join(map(str, size)) for size in (self.size, shape))
-            raise BadConfig(f"{self.where}: the frame must have {expected} pixels, found {found}")
-        centre, pose = (self.cx + 0.5, self.cy + 0.5), ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        try:
-            camera = Camera(*shape, math.sqrt(self.fx * self.fy), centre, *pose, distortion=self.distortion)
-        except BadConfig as error:
-            raise BadConfig(f"{self.where}: {error}") from None
-        return FrameCamera(camera, f"file {self.where}")
-
-
-def cameras_beside(frames: Sequence[FrameFile]) -> list[Intrinsics | None]:
-    """The cameras in files beside frames, None for a frame without one.
+def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
+    """The cameras that recordings hold or that are in files beside frames, None for a frame without one.
 
     A frame's own file comes before `CAMERAS`, and there an entry of its name before "default". A JSON file of a frame's
     name without any of fx, fy, cx and cy is not taken for a camera. Raises BadConfig, naming the file, for one that is
@@ -75,10 +41,11 @@ def cameras_beside(frames: Sequence[FrameFile]) -> list[Intrinsics | None]:
     homes: dict[Path, _Home] = {}
     found = []
     for frame in frames:
-        path = frame.path.parent if frame.member is None else frame.path
+        in_tar = isinstance(frame, FrameFile) and frame.member is not None
+        path = frame.path if in_tar else frame.path.parent
         if path not in homes:
-            homes[path] = _Home(path) if frame.member is None else _Tar(path)
-        found.append(homes[path].camera(frame))
+            homes[path] = _Tar(path) if in_tar else _Home(path)
+        found.append(frame.camera or homes[path].camera(frame.member if in_tar and frame.member else frame.path.name))
     return found
 
 
@@ -86,20 +53,25 @@ class FrameCameras:
     """The camera of every frame: its own, where `beside` (as `cameras_beside`) has one, or else one for all others.
 
     choose: the common camera, by the size (rows, columns) of the first frame without its own, and that frame's name in
-    messages. first: of the first frame. bent: True if any camera has lens distortion. Raises BadConfig as `choose`,
-    and for a first frame that cannot be read or does not fit its own camera.
+    messages. skipping: of frames that cannot be read, by default none. first: camera of the first frame. bent: True if
+    any camera has lens distortion. Raises BadConfig as `choose`, and for a first frame that cannot be read or does not
+    fit its own camera.
     """
 
     def __init__(
         self,
-        frames: Sequence[FrameFile],
+        frames: Sequence[Frame],
         beside: Sequence[Intrinsics | None],
         choose: Callable[[tuple[int, int], str], FrameCamera],
+        skipping: Skipping | None = None,
     ) -> None:
+        skipping = skipping or Skipping()
         self._own = {frame: own for frame, own in zip(frames, beside, strict=True) if own is not None}
         others = [frame for frame in frames if frame not in self._own]
-        self.common = choose(_shape(others[0]), others[0].where) if others else None
-        self.first = self.of(frames[0], _shape(frames[0]))
+        first = first_readable(frames, skipping)
+        other = first_readable(others, skipping) if others else None
+        self.common = choose(_shape(other), other.where) if other is not None else None
+        self.first = self.of(first, _shape(first))
         lenses = [own.distortion for own in self._own.values()]
         if self.common is not None:
             lenses.append(self.common.camera.distortion)
@@ -108,23 +80,23 @@ class FrameCameras:
     def __repr__(self) -> str:
         return f"FrameCameras({len(self._own)} of frames' own, {self.common!r})"
 
-    def of(self, frame: FrameFile, shape: tuple[int, int]) -> FrameCamera:
+    def of(self, frame: Frame, shape: tuple[int, int]) -> FrameCamera:
         """The camera of a frame of `shape` (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""
         if self.common is None or frame in self._own:
             return self._own[frame].frame_camera(shape)
         return self.common
 
-    def is_own(self, frame: FrameFile) -> bool:
+    def is_own(self, frame: Frame) -> bool:
         """True for a frame with a camera of its own."""
         return frame in self._own
 
     def to_json(self) -> dict[str, Any]:
         """The common camera, and how many frames have their own, as plain JSON."""
-        common = {"origin": "a file beside each frame"} if self.common is None else self.common.to_json()
+        common = {"origin": "each frame's own"} if self.common is None else self.common.to_json()
         return {**common, **({"frames_with_their_own": len(self._own)} if self._own else {})}
 
 
-def _shape(frame: FrameFile) -> tuple[int, int]:
+def _shape(frame: Frame) -> tuple[int, int]:
     rows, columns = frame.read().shape
     return rows, columns
 
@@ -134,10 +106,17 @@ class _Home:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._known: dict[str, Intrinsics | None] = {}  # many frames of one recording share a name
         self._shared: dict[str, tuple[Intrinsics | None, dict[str, Intrinsics]]] = {}
 
-    def camera(self, frame: FrameFile) -> Intrinsics | None:
-        stem = PurePosixPath(frame.member or frame.path.name)
+    def camera(self, name: str) -> Intrinsics | None:
+        """The camera of a file, by its name from here."""
+        if name not in self._known:
+            self._known[name] = self._read(name)
+        return self._known[name]
+
+    def _read(self, name: str) -> Intrinsics | None:
+        stem = PurePosixPath(name)
         own = self._tree(str(stem.with_suffix(".json")))
         if own is not None and any(name in own for name in _NEEDED):
             return _intrinsics(own, self._where(str(stem.with_suffix(".json"))))

@@ -1,10 +1,10 @@
-"""Frames of a range sensor: 16-bit grey PNGs in files, folders or tars; tars are read in place."""
+"""Frames of a range sensor at the paths of a command: PNGs in files, folders or tars, and recordings of any format."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -14,9 +14,18 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import refuse_special
+from bodyseg_model.recordings.formats import find_format, has_suffix
 from bodyseg_model.recordings.frame_names import result_names
 from bodyseg_model.recordings.frame_png import parse_frame
 from bodyseg_model.recordings.frame_tars import Member, list_tar
+from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_model.recordings.recording import MILLIMETRE, Frame, StoredRecording
+
+RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
+"""Help of commands' argument for frames."""
+
+UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
+"""Help of `--units`, whose text `metres_a_step` reads."""
 
 _LARGEST_FILE: Final = 1 << 28
 _UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
@@ -31,7 +40,7 @@ class FrameFile:
 
     name: of its result files, without suffix; it may name a folder for them ("left/1"). where: its name in messages.
     member: its name in the tar, None for a PNG. sequence: number of the input that it is from; single files are
-    input 0. Frames of other inputs were not taken directly before or after it.
+    input 0. Frames of other inputs were not taken directly before or after it. time_s, step_m, camera: as of `Frame`.
     """
 
     name: str
@@ -41,6 +50,9 @@ class FrameFile:
     size: int
     member: str | None = None
     sequence: int = 0
+    time_s: float | None = None
+    step_m: float = MILLIMETRE
+    camera: Intrinsics | None = None
 
     @property
     def path_id(self) -> str:
@@ -50,6 +62,13 @@ class FrameFile:
     def read(self) -> NDArray[np.uint16]:
         """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
         return parse_frame(self.read_bytes(), self.where)
+
+    def stamp(self) -> None:
+        """None: a PNG is no message."""
+
+    def placed(self, name: str, sequence: int) -> FrameFile:
+        """Return the frame with another name, and as of another input."""
+        return replace(self, name=name, sequence=sequence)
 
     def read_bytes(self) -> bytes:
         """Read the frame's bytes. Raises BadConfig, naming the frame."""
@@ -64,24 +83,46 @@ class FrameFile:
         return data
 
 
-def find_frames(paths: Sequence[Path]) -> list[FrameFile]:
-    """List the frames at `paths`: PNG files, folders of PNGs and tars (.tar) of PNGs.
+def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float | None = None) -> list[Frame]:
+    """List the frames at `paths`: PNG files, and recordings as `open_recording` opens them.
 
-    Single files come first, then folders and tars one after another; each is in natural order (2 before 10). In folders
-    and tars, hidden files and names that do not end in .png are skipped. A frame is named after its file; where two
-    frames would have one name, all are named with their folders or tars (`result_names`). Raises BadConfig for a path
-    that cannot be read or contains no frame, a name unfit for a result file, or one frame given twice.
+    PNG files come first, then recordings one after another, those of PNGs in natural order (2 before 10). A frame is
+    named after its file, or its number in its recording; where two frames would have one name, all are named with their
+    folders or recordings (`result_names`). topic, step_m: as of `open_recording`. Raises BadConfig for a path that
+    cannot be read or contains no frame, a name unfit for a result file, or one frame given twice; MissingLibrary.
     """
-    files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar"]
-    groups = [[_file(path) for path in files]]
-    groups += [_folder(path) if path.is_dir() else _tar(path) for path in paths if path not in files]
-    frames = [
-        replace(frame, sequence=number)
-        for number, group in enumerate(groups)
-        for frame in sorted(group, key=lambda frame: _natural(frame.name))
-    ]
-    names = result_names([(frame.path, frame.member, frame.where) for frame in frames])
-    return [replace(frame, name=name) for frame, name in zip(frames, names, strict=True)]
+    files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar" and not find_format(path)]
+    single = [frame for path in files for frame in open_recording(path, topic, step_m)]
+    groups: list[Iterable[Frame]] = [sorted(single, key=lambda frame: _natural(frame.name))]
+    groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
+    frames = [(number, frame) for number, group in enumerate(groups) for frame in group]
+    names = result_names([(frame.path, frame.member, frame.where) for _, frame in frames])
+    return [frame.placed(name, number) for (number, frame), name in zip(frames, names, strict=True)]
+
+
+def open_recording(path: Path, topic: str | None = None, step_m: float | None = None) -> StoredRecording:
+    """Open a recording: a PNG, a folder or tar of PNGs, or a file or folder of one of `FORMATS`, by content or suffix.
+
+    A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
+    topic: which of several streams of frames, None for the only one. step_m: metres a step, or that 1.0 is in floating
+    point; None: as the recording says, or millimetres and metres. Raises BadConfig for a path that cannot be read, or
+    holds no frame; MissingLibrary.
+    """
+    if path.is_dir():
+        frames = _folder(path, topic, step_m)
+    elif path.suffix.lower() == ".tar":
+        frames = _tar(path)
+    elif (found := find_format(path)) is not None:
+        return found.open(path, topic, step_m)
+    else:
+        frames = [png_file(path)]
+    if isinstance(frames, StoredRecording):
+        return frames
+    if topic is not None:
+        raise BadConfig(f"--topic is for recordings that hold several, found PNG files: {path}")
+    step_m = step_m or MILLIMETRE
+    frames = sorted((replace(frame, step_m=step_m) for frame in frames), key=lambda frame: _natural(frame.name))
+    return StoredRecording(str(path), tuple(frames), None, step_m)
 
 
 def metres_a_step(unit: str) -> float:
@@ -100,23 +141,33 @@ def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
     return ranges
 
 
-def _file(path: Path) -> FrameFile:
+def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> FrameFile:
+    """Return the frame in a PNG file, whose content is not read yet. Raises BadConfig for a file that is not there."""
     try:
         refuse_special(path)
         size = path.stat().st_size
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    return _checked(FrameFile(path.stem, str(path), path, 0, size))
+    return _checked(FrameFile(path.stem, str(path), path, 0, size, None, 0, time_s, step_m))
 
 
-def _folder(path: Path) -> list[FrameFile]:
+def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecording | list[FrameFile]:
+    """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one."""
     try:
-        files = [file for file in path.iterdir() if _is_frame(file.name) and not file.is_dir()]
+        files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    if not files:
+    if pngs := [file for file in files if _is_frame(file.name)]:
+        return [png_file(file) for file in pngs]
+    if (found := find_format(path)) is not None:
+        return found.open(path, topic, step_m)
+    parts = [file for file in files if has_suffix(file)]
+    if not parts:
         raise BadConfig(f"a folder of frames must hold .png files, found none in {path}")
-    return [_file(file) for file in files]
+    opened = [open_recording(part, topic, step_m) for part in sorted(parts, key=lambda part: _natural(part.name))]
+    return StoredRecording(
+        str(path), tuple(frame for part in opened for frame in part.frames), opened[0].camera, opened[0].step_m
+    )
 
 
 def _tar(path: Path) -> list[FrameFile]:

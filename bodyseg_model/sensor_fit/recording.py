@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.recordings.frames import FrameFile, to_metres
+from bodyseg_model.recordings.frames import to_metres
+from bodyseg_model.recordings.recording import Frame as RecordedFrame
+from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.sensor_fit.masks import closing
 
@@ -96,18 +98,33 @@ class Recording:
 
 
 def read_recording(
-    files: Sequence[FrameFile], camera: Camera, step_m: float, background: Background, nearer_than_m: float | None
+    files: Sequence[RecordedFrame],
+    camera: Camera,
+    background: Background,
+    nearer_than_m: float | None,
+    skipping: Skipping | None = None,
 ) -> Recording:
     """Read frames and find the bodies in them.
 
     files: in the order of time. nearer_than_m: every measured pixel nearer than this is a body's; None: bodies are
-    found by `background`, as `bodyseg segment` does. Raises BadConfig for frames that cannot be read, that are not the
-    camera's, or none of which shows a body.
+    found by `background`, as `bodyseg segment` does. skipping: of frames that cannot be read, by default none. Raises
+    BadConfig for frames that cannot be read, that are not the camera's, of different units, or none of which shows a
+    body.
     """
+    skipping = skipping or Skipping()
+    step_m = files[0].step_m
     chosen, pairs = chosen_frames(len(files))
-    frames = []
-    for index in chosen:
-        stored = files[index].read()
+    frames, places = [], {}
+    for place, index in enumerate(chosen):
+        if files[index].step_m != step_m:
+            raise BadConfig(
+                f"frames must have one unit, found {step_m:g} and {files[index].step_m:g} m a step: "
+                f"{files[index].where}"
+            )
+        stored = skipping.read(files[index])
+        if stored is None:
+            continue
+        places[place] = len(frames)
         if stored.shape != (camera.rows, camera.columns):
             raise BadConfig(
                 f"frames must have the size of the first, {camera.rows} x {camera.columns}, "
@@ -116,6 +133,7 @@ def read_recording(
         frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m))
     if not any(frame.body.any() for frame in frames):
         raise BadConfig("no frame shows a body: are --units, --near, --far or --nearer-than right?")
+    pairs = tuple((places[a], places[b]) for a, b in pairs if a in places and b in places)
     return Recording(tuple(frames), camera, step_m, pairs)
 
 

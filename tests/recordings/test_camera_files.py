@@ -15,9 +15,10 @@ from pngs import png
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.recordings.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
 from bodyseg_model.recordings.frames import find_frames
+from bodyseg_model.recordings.intrinsics import Intrinsics
 
 PLAIN = {"fx": 50.0, "fy": 50.0, "cx": 19.5, "cy": 14.5}
 
@@ -169,4 +170,4 @@ def test_nothing_is_chosen_where_every_frame_has_its_own(folder: Path) -> None:
     write(folder / "cameras.json", {"default": PLAIN})
     cameras, asked = chosen(folder)
     assert not asked and cameras.common is None and not cameras.bent
-    assert cameras.to_json() == {"origin": "a file beside each frame", "frames_with_their_own": 3}
+    assert cameras.to_json() == {"origin": "each frame's own", "frames_with_their_own": 3}

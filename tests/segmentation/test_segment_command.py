@@ -214,7 +214,7 @@ def test_frames_may_have_cameras_of_their_own(recording: Path, tmp_path: Path, n
     out = tmp_path / "out"
     assert run(recording, "--out", out) == 0
     facts = report(out)
-    assert facts["camera"] == {"origin": "a file beside each frame", "frames_with_their_own": 5, "mirrored": False}
+    assert facts["camera"] == {"origin": "each frame's own", "frames_with_their_own": 5, "mirrored": False}
     assert [frame["camera"]["focal_px"] for frame in facts["each"]] == [100, 100, 150, 100, 100]
     assert [frame["bodies"][0]["scale"] for frame in facts["each"][::2]] == pytest.approx([6.06, 4.04, 6.06], rel=0.03)
     assert facts["preview"]["frames"] == 4, "those of one size"

@@ -92,7 +92,7 @@ def test_real_frames_of_a_kinect_are_mirrored() -> None:
         pytest.skip(f"no frames in {folder}")
     files = find_frames([folder])[:6]
     camera = frame_camera((480, 640), "a frame")
-    fit = fit_sensor(read_recording(files, camera.camera, 0.001, Background(), 1.2), camera)
+    fit = fit_sensor(read_recording(files, camera.camera, Background(), 1.2), camera)
     found = by_artifact(fit)
     assert fit.mirrored and "probably mirrored" in found["occlusion"].reason
     assert found["occlusion"].estimates["baseline_right_m"].value == pytest.approx(0.057, rel=0.1)

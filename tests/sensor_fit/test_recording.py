@@ -36,11 +36,11 @@ def test_bodies_are_found_by_a_limit_or_as_people(tmp_path: Path) -> None:
     frame[10:50, 30:42] = 1500
     save(tmp_path, "1", frame)
     files = find_frames([tmp_path])
-    recording = read_recording(files, CAMERA, 0.001, Background(), 2.0)
+    recording = read_recording(files, CAMERA, Background(), 2.0)
     (found,) = recording.frames
     np.testing.assert_array_equal(found.body, frame == 1500)
     np.testing.assert_array_equal(found.room, frame == 3000)
-    (people,) = read_recording(files, CAMERA, 0.001, Background(), None).frames
+    (people,) = read_recording(files, CAMERA, Background(), None).frames
     np.testing.assert_array_equal(people.body, found.body)
     assert not recording.still and not recording.still_room
 
@@ -48,10 +48,10 @@ def test_bodies_are_found_by_a_limit_or_as_people(tmp_path: Path) -> None:
 def test_frames_must_fit_and_show_a_body(tmp_path: Path) -> None:
     save(tmp_path, "1", np.full((60, 80), 3000))
     with pytest.raises(BadConfig, match="no frame shows a body: are --units, --near, --far or --nearer-than right"):
-        read_recording(find_frames([tmp_path]), CAMERA, 0.001, Background(), 2.0)
+        read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
     save(tmp_path, "2", np.full((60, 81), 1000))
     with pytest.raises(BadConfig, match="the size of the first, 60 x 80, found 60 x 81: .*2.png"):
-        read_recording(find_frames([tmp_path]), CAMERA, 0.001, Background(), 2.0)
+        read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
 
 
 def test_a_body_is_still_whatever_is_lost_of_it() -> None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import read_json, write_json
-from bodyseg_model.recordings.frames import FrameFile
+from bodyseg_model.recordings.recording import Frame
 
 FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""
@@ -32,10 +32,10 @@ class OutputFolder:
     """
 
     def __init__(
-        self, path: Path, inputs: Sequence[Path], frames: Sequence[FrameFile], folders: Sequence[str] = IMAGES[:2]
+        self, path: Path, inputs: Sequence[Path], frames: Sequence[Frame], folders: Sequence[str] = IMAGES[:2]
     ) -> None:
         self.path, self.folders = path, tuple(folders)
-        self._frames = [{"name": frame.name, "file": frame.where, "path_id": frame.path_id} for frame in frames]
+        self._frames = [_entry(frame) for frame in frames]
         self._earlier: list[dict[str, Any]] = []
         _check_apart(path, inputs)
         held = _entries(path)
@@ -80,13 +80,23 @@ class OutputFolder:
         return self.path / folder / f"{name}.png"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary, whose `each` has an entry for every frame, in order. Raises BadConfig."""
-        each = [{**frame, **entry} for frame, entry in zip(self._frames, summary["each"], strict=True)]
+        """Write the summary: `each` has an entry for every frame, in order, but those of the names in `skipped`.
+
+        Raises BadConfig.
+        """
+        skipped = {frame["name"] for frame in summary.get("skipped", ())}
+        frames = [frame for frame in self._frames if frame["name"] not in skipped]
+        each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]
         write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
         try:
             (self.path / UNFINISHED).unlink(missing_ok=True)
         except OSError as error:
             raise BadConfig(f"cannot write {self.path}: {error.strerror or error}") from error
+
+
+def _entry(frame: Frame) -> dict[str, Any]:
+    time = {} if frame.time_s is None else {"time_s": frame.time_s}
+    return {"name": frame.name, "file": frame.where, "path_id": frame.path_id, **time}
 
 
 def _check_apart(out: Path, inputs: Sequence[Path]) -> None:

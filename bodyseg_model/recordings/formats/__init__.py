@@ -1,0 +1,71 @@
+"""Registry of the formats of recordings that hold many frames: a new one is a file and an entry of `FORMATS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import refuse_special
+from bodyseg_model.recordings.recording import StoredRecording
+
+Opener = Callable[[Path, str | None, float | None], StoredRecording]
+"""Opens a recording: its path, a topic or array of it, and metres a step, both None where they are not given."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format. home: "module.function" of this room, an `Opener`, imported when a recording is opened.
+
+    title: for messages. magic: first bytes of such a file, any of them. suffixes: of its name, where its first bytes
+    say nothing. entry: a file in a folder of this format.
+    """
+
+    title: str
+    home: str
+    magic: tuple[bytes, ...] = ()
+    suffixes: tuple[str, ...] = ()
+    entry: str | None = None
+
+    def open(self, path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+        """Open a recording. Raises BadConfig, MissingLibrary."""
+        module, _, name = self.home.rpartition(".")
+        opener: Opener = getattr(import_module(f"bodyseg_model.recordings.{module}"), name)
+        return opener(path, topic, step_m)
+
+
+FORMATS: Final[dict[str, Format]] = {
+    "npy": Format("NPY array", "formats.arrays.open_npy", (b"\x93NUMPY",), (".npy",)),
+    "npz": Format("NPZ arrays", "formats.arrays.open_npz", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
+    "tiff": Format("TIFF", "formats.tiff.open_tiff", (b"II*\0", b"MM\0*"), (".tif", ".tiff")),
+    "tum": Format("folder with depth.txt", "formats.tum.open_tum", entry="depth.txt"),
+}
+"""Name -> format. The order is that of messages."""
+
+_LONGEST_MAGIC: Final = max(len(magic) for each in FORMATS.values() for magic in each.magic)
+
+
+def find_format(path: Path) -> Format | None:
+    """Tell the format of a file or folder by its content, or else by its suffix; None for one of no format.
+
+    Raises BadConfig for a path that cannot be read.
+    """
+    if path.is_dir():
+        return next((each for each in FORMATS.values() if each.entry and (path / each.entry).is_file()), None)
+    try:
+        refuse_special(path)
+        with path.open("rb") as file:
+            start = file.read(_LONGEST_MAGIC)
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+    by_content = (each for each in FORMATS.values() if start.startswith(each.magic))
+    by_suffix = (each for each in FORMATS.values() if path.suffix.lower() in each.suffixes)
+    return next(by_content, None) or next(by_suffix, None)
+
+
+def has_suffix(path: Path) -> bool:
+    """True for a name with a suffix of one of `FORMATS`."""
+    return any(path.suffix.lower() in each.suffixes for each in FORMATS.values())

@@ -1,0 +1,67 @@
+"""Recordings in TIFF files: a page a frame, 16-bit grey or floating point."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+
+_MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
+_MOST_PAGES: Final = 1 << 20
+
+
+def open_tiff(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open a TIFF whose pages are 16-bit grey, steps, or 32-bit floating point, metres (step_m: metres that 1.0 is).
+
+    Raises BadConfig.
+    """
+    if topic is not None:
+        raise BadConfig(f"--topic is for recordings that hold several, found a TIFF: {path}")
+    pages = _Pages(path)
+    kind = pages.kind(0)
+    return stored_recording(path, pages, [None] * pages.count, np.issubdtype(kind, np.floating), step_m)
+
+
+class _Pages:
+    """Pages of a TIFF. The file is opened for every page, so that no handle outlives a call."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            with warnings.catch_warnings(), Image.open(path, formats=["TIFF"]) as image:
+                warnings.simplefilter("error")
+                count = getattr(image, "n_frames", 1)
+        except Exception as error:  # a damaged TIFF raises what Pillow likes
+            raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
+        if count > _MOST_PAGES:
+            raise BadConfig(f"a TIFF must have at most {_MOST_PAGES} pages, found {count}: {path}")
+        self.count: int = count
+
+    def kind(self, index: int) -> Any:
+        """Type of a page's pixels. Raises BadConfig."""
+        return self.read(index).dtype
+
+    def read(self, index: int) -> NDArray[Any]:
+        try:
+            with warnings.catch_warnings(), Image.open(self._path, formats=["TIFF"]) as image:
+                warnings.simplefilter("error")
+                image.seek(index)
+                mode, size = image.mode, image.size
+                if mode in _MODES and max(size) <= LARGEST_SIDE:
+                    return np.asarray(image).astype(_MODES[mode])
+        except Exception as error:  # as above
+            raise BadConfig(f"page {index} of the TIFF cannot be read: {error}") from error
+        raise BadConfig(
+            f"a page must be 16-bit grey or 32-bit floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
+            f"{size[1]} x {size[0]}"
+        )
+
+    def stamp(self, index: int) -> Stamp | None:
+        return None

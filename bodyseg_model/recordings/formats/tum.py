@@ -1,0 +1,59 @@
+"""Recordings in the form of TUM's RGB-D sets: 16-bit PNGs listed with their times in depth.txt, 5000 steps a metre.
+
+The form: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.recordings.frames import png_file
+from bodyseg_model.recordings.recording import StoredRecording
+
+_LIST: Final = "depth.txt"
+_STEP_M: Final = 1 / 5000
+_LARGEST_LIST: Final = 1 << 26
+
+
+def open_tum(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open a folder whose `depth.txt` has a line "time file" for every frame, the file's path from the folder.
+
+    Raises BadConfig for a list that is damaged or names files elsewhere, and for frames that are not there.
+    """
+    if topic is not None:
+        raise BadConfig(f"--topic is for recordings that hold several, found a folder with {_LIST}: {path}")
+    list_file = path / _LIST
+    try:
+        if list_file.stat().st_size > _LARGEST_LIST:
+            raise BadConfig(f"a list of frames must have at most {_LARGEST_LIST} bytes: {list_file}")
+        lines = list_file.read_text("utf-8").splitlines()
+    except OSError as error:
+        raise BadConfig(f"cannot read {list_file}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise BadConfig(f"a list of frames must be text: {list_file}: {error}") from error
+    step = step_m or _STEP_M
+    frames = []
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        place = PurePosixPath(words[-1])
+        if len(words) != 2 or not _is_time(words[0]) or place.is_absolute() or ".." in place.parts:
+            raise BadConfig(
+                f"a line must hold a time, seconds, and a file in the folder, found {line!r:.100}: {list_file}, "
+                f"line {number}"
+            )
+        frames.append(png_file(path / place, float(words[0]), step))
+    if not frames:
+        raise BadConfig(f"a list of frames must name at least one, found none in {list_file}")
+    return StoredRecording(str(path), tuple(frames), None, step)
+
+
+def _is_time(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

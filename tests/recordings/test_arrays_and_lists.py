@@ -1,0 +1,227 @@
+"""Recordings in NPY, NPZ and TIFF files and in folders with times, and what is refused of them."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from pngs import RAMP, png
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.recordings.camera_files import cameras_beside
+from bodyseg_model.recordings.frames import find_frames, open_recording, to_metres
+
+STACK = np.stack([RAMP, RAMP[::-1], RAMP // 2])
+
+
+def refusal(path: Path, topic: str | None = None) -> str:
+    with pytest.raises(BadConfig) as caught:
+        open_recording(path, topic)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def broken(path: Path, index: int = 0) -> str:
+    with pytest.raises(BadConfig) as caught:
+        open_recording(path).frames[index].read()
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def check_stack(path: Path, topic: str | None = None) -> None:
+    recording = open_recording(path, topic)
+    assert len(recording) == 3 and recording.camera is None and recording.step_m == 1e-3
+    for number in (0, 2, 1):
+        pixels = recording.frames[number].read()
+        assert pixels.dtype == np.uint16
+        np.testing.assert_array_equal(pixels, STACK[number])
+    assert len({frame.path_id for frame in recording}) == 3
+
+
+def test_an_array_of_frames_is_read_frame_by_frame(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", STACK)
+    check_stack(tmp_path / "a.npy")
+    np.save(tmp_path / "big.npy", STACK.astype(">u2"))
+    check_stack(tmp_path / "big.npy")
+    np.savez_compressed(tmp_path / "a.npz", depth=STACK, K=np.eye(3), note=np.array("x"))
+    check_stack(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", f10=STACK[2], f9=STACK[1], f1=STACK[0])
+    check_stack(tmp_path / "b.npz")
+    np.savez(tmp_path / "c.npz", depth=STACK, infrared=STACK // 3)
+    check_stack(tmp_path / "c.npz", "depth")
+    assert "choose one by --topic: depth, infrared" in refusal(tmp_path / "c.npz")
+    assert "one of depth, infrared, found 'colour'" in refusal(tmp_path / "c.npz", "colour")
+    (tmp_path / "unnamed").write_bytes((tmp_path / "a.npy").read_bytes())
+    check_stack(tmp_path / "unnamed")
+
+
+def test_floating_point_is_metres(tmp_path: Path) -> None:
+    metres = np.zeros((60, 84))
+    metres[0, :8] = 1.2345, 16.5, -1, np.nan, np.inf, 0.0001, 2.0, 16.38
+    expected = [1.2345, 0, 0, 0, 0, 0, 2.0, 16.38]
+    for kind in (np.float64, np.float32):
+        np.save(tmp_path / "a.npy", metres.astype(kind))
+        (frame,) = find_frames([tmp_path / "a.npy"])
+        assert frame.name == "a" and frame.member is None
+        np.testing.assert_allclose(to_metres(frame.read(), frame.step_m)[0, :8], expected, atol=1.3e-4)
+    (frame,) = find_frames([tmp_path / "a.npy"], step_m=1e-3)  # floating point in millimetres
+    assert to_metres(frame.read() * 1, frame.step_m)[0, 7] == pytest.approx(0.0165, abs=2e-4)
+
+
+def test_times_come_with_arrays_and_lists(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", depth=STACK, times=np.array([5.0, 5.5, 6.25]))
+    assert [frame.time_s for frame in open_recording(tmp_path / "a.npz")] == [5.0, 5.5, 6.25]
+    np.savez(tmp_path / "b.npz", depth=STACK, times=np.array([5.0, 5.5]))
+    assert "times must be as many as frames, found 2 for 3" in refusal(tmp_path / "b.npz")
+    np.savez(tmp_path / "c.npz", depth=STACK, times=np.eye(3))
+    assert "'times' must hold one time a frame, seconds" in refusal(tmp_path / "c.npz")
+
+
+def tum(folder: Path, lines: str) -> Path:
+    (folder / "depth").mkdir(parents=True)
+    for name in ("1.25", "0.75"):
+        (folder / "depth" / f"{name}.png").write_bytes(png())
+    (folder / "depth.txt").write_text(lines)
+    return folder
+
+
+def test_a_list_with_times_gives_order_and_unit(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "a", "# depth maps\n\n1.25 depth/1.25.png\n0.75  depth/0.75.png\n")
+    frames = find_frames([folder])
+    assert [(frame.name, frame.time_s, frame.step_m) for frame in frames] == [
+        ("1.25", 1.25, 1 / 5000),
+        ("0.75", 0.75, 1 / 5000),
+    ]
+    np.testing.assert_array_equal(frames[0].read(), RAMP)
+    assert find_frames([folder], step_m=0.01)[0].step_m == 0.01
+    (folder / "seen.png").write_bytes(png())
+    assert [frame.name for frame in find_frames([folder])] == ["seen"], "a folder's own PNGs come first, as ever"
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("1.25 ../../etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
+        ("1.25 /etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
+        ("nan depth/1.25.png", "a line must hold a time"),
+        ("depth/1.25.png", "a line must hold a time"),
+        ("1.25 depth/no.png", "No such file"),
+        ("# nothing", "must name at least one, found none"),
+    ],
+)
+def test_lists_of_frames_are_checked(tmp_path: Path, lines: str, message: str) -> None:
+    assert message in refusal(tum(tmp_path / "a", lines))
+
+
+def test_a_list_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "a", "")
+    (folder / "depth.txt").write_bytes(b"\xff\xfe")
+    assert "a list of frames must be text" in refusal(folder)
+    with (folder / "depth.txt").open("wb") as file:
+        file.truncate(1 << 27)
+    assert "a list of frames must have at most" in refusal(folder)
+    assert "found a folder with depth.txt" in refusal(folder, "a")
+
+
+def save_tiff(path: Path, pages: list[np.ndarray[Any, Any]]) -> Path:
+    first, *others = (Image.fromarray(page) for page in pages)
+    first.save(path, save_all=True, append_images=others)
+    return path
+
+
+def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
+    check_stack(save_tiff(tmp_path / "a.tif", list(STACK)))
+    path = save_tiff(tmp_path / "b.tiff", [np.full((4, 6), 1.5, np.float32)])
+    (frame,) = open_recording(path).frames
+    assert (frame.read() == 6000).all() and frame.step_m == 2.5e-4
+    path = save_tiff(tmp_path / "c.tif", [np.zeros((4, 6, 3), np.uint8)])
+    assert "found 'RGB' of 4 x 6" in refusal(path)
+    assert "found a TIFF" in refusal(path, "a")
+
+
+def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
+    for number in (10, 9):
+        np.save(tmp_path / f"f{number}.npy", STACK[number - 9])
+    (tmp_path / "notes.txt").write_text("x")
+    frames = find_frames([tmp_path])
+    assert [frame.name for frame in frames] == ["f9", "f10"] and {frame.sequence for frame in frames} == {1}
+    np.testing.assert_array_equal(frames[1].read(), STACK[1])
+    np.save(tmp_path / "f11.npy", STACK)
+    assert [frame.name for frame in find_frames([tmp_path])][2:] == ["0000", "0001", "0002"]
+
+
+def test_a_camera_beside_a_file_is_that_of_all_its_frames(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", STACK)
+    (tmp_path / "a.json").write_text('{"fx": 100, "fy": 100, "cx": 42, "cy": 30}')
+    cameras = cameras_beside(find_frames([tmp_path / "a.npy"]))
+    assert [camera.fx for camera in cameras if camera is not None] == [100.0] * 3
+
+
+def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
+    wrong = {
+        "float16 is read": (np.ones((4, 6), np.float16), None),
+        "int32": (np.ones((4, 6), np.int32), "found int32"),
+        "text": (np.full((4, 6), "a"), "found <U1"),
+        "one number": (np.array(3.0), "found one number"),
+        "too many sides": (np.ones((2, 2, 4, 6)), "found 2 x 2 x 4 x 6"),
+        "too large": (np.zeros((1, 5000), np.uint16), "found 1 x 5000"),
+        "no frame": (np.zeros((0, 4, 6), np.uint16), "a recording must hold frames, found none"),
+    }
+    for values, message in wrong.values():
+        np.save(tmp_path / "a.npy", values)
+        if message is None:
+            assert (open_recording(tmp_path / "a.npy").frames[0].read() == 4000).all()
+        else:
+            assert message in refusal(tmp_path / "a.npy")
+    np.savez(tmp_path / "a.npz", a=np.ones((9, 9), np.uint16), b=np.ones((9, 9)))
+    assert "must all be whole numbers or all floating point" in refusal(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", a=np.asfortranarray(STACK[0]))
+    assert "arrays must have rows first" in refusal(tmp_path / "a.npz")
+    assert "found an NPY file" in refusal(tmp_path / "a.npy", "a")
+    with pytest.raises(BadConfig, match="recordings that hold several, found PNG files"):
+        (tmp_path / "a.png").write_bytes(png())
+        open_recording(tmp_path / "a.png", "a")
+
+
+def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
+    objects = np.array([print, None], dtype=object)
+    np.save(tmp_path / "a.npy", objects, allow_pickle=True)
+    assert "must be a whole NPY file of numbers" in refusal(tmp_path / "a.npy")
+
+
+def test_truncated_files_are_one_line(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", STACK)
+    np.savez_compressed(tmp_path / "a.npz", depth=STACK)
+    save_tiff(tmp_path / "a.tif", list(STACK))
+    for name, title in (("a.npy", "a whole NPY file"), ("a.npz", "a whole NPZ file"), ("a.tif", "a whole TIFF")):
+        path = tmp_path / name
+        whole = path.read_bytes()
+        for size in (10, len(whole) // 2):
+            path.write_bytes(whole[:size])
+            assert title in refusal(path)
+        path.write_bytes(whole)
+        frame = open_recording(path).frames[0]
+        if name != "a.npy":  # a map into memory must not be cut
+            path.write_bytes(whole[:100])
+            with pytest.raises(BadConfig, match="cannot be read|must be whole"):
+                frame.read()
+        path.write_bytes(b"")
+        refusal(path)
+
+
+def test_damage_within_a_zip_is_of_its_frames(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", depth=np.random.default_rng(0).integers(0, 999, (5, 90, 90), np.uint16))
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    data[len(data) // 2] ^= 255
+    (tmp_path / "a.npz").write_bytes(bytes(data))
+    assert "the array 'depth' must be whole" in broken(tmp_path / "a.npz", 4)
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "<u2", "fortran_order": False, "shape": (9, 60, 84)})
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("depth.npy", buffer.getvalue() + bytes(60 * 84 * 2))
+    assert "found 0 of 10080 bytes" in broken(tmp_path / "b.npz", 1)
