@@ -108,7 +108,7 @@ class FrameSource(Protocol):
     """Reader of the frames of one file by their numbers."""
 
     def read(self, index: int) -> NDArray[Any]:
-        """Read frame `index`: uint16 [H, W], steps, or floating point [H, W], metres.
+        """Read the pixels of frame `index`, [H, W]: steps in uint16 or metres in floating point.
 
         Raises BadConfig without the frame's name.
         """
