@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
 from bodyseg_model.networks.registry import device_of
+from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
 from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
 from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
@@ -54,6 +56,7 @@ class Options:
 
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
+    labels_out: Path | None = option("also write labels with their frames' times into this .mcap file or new bag", None)
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
@@ -88,16 +91,20 @@ def run(options: Options) -> int:
     segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
     out = OutputFolder(options.out, options.frames, frames, IMAGES if cameras.bent else IMAGES[:2])
-    out.begin()
-
-    summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
-    with Progress("segmenting", "frames") as progress:
-        for number, frame in enumerate(frames):
-            if (pixels := _read(frame, skipping, watch := Stopwatch(STAGES))) is not None:
-                range_m, bodies = _segment(frame, pixels, watch, cameras, segmenters, out, summary, preview, label_map)
-                if not cameras.is_own(frame):
-                    shadows.add(number, frame.name, range_m, bodies)
-            progress.update(number + 1, len(frames))
+    with _labels_out(options, label_map) as messages:
+        out.begin()
+        summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
+        with Progress("segmenting", "frames") as progress:
+            for number, frame in enumerate(frames):
+                if (pixels := _read(frame, skipping, watch := Stopwatch(STAGES))) is not None:
+                    range_m, bodies, labels = _segment(
+                        frame, pixels, watch, cameras, segmenters, out, summary, preview, label_map
+                    )
+                    if messages is not None:
+                        messages.add(frame, labels)
+                    if not cameras.is_own(frame):
+                        shadows.add(number, frame.name, range_m, bodies)
+                progress.update(number + 1, len(frames))
     save_picture(draw_parts_legend(label_map), options.out / LEGEND)
     write_result(options.out / PREVIEW, preview.to_gif())
     facts = {
@@ -122,6 +129,8 @@ def run(options: Options) -> int:
     }
     out.finish({**facts, **summary.to_json()})
     lines = _remarks(options, cameras, summary, shadows) + _too_near(summary, trained.rig)
+    if skipping.skipped:
+        lines.append(f"{len(skipping.skipped)} frames could not be read: skipped in summary.json lists them")
     sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
 
@@ -143,6 +152,14 @@ def _units(frames: Sequence[Frame]) -> float | dict[str, float]:
     return frames[0].step_m if len(set(of.values())) == 1 else of
 
 
+def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractContextManager[LabelsOut | None]:
+    if options.labels_out is None:
+        return contextlib.nullcontext()
+    if options.labels_out.resolve().is_relative_to(options.out.resolve()):
+        raise BadConfig(f"--labels-out must lie outside --out, found {options.labels_out}")
+    return labels_out(options.labels_out, label_map, options.fps)
+
+
 def _read(frame: Frame, skipping: Skipping, watch: Stopwatch) -> Pixels | None:
     with watch("read"):
         return skipping.read(frame)
@@ -158,8 +175,8 @@ def _segment(
     summary: SequenceSummary,
     preview: Preview,
     label_map: LabelMap,
-) -> tuple[NDArray[np.float32], list[NDArray[np.intp]]]:
-    """Label, write and count one frame; returns its ranges and the pixels of its bodies.
+) -> tuple[NDArray[np.float32], list[NDArray[np.intp]], NDArray[np.uint8]]:
+    """Label, write and count one frame; returns its ranges, the pixels of its bodies and its labels.
 
     Raises BadConfig, naming it, before anything of it is written.
     """
@@ -190,7 +207,7 @@ def _segment(
     own = camera.to_json() if cameras.is_own(frame) else None
     times = {**watch.milliseconds, **result.milliseconds}
     summary.add(frame.name, frame.where, range_m, result, times, frame.sequence, own)
-    return range_m, [body.pixels for body in result.bodies]
+    return range_m, [body.pixels for body in result.bodies], result.labels
 
 
 def _background(options: Options) -> Background:

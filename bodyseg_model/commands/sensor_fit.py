@@ -16,7 +16,7 @@ from bodyseg_data.core.files import write_result
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.drawing.style import check_picture, save_picture
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.recordings.frames import find_frames, metres_a_step
+from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.recordings.skipping import Skipping, first_readable
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
@@ -31,12 +31,13 @@ EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sen
 class Options:
     """Options of the command."""
 
-    frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
+    frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path | None = option("write the sensor model to this TOML file", None)
     picture: Path | None = option("draw a frame beside its simulation in this PNG file", None)
     json: bool = option("print all figures as JSON instead of the table", False)
     name: str = option("name of the sensor model, one word", "measured")
-    units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
+    topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
+    units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"frames are from this sensor: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())

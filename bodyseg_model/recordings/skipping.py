@@ -30,7 +30,7 @@ class Skipping:
             if entry in self.skipped:
                 return None
             if len(self.skipped) >= self.budget:
-                beyond = f", after {self.budget} frames that --skip-unreadable allowed" if self.budget else ""
+                beyond = f", after {self.budget} that --skip-unreadable allowed" if self.budget else ""
                 raise BadConfig(f"{error}{beyond}") from error
             self.skipped.append(entry)
             return None

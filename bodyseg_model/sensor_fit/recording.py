@@ -114,7 +114,8 @@ def read_recording(
     skipping = skipping or Skipping()
     step_m = files[0].step_m
     chosen, pairs = chosen_frames(len(files))
-    frames, places = [], {}
+    frames: list[Frame] = []
+    places: dict[int, int] = {}
     for place, index in enumerate(chosen):
         if files[index].step_m != step_m:
             raise BadConfig(
