@@ -76,7 +76,7 @@ def run(options: Options) -> int:
     if options.picture is not None:
         save_picture(draw_comparison(recording, model), options.picture)
         sys.stderr.write(f"wrote {options.picture}\n")
-    skipped = [f"skipped {frame['file']}: {frame['error']}" for frame in skipping.skipped]
+    skipped = [f"skipped {frame['error']}" for frame in skipping.skipped]
     sys.stderr.write("".join(f"{line}\n" for line in (*_remarks(fit, camera), *skipped)))
     return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,7 @@ from bodyseg_model.recordings.bags.messages import Bag, Topic
 from bodyseg_model.recordings.bags.sqlite_files import SqliteBag
 from bodyseg_model.recordings.recording import StoredRecording
 
-_STORAGE: Final = {".db3": SqliteBag, ".mcap": McapBag}
+_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
 _PACKED: Final = (".zstd", ".zst")
 
 

@@ -1,0 +1,135 @@
+"""Depth tracks of Matroska files (.mkv), as Azure Kinect's recorder writes them.
+
+The form: https://microsoft.github.io/Azure-Kinect-Sensor-SDK/master/record_format.html. The track DEPTH is 16-bit grey,
+raw, big-endian, in millimetres; the calibration is an attachment in JSON.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_model.recordings.formats.kinect_calibration import CALIBRATION, depth_camera
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+_DEPTH: Final = "DEPTH"
+_GREY: Final = ("gray16le", "gray16be")
+_MOST_FRAMES: Final = 1 << 22
+
+
+def open_mkv(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open the 16-bit grey track of a Matroska file that is called `topic`, or DEPTH, or is the only one.
+
+    The camera is that of an Azure Kinect's calibration, where the file holds one (`depth_camera`). Raises BadConfig,
+    MissingLibrary.
+    """
+    with _opened(path) as container:
+        track = _track(container, topic, path)
+        frames = _Frames(path, track.index, _times(container, track))
+        shape = track.codec_context.height, track.codec_context.width
+        calibration = next((each.data for each in container.streams.attachments if each.name == CALIBRATION), None)
+    camera = None if calibration is None else depth_camera(calibration, shape, f"{path}: {CALIBRATION}")
+    return stored_recording(path, frames, frames.times_s, False, step_m, camera=camera, part=topic or "")
+
+
+class _Frames:
+    """Frames of one track, by their times. The file is open between neighbours, so that they are read in one pass."""
+
+    def __init__(self, path: Path, track: int, marks: list[tuple[int, float]]) -> None:
+        self._path, self._track, self._marks = path, track, sorted(marks)
+        self._next: tuple[int, Iterator[NDArray[np.uint16]]] | None = None
+        self.times_s = [time for _, time in self._marks]
+
+    def read(self, index: int) -> NDArray[Any]:
+        if self._next is None or self._next[0] != index:
+            self._next = index, self._from(index)
+        stream, self._next = self._next[1], None
+        try:
+            pixels = next(stream)
+        except Exception as error:  # damaged tracks raise what the decoder likes
+            raise BadConfig(f"the frame cannot be decoded: {str(error) or type(error).__name__}") from error
+        self._next = index + 1, stream
+        return pixels
+
+    def stamp(self, index: int) -> Stamp | None:
+        return None
+
+    def _from(self, index: int) -> Iterator[NDArray[np.uint16]]:
+        """Decode frames from `index` on, beginning at the last one before it that needs no other."""
+        wanted = self._marks[index][0]
+        with _opened(self._path) as container:
+            track = container.streams[self._track]
+            container.seek(wanted, stream=track, backward=True)
+            for frame in container.decode(track):
+                if frame.pts is not None and frame.pts < wanted:
+                    continue
+                if frame.pts != wanted:
+                    raise ValueError("it is missing")
+                if frame.format.name not in _GREY:
+                    raise ValueError(f"its pixels are {frame.format.name}")
+                yield frame.to_ndarray().astype(np.uint16)
+                index += 1
+                if index == len(self._marks):
+                    return
+                wanted = self._marks[index][0]
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[InputContainer]:
+    try:
+        import av
+        import av.error
+    except ImportError as error:
+        raise MissingLibrary(
+            f"reading .mkv files needs the package 'av': pip install 'bodyseg[recordings]' ({error})"
+        ) from error
+    try:
+        container = av.open(str(path), format="matroska")
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise BadConfig(f"{path} must be a Matroska file: {error}") from error
+    with container:
+        yield container
+
+
+def _track(container: InputContainer, topic: str | None, path: Path) -> VideoStream:
+    tracks = {_title(track, number): track for number, track in enumerate(container.streams.video)}
+    grey = {name: track for name, track in tracks.items() if track.codec_context.pix_fmt in _GREY}
+    if topic is not None:
+        chosen = [track for name, track in grey.items() if name == topic]
+    else:
+        chosen = [track for name, track in grey.items() if name == _DEPTH] or list(grey.values())
+    if len(chosen) != 1:
+        rule = "--topic must be a track of 16-bit grey" if topic else "one track must be 16-bit grey, or --topic one of"
+        raise BadConfig(f"{rule}, found {', '.join(grey or tracks) or 'no track'}: {path}")
+    size = chosen[0].codec_context.height, chosen[0].codec_context.width
+    if not all(1 <= side <= LARGEST_SIDE for side in size):
+        raise BadConfig(f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {size[0]} x {size[1]}: {path}")
+    return chosen[0]
+
+
+def _title(track: VideoStream, number: int) -> str:
+    return track.metadata.get("title") or f"track {number}"
+
+
+def _times(container: InputContainer, track: VideoStream) -> list[tuple[int, float]]:
+    """Time of every frame of a track, in its unit and in seconds, from packets alone: nothing is decoded."""
+    marks = []
+    try:
+        for packet in container.demux(track):
+            if packet.pts is not None and packet.size:
+                marks.append((packet.pts, float(packet.pts * (track.time_base or 0))))
+            if len(marks) > _MOST_FRAMES:
+                raise ValueError(f"it has more than {_MOST_FRAMES} frames")
+    except (OSError, ValueError) as error:
+        raise BadConfig(f"{container.name} must be a whole Matroska file: {error}") from error
+    return marks
