@@ -40,14 +40,9 @@ def write_mkv(
                 "ae", numbers, element("536e", title), element("86", "V_MS/VFW/FOURCC"), element("63a2", bitmap), video
             )
         )
-        blocks += [
-            (
-                index,
-                struct.pack(">BhB", 0x80 | number, round(index * 1000 / 30), 0x80)
-                + stack[index].astype(">u2").tobytes(),
-            )
-            for index in range(count)
-        ]
+        for index in range(count):
+            start = struct.pack(">BhB", 0x80 | number, round(index * 1000 / 30), 0x80)
+            blocks.append((index, start + stack[index].astype(">u2").tobytes()))
     cluster = element("1f43b675", element("e7", 0), *(element("a3", block) for _, block in sorted(blocks)))
     file = b""
     if attached is not None:

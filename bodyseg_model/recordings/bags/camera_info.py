@@ -33,10 +33,15 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
         message = decode(bag, info, 0)
     except BadConfig as error:
         raise BadConfig(f"{place}: {error}") from error
-    return _intrinsics(message, place, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+    return camera_of(message, place, rectified=bool(parts) and parts[-1].startswith("image_rect"))
 
 
-def _intrinsics(message: Any, where: str, rectified: bool) -> Intrinsics | None:
+def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
+    """Return the camera in a CameraInfo of ROS 1 or 2, None for one that is not calibrated.
+
+    rectified: its images are, so their camera is that of the projection matrix. where: name in messages. Raises
+    BadConfig as `camera_beside`.
+    """
     region = message.roi
     if max(message.binning_x, message.binning_y) > 1 or region.x_offset or region.y_offset:
         raise BadConfig(f"{where}: images must be neither binned nor cut: give --focal or --rig")

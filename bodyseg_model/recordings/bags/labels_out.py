@@ -99,7 +99,7 @@ class _McapOut:
         text, _ = typestore("cdr").generate_msgdef(IMAGE, ros_version=2)
         self._path, self._part = path, part
         self._file: IO[bytes] = part.open("wb")
-        self._writer = Writer(self._file)
+        self._writer: Any = Writer(self._file)
         self._writer.start("ros2")
         schema = self._writer.register_schema(IMAGE, "ros2msg", text.encode())
         self._channel = self._writer.register_channel(TOPIC, "cdr", schema)

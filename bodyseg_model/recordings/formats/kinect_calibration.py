@@ -2,8 +2,8 @@
 
 Its values are of the whole sensor, as shares of 1024 pixels; a mode shows a part of the sensor, or pairs of its pixels
 (https://github.com/microsoft/Azure-Kinect-Sensor-SDK). Its lens has OpenCV's rational model: the radial factor is
-(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6). The five coefficients of `Distortion` are fitted to it by
-least squares over the image.
+(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6). The five coefficients of `Distortion` are fitted to it
+by least squares over the image.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class _Frames:
         """Decode frames from `index` on, beginning at the last one before it that needs no other."""
         wanted = self._marks[index][0]
         with _opened(self._path) as container:
-            track = container.streams[self._track]
+            track = next(each for each in container.streams.video if each.index == self._track)
             container.seek(wanted, stream=track, backward=True)
             for frame in container.decode(track):
                 if frame.pts is not None and frame.pts < wanted:

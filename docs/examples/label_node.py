@@ -1,0 +1,57 @@
+"""ROS 2 node that labels the parts of people in range images.
+
+Run it with topics of your own:
+
+    python label_node.py --ros-args -r depth:=/camera/depth/image_rect_raw -r camera_info:=/camera/depth/camera_info
+
+It publishes mono8 images on `labels`: part 0 to 32, 255 elsewhere, with the header of their range image.
+"""
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from bodyseg_data.core.errors import BodysegError
+from bodyseg_model.networks.checkpoints import shipped_network
+from bodyseg_model.recordings.bags.camera_info import camera_of
+from bodyseg_model.recordings.bags.images import pixels
+from bodyseg_model.recordings.bags.messages import IMAGE
+from bodyseg_model.recordings.frames import to_metres
+from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, in_steps
+from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.segmenter import Segmenters
+
+
+class LabelNode(Node):
+    def __init__(self) -> None:
+        super().__init__("bodyseg")
+        self.camera = None
+        self.segmenters = Segmenters(shipped_network(), people=shipped_score())
+        self.labels = self.create_publisher(Image, "labels", qos_profile_sensor_data)
+        self.create_subscription(CameraInfo, "camera_info", self.on_camera, qos_profile_sensor_data)
+        self.create_subscription(Image, "depth", self.on_image, qos_profile_sensor_data)
+
+    def on_camera(self, message: CameraInfo) -> None:
+        self.camera = self.camera or camera_of(message, "camera_info", rectified=True)
+
+    def on_image(self, message: Image) -> None:
+        if self.camera is None:
+            return
+        try:
+            stored = pixels(message, IMAGE)
+            range_m = to_metres(in_steps(stored), FLOAT_STEP_M if stored.dtype.kind == "f" else MILLIMETRE)
+            lens, segment = self.segmenters.of(self.camera.frame_camera(range_m.shape).camera)
+            labels = segment(range_m if lens is None else lens(range_m)).labels
+        except BodysegError as error:
+            self.get_logger().error(str(error))
+            return
+        rows, columns = labels.shape
+        answer = Image(header=message.header, height=rows, width=columns, encoding="mono8", step=columns)
+        answer.data = labels.tobytes()
+        self.labels.publish(answer)
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    rclpy.spin(LabelNode())
