@@ -100,7 +100,7 @@ def is_reached(link: str, text: str, folder: Path) -> bool:
 @cache
 def python_files() -> list[str]:
     """Paths of all Python files of the project, with a slash before each."""
-    homes = (ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools", "tests"))
+    homes = (ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools", "tests", "docs"))
     return [f"/{path.relative_to(ROOT).as_posix()}" for home in homes for path in home.rglob("*.py")]
 
 
