@@ -128,9 +128,7 @@ def run(options: Options) -> int:
         "peak_mb": peak_mb(),
     }
     out.finish({**facts, **summary.to_json()})
-    lines = _remarks(options, cameras, summary, shadows) + _too_near(summary, trained.rig)
-    if skipping.skipped:
-        lines.append(f"{len(skipping.skipped)} frames could not be read: skipped in summary.json lists them")
+    lines = _remarks(options, cameras, summary, shadows, skipping) + _too_near(summary, trained.rig)
     sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
 
@@ -223,14 +221,18 @@ def _facts(trained: Trained) -> dict[str, Any]:
     return {name: trained.card[name] for name in _OF_THE_CARD if name in trained.card}
 
 
-def _remarks(options: Options, cameras: FrameCameras, summary: SequenceSummary, shadows: ShadowFrames) -> list[str]:
+def _remarks(
+    options: Options, cameras: FrameCameras, summary: SequenceSummary, shadows: ShadowFrames, skipping: Skipping
+) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
-    frames, camera = shadows.frames, cameras.common or cameras.first
+    frames, camera = shadows.frames - len(skipping.skipped), cameras.common or cameras.first
     lines = [f"wrote {frames} frames to {options.out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
+    if skipping.skipped:
+        lines.append(f"{len(skipping.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import sys
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -28,8 +29,11 @@ from pngs import RAMP, png
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.bags import compression, messages
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.labels.label_map import PARTS33
+from bodyseg_model.recordings.bags import compression, mcap_files, messages, ros1, sqlite_files
+from bodyseg_model.recordings.bags.labels_out import labels_out
+from bodyseg_model.recordings.bags.messages import typestore
 from bodyseg_model.recordings.frames import find_frames, open_recording, to_metres
 from bodyseg_model.recordings.recording import Stamp
 
@@ -258,6 +262,8 @@ def test_other_files_under_these_names_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "metadata.yaml").write_text("")
     assert "must hold .db3 or .mcap files, found none" in refusal(tmp_path / "folder")
+    (tmp_path / "folder" / "a.db3").mkdir()
+    assert refusal(tmp_path / "folder").startswith(f"cannot read {tmp_path / 'folder' / 'a.db3'}: ")
     (tmp_path / "folder" / "a.db3.zstd").write_bytes(b"")
     assert "must be decompressed first" in refusal(tmp_path / "folder")
 
@@ -291,6 +297,38 @@ def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(compression, "LARGEST_MESSAGE", 1000)
     for path in paths:
         assert "a piece must have at most 1000 bytes" in refusal(path, DEPTH)
+    for module, name, message in (
+        (ros1, "a.bag", "a chunk must have at most 1000 bytes"),
+        (mcap_files, "plain.mcap", "is of kind 6 and has"),
+        (sqlite_files, "a.db3", "it is missing, or has more than 1000 bytes"),
+    ):
+        path = WRITERS[name](tmp_path / name, [image(RAMP, "16UC1")])
+        monkeypatch.setattr(module, "LARGEST_MESSAGE", 1000)
+        with pytest.raises(BadConfig) as caught:
+            open_recording(path, DEPTH).frames[0].read()
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("package", "action"),
+    [
+        ("rosbags.typesys", lambda folder: typestore("cdr")),
+        ("rosbags.rosbag2", lambda folder: labels_out(folder / "bag", PARTS33, 10.0).__enter__()),
+        ("mcap.records", lambda folder: open_recording(folder / "a.mcap")),
+        ("mcap.data_stream", lambda folder: open_recording(folder / "a.mcap")),
+        ("lz4.frame", lambda folder: open_recording(folder / "lz4.mcap")),
+    ],
+)
+def test_a_package_that_is_missing_is_named(
+    package: str, action: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a.mcap", "lz4.mcap"):
+        WRITERS[name](tmp_path / name, [image(RAMP, "16UC1")])
+    typestore.cache_clear()
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingLibrary, match=rf"'{package}': pip install 'bodyseg\[recordings\]'"):
+        action(tmp_path)
+    assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.parametrize("name", ["bz2.bag", "lz4.bag", "a.db3", "a.mcap", "lz4.mcap", "unchunked.mcap"])

@@ -118,6 +118,8 @@ def test_damaged_and_other_files_are_one_line(tmp_path: Path, monkeypatch: pytes
                     assert "\n" not in str(error)
         except BadConfig as error:
             assert "\n" not in str(error)
+    wide = write_mkv(tmp_path / "d.mkv", {"DEPTH": np.zeros((1, 2, 5000), np.uint16)})
+    assert "a frame's side must be 1 to 4096 pixels, found 2 x 5000" in refusal(wide)
     colour = write_mkv(tmp_path / "c.mkv", {"COLOR": STACK}, codec=b"YUY2")
     assert "one track must be 16-bit grey, or --topic one of, found COLOR" in refusal(colour)
     path.write_bytes(whole)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
+from itertools import accumulate
 from pathlib import Path
 from typing import Final
 
@@ -48,11 +50,11 @@ class _Joined:
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
-        for part, of_part in self._homes[topic]:
-            if index < len(of_part.times_ns):
-                return part.read(of_part, index)
-            index -= len(of_part.times_ns)
-        raise IndexError(index)
+        homes = self._homes[topic]
+        ends = [*accumulate(len(of_part.times_ns) for _, of_part in homes)]
+        number = bisect_right(ends, index)
+        part, of_part = homes[number]
+        return part.read(of_part, index - ends[number] + len(of_part.times_ns))
 
 
 def _joined(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _DEPTH: Final = "DEPTH"
 _GREY: Final = ("gray16le", "gray16be")
-_MOST_FRAMES: Final = 1 << 22
 
 
 def open_mkv(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
@@ -75,8 +74,6 @@ class _Frames:
                     continue
                 if frame.pts != wanted:
                     raise ValueError("it is missing")
-                if frame.format.name not in _GREY:
-                    raise ValueError(f"its pixels are {frame.format.name}")
                 yield frame.to_ndarray().astype(np.uint16)
                 index += 1
                 if index == len(self._marks):
@@ -123,13 +120,11 @@ def _title(track: VideoStream, number: int) -> str:
 
 def _times(container: InputContainer, track: VideoStream) -> list[tuple[int, float]]:
     """Time of every frame of a track, in its unit and in seconds, from packets alone: nothing is decoded."""
-    marks = []
     try:
-        for packet in container.demux(track):
-            if packet.pts is not None and packet.size:
-                marks.append((packet.pts, float(packet.pts * (track.time_base or 0))))
-            if len(marks) > _MOST_FRAMES:
-                raise ValueError(f"it has more than {_MOST_FRAMES} frames")
+        return [
+            (packet.pts, float(packet.pts * (track.time_base or 0)))
+            for packet in container.demux(track)
+            if packet.pts is not None and packet.size
+        ]
     except (OSError, ValueError) as error:
         raise BadConfig(f"{container.name} must be a whole Matroska file: {error}") from error
-    return marks

@@ -14,7 +14,6 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
-_MOST_PAGES: Final = 1 << 20
 
 
 def open_tiff(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
@@ -40,8 +39,6 @@ class _Pages:
                 count = getattr(image, "n_frames", 1)
         except Exception as error:  # a damaged TIFF raises what Pillow likes
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
-        if count > _MOST_PAGES:
-            raise BadConfig(f"a TIFF must have at most {_MOST_PAGES} pages, found {count}: {path}")
         self.count: int = count
 
     def kind(self, index: int) -> Any:
