@@ -194,6 +194,13 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
     assert "must be a whole NPY file of numbers" in refusal(tmp_path / "a.npy")
 
 
+def test_a_header_that_is_no_python_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", STACK)
+    data = (tmp_path / "a.npy").read_bytes().replace(b"(3, 60, 84)", b"((((((((((3")
+    (tmp_path / "a.npy").write_bytes(data)
+    assert "must be a whole NPY file of numbers" in refusal(tmp_path / "a.npy")
+
+
 def test_truncated_files_are_one_line(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", STACK)
     np.savez_compressed(tmp_path / "a.npz", depth=STACK)
