@@ -52,6 +52,7 @@ LENS = Camera(180, 200, 200.0, (100.0, 90.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 AWAY_M, UP_M, TURNS = 1.1, 0.25, 18
 SEEN = ("Sellion", "Nuchale", "Rt. Acromion", "Lt. Acromion", "Substernale")
 PLACES = ((0.0, -0.3, -0.1), (0.0, -0.25, 0.15), (0.2, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.0, 0.0, -0.16))
+NUMBERS = np.array([LANDMARKS.index(name) for name in SEEN])
 UNSEEN = (0.0, 0.42, 0.0)
 VOXEL_M = 0.006
 
@@ -140,12 +141,16 @@ def test_fitting_brings_moved_cameras_back(frames: list[Frame], fused: FusedSurf
         assert error[1] < 0.5 * error[0]
 
 
-def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: FusedSurface) -> None:
-    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+@pytest.fixture(scope="module")
+def labels(body: Mesh, fused: FusedSurface) -> Any:
+    """Of the fused surface's vertices, by the places that are seen."""
+    return surface_labels(fused, on(body, PLACES), NUMBERS)
+
+
+def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: FusedSurface, labels: Any) -> None:
     sources = KDTree(body.vertices).query([*PLACES, UNSEEN])[1]
     nearest = nearest_sources("exact", body.vertices, body.faces.astype(np.int64), sources)
-    true = np.array([*numbers, LANDMARKS.index("Rt. Digit II")], np.uint8)[nearest.source]
-    labels = surface_labels(fused, body.vertices[sources[:-1]], numbers)
+    true = np.array([*NUMBERS, LANDMARKS.index("Rt. Digit II")], np.uint8)[nearest.source]
     tree, known = KDTree(body.vertices), KDTree(fused.vertices)
     right = unseen = total = person = 0
     for frame in frames[::3]:
@@ -160,12 +165,10 @@ def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: Fu
     assert 0.5 * person < total < 0.95 * person
 
 
-def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface) -> None:
-    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface, labels: Any) -> None:
     points = on(body, PLACES)
-    known = surface_labels(fused, points, numbers)
-    fewer = surface_labels(fused, points[:-1], numbers[:-1], points[-1:])
-    np.testing.assert_array_equal(fewer, np.where(known == numbers[-1], BACKGROUND, known))
+    fewer = surface_labels(fused, points[:-1], NUMBERS[:-1], points[-1:])
+    np.testing.assert_array_equal(fewer, np.where(labels == NUMBERS[-1], BACKGROUND, labels))
 
 
 def test_landmarks_off_the_surface_are_refused(fused: FusedSurface) -> None:
