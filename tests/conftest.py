@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
@@ -25,27 +25,46 @@ hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_c
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
-    "packing/test_pack.py",
     "packing/test_engines.py",
+    "bodies/test_landmark_fitting.py",
+    "packing/test_pack.py",
+    "test_tutorial.py",
+    "loading/test_loader_faults.py",
+    "benches/data/test_workers.py",
+    "bodies/test_motions.py",
+    "commands/test_cli.py",
+    "benches/model/test_real.py",
     "training/test_loop.py",
     "training/test_torchrun.py",
-    "bodies/test_landmark_fitting.py",
-    "commands/test_cli.py",
-    "loading/test_loader_faults.py",
-    "bodies/test_motions.py",
-    "rendering/test_renderers.py",
-    "networks/test_fcn_alexnet.py",
-    "shards/test_stores.py",
-    "test_wheel.py",
-    "bodies/sources/test_open_bodies.py",
-    "packing/test_shadow_thresholds.py",
-    "artifacts/test_occlusion.py",
     "benches/data/test_loader.py",
-    "loading/test_loader.py",
-    "loading/test_range_images.py",
+    "artifacts/test_occlusion.py",
+    "rendering/test_renderers.py",
+    "test_wheel.py",
+    "benches/fuzzing/test_fuzz.py",
+    "loading/test_arguments.py",
+    "bodies/sources/test_open_bodies.py",
+    "shards/test_stores.py",
+    "rendering/test_missing.py",
+    "rendering/test_views.py",
     "networks/test_registry.py",
+    "loading/test_loader.py",
+    "benches/data/test_scaling.py",
+    "evaluation/test_evaluation.py",
     "meshes/partition/test_geodesics.py",
+    "loading/test_range_images.py",
+    "commands/test_sensor.py",
+    "training/test_train_command.py",
+    "bodies/test_clothes.py",
+    "evaluation/test_code_digest.py",
+    "evaluation/test_result_cache.py",
+    "core/test_kernels.py",
+    "benches/model/test_sensor_fit.py",
+    "benches/model/test_people.py",
+    "networks/test_shipped.py",
+    "benches/model/test_everyday.py",
+    "benches/model/test_ablation.py",
     "test_structure.py",
+    "packing/test_shadow_thresholds.py",
 )
 """Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
 
@@ -56,9 +75,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
-def pytest_collection_finish() -> None:
-    gc.collect()
-    gc.freeze()  # what is there by now stays to the end: garbage collections need not go through it again
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """Without garbage collections: modules and tests, and later what is there by now, stay to the end."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from bodyseg_model.commands.cli import COMMANDS
 from bodyseg_model.commands.cli import main as bodyseg_main
 
 SIZES: Final = {
-    "shard --meshes": "8",
+    "shard --meshes": "6",
     "shard --views": "2",
     "shard --workers": "1",
     "train --steps": "2",

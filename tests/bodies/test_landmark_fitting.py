@@ -29,7 +29,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
     surface_distance,
 )
 from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.search import fit_body, propose  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.bodies.source import Body  # noqa: E402
@@ -197,10 +197,11 @@ def test_a_person_of_the_open_set_is_found_whatever_the_numbering(person: tuple[
     assert (proposal.landmarks.vertex_count, proposal.landmarks.face_count) == (len(mesh.vertices), len(mesh.faces))
 
 
-def test_a_clothed_man_as_scanned_is_found(mit_folder: Path) -> None:
+def test_a_clothed_man_as_scanned_is_found(mit_folder: Path, body: FittingBody) -> None:
     source = open_source("mit", mit_folder)
     built = source.build(next(ref for ref in source.bodies() if ref.mesh == "I_crane_0000"))
-    figures = measure(built.mesh, built.mesh.vertices[built.landmarks], propose(built.mesh))
+    proposal = fit_body(body, built.mesh).proposal(body.landmark_vertices)  # as `propose` does
+    figures = measure(built.mesh, built.mesh.vertices[built.landmarks], proposal)
     assert figures["swapped"] == 0
     assert figures["median_cm"] <= 3.5 and figures["worst_cm"] <= 10, figures
     assert figures["wrong_surface"] < 0.2

@@ -1,14 +1,15 @@
-"""Program that torchrun starts: a few batches of a loader, or a training; dropout, which ranks draw apart, is off.
+"""Program that torchrun starts: a few batches of a loader, then trainings; dropout, which ranks draw apart, is off.
 
-torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES [TRAINING ...]
+torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES TRAININGS
 
-Without a training, this rank's keys and the state of its loader go to files in OUT. TRAINING: a command line of
-`bodyseg`.
+This rank's keys and the state of its loader go to files in OUT. TRAININGS: command lines of `bodyseg` as JSON, each
+with the port at which its processes meet: [[PORT, [WORD, ...]], ...]. One start for all, since a start costs seconds.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -36,8 +37,16 @@ def batches(out: Path, folder: str, count: int) -> None:
     torch.distributed.destroy_process_group()
 
 
+def train(port: int, words: list[str]) -> None:
+    """Run a training whose process group meets at a port of its own: torchrun's keeps the last group's addresses."""
+    os.environ.pop("TORCHELASTIC_USE_AGENT_STORE", None)
+    os.environ["MASTER_PORT"] = str(port)
+    if main(words) != 0:
+        sys.exit(f"failed: {words}")
+
+
 if __name__ == "__main__":
-    if sys.argv[4:]:
-        nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]
-        sys.exit(main(sys.argv[4:]))
+    nn.Dropout.forward = lambda self, x: x  # type: ignore[method-assign]
     batches(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))
+    for port, words in json.loads(sys.argv[4]):
+        train(port, words)

@@ -196,9 +196,9 @@ def test_alexnet_is_imported_weight_by_weight(
             np.testing.assert_allclose(got["conv1.weight"][:, 0], weight.mean(axis=1), atol=1e-7)
         elif layer == "fc6":  # its inputs are counted channel by channel, row by row
             assert got["conv6.weight"][7, 3, 2, 5] == weight[7, 3 * 36 + 2 * 6 + 5]
-            np.testing.assert_array_equal(got["conv6.weight"].reshape(4096, -1), weight)
+            assert np.array_equal(got["conv6.weight"].reshape(4096, -1), weight)
         else:
-            np.testing.assert_array_equal(got[f"{kept}.weight"].reshape(weight.shape), weight)
+            assert np.array_equal(got[f"{kept}.weight"].reshape(weight.shape), weight), layer
         np.testing.assert_array_equal(got[f"{kept}.bias"], bias)
     for key, value in new.items():
         assert torch.equal(network.state_dict()[key], value), "layers that AlexNet has not are left alone"

@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import embreex, numba, pytest, scipy.sparse, torch  # once for both: what knows nothing of thresholds
+import embreex, numba, pytest, scipy.sparse  # once for both: what knows nothing of thresholds
 
 from bodyseg_data.core import sample
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import socket
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -45,21 +47,25 @@ class Ran:
 @pytest.fixture(scope="module")
 def ran(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     folder = tmp_path_factory.mktemp("torchrun")
+    trainings = _together(small_set, folder / "together"), _ending(small_set, folder / "ending")
+    jobs = json.dumps(list(zip(_free_ports(len(trainings)), trainings, strict=True)))
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    worker = [str(HELPERS / "torchrun_worker.py"), str(folder), str(small_set), "2"]
-    said = ""
-    for training in ([], _together(small_set, folder / "together"), _ending(small_set, folder / "ending")):
-        done = subprocess.run(
-            [*torchrun, *worker, *training],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-            timeout=110,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        said += done.stderr
-    return Ran(folder, said)
+    done = subprocess.run(
+        [*torchrun, str(HELPERS / "torchrun_worker.py"), str(folder), str(small_set), "2", jobs],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return Ran(folder, done.stderr)
+
+
+def _free_ports(count: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [one.getsockname()[1] for one in opened]
 
 
 def test_loaders_share_batches_and_go_on_with_one_and_three(small_set: Path, ran: Ran) -> None:

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
+from benches.model.failures import everyday
 from benches.model.failures.everyday import bench_everyday
 
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies.sources.wide import WideBodies
 
-def test_the_figures_are_those_of_the_bodies_drawn() -> None:
+
+class FewWideBodies(WideBodies):
+    """One in twenty of the bodies: posing all of them takes most of the time."""
+
+    def bodies(self) -> Sequence[BodyRef]:
+        return super().bodies()[::20]
+
+
+def test_the_figures_are_those_of_the_bodies_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("anny", "embreex"):
         pytest.importorskip(package)
+    monkeypatch.setattr(everyday, "WideBodies", FewWideBodies)
     steps: list[tuple[int, int]] = []
     figures = bench_everyday(2, lambda done, total: steps.append((done, total)))
     assert steps == [(1, 2), (2, 2)]

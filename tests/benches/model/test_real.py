@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +20,7 @@ pytest.importorskip("pygeodesic")
 
 from benches.model.real import bench  # noqa: E402
 from benches.model.real.agreement import agreement  # noqa: E402
-from benches.model.real.bench import bench_real, settled  # noqa: E402
+from benches.model.real.bench import Results, bench_real, settled  # noqa: E402
 from benches.model.real.figure import draw_real  # noqa: E402
 from benches.model.real.fusion import FusedSurface, fitted, fuse, residuals_m  # noqa: E402
 from benches.model.real.labels import (  # noqa: E402
@@ -50,6 +52,7 @@ LENS = Camera(180, 200, 200.0, (100.0, 90.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 AWAY_M, UP_M, TURNS = 1.1, 0.25, 18
 SEEN = ("Sellion", "Nuchale", "Rt. Acromion", "Lt. Acromion", "Substernale")
 PLACES = ((0.0, -0.3, -0.1), (0.0, -0.25, 0.15), (0.2, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.0, 0.0, -0.16))
+NUMBERS = np.array([LANDMARKS.index(name) for name in SEEN])
 UNSEEN = (0.0, 0.42, 0.0)
 VOXEL_M = 0.006
 
@@ -138,12 +141,16 @@ def test_fitting_brings_moved_cameras_back(frames: list[Frame], fused: FusedSurf
         assert error[1] < 0.5 * error[0]
 
 
-def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: FusedSurface) -> None:
-    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+@pytest.fixture(scope="module")
+def labels(body: Mesh, fused: FusedSurface) -> Any:
+    """Of the fused surface's vertices, by the places that are seen."""
+    return surface_labels(fused, on(body, PLACES), NUMBERS)
+
+
+def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: FusedSurface, labels: Any) -> None:
     sources = KDTree(body.vertices).query([*PLACES, UNSEEN])[1]
     nearest = nearest_sources("exact", body.vertices, body.faces.astype(np.int64), sources)
-    true = np.array([*numbers, LANDMARKS.index("Rt. Digit II")], np.uint8)[nearest.source]
-    labels = surface_labels(fused, body.vertices[sources[:-1]], numbers)
+    true = np.array([*NUMBERS, LANDMARKS.index("Rt. Digit II")], np.uint8)[nearest.source]
     tree, known = KDTree(body.vertices), KDTree(fused.vertices)
     right = unseen = total = person = 0
     for frame in frames[::3]:
@@ -158,12 +165,10 @@ def test_labels_are_right_or_left_out(body: Mesh, frames: list[Frame], fused: Fu
     assert 0.5 * person < total < 0.95 * person
 
 
-def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface) -> None:
-    numbers = np.array([LANDMARKS.index(name) for name in SEEN])
+def test_what_is_nearest_to_a_place_left_out_gets_no_label(body: Mesh, fused: FusedSurface, labels: Any) -> None:
     points = on(body, PLACES)
-    known = surface_labels(fused, points, numbers)
-    fewer = surface_labels(fused, points[:-1], numbers[:-1], points[-1:])
-    np.testing.assert_array_equal(fewer, np.where(known == numbers[-1], BACKGROUND, known))
+    fewer = surface_labels(fused, points[:-1], NUMBERS[:-1], points[-1:])
+    np.testing.assert_array_equal(fewer, np.where(labels == NUMBERS[-1], BACKGROUND, labels))
 
 
 def test_landmarks_off_the_surface_are_refused(fused: FusedSurface) -> None:
@@ -240,18 +245,35 @@ def test_repeatability() -> None:
     assert placements.labels.tolist() == [0, 1]
 
 
-def test_what_the_bench_finds(body: Mesh, frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(tmp_path / "made", frames, body)
-    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 20), rig=load_rig()))
+@pytest.fixture(scope="module")
+def coarse() -> Iterator[pytest.MonkeyPatch]:
+    """The bench with voxels of 6 mm, and with a network that labels by columns, so that right and left differ."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "fuse", partial(fuse, voxel_m=VOXEL_M))
+        patch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def measured(
+    body: Mesh, frames: list[Frame], coarse: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> Results:
+    folder = tmp_path_factory.mktemp("recording") / "made"
+    write(folder, frames, body)
     steps: list[tuple[int, int]] = []
-    figures = bench_real(str(tmp_path / "made"), views=9, progress=lambda done, total: steps.append((done, total)))
+    figures = bench_real(str(folder), views=9, progress=lambda done, total: steps.append((done, total)))
     assert steps[-1] == (18, 18)
+    return figures
+
+
+def test_what_the_bench_finds(measured: Results, tmp_path: Path) -> None:
+    figures = measured
     assert (figures["recording"], figures["frames"], figures["network"]) == ("made", 9, "shipped")
     assert figures["mirrored"] == {"frames": False, "shadow": None}
     assert figures["fusion"]["residual_mm"]["fitted"]["median"] < 1
     assert figures["landmarks"]["worst_mm"] == 0 and figures["landmarks"]["surface_with_another_label"] == 0
     assert set(figures["scores"]["parts"]) == set(SEEN)
-    assert 0 < figures["scores"]["pixel_accuracy"] < 0.5  # labels by rows of the view
+    assert 0 < figures["scores"]["pixel_accuracy"] < 0.5  # labels by columns of the view
     assert figures["scores"]["calibration_error"] > 0.5  # this network is always sure
     assert 0.5 < figures["scores"]["share_of_the_person"] < 1
     assert figures["agreement_of_truth"]["same"] > 0.95
@@ -262,21 +284,23 @@ def test_what_the_bench_finds(body: Mesh, frames: list[Frame], tmp_path: Path, m
 
 
 def test_a_mirrored_recording_has_the_same_scores(
-    body: Mesh, frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    body: Mesh,
+    frames: list[Frame],
+    measured: Results,
+    coarse: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
-    write(tmp_path / "plain", frames, body)
     write(tmp_path / "mirrored", [frame.mirrored() for frame in frames], body)
     table = {name: [-x, y, z] for name, (x, y, z) in zip(SEEN, on(body, PLACES).tolist(), strict=True)}
     (tmp_path / "mirrored" / "landmarks.json").write_text(json.dumps({"first": table, "second": table}))
-    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
-    plain = bench_real(str(tmp_path / "plain"), views=9)
-    monkeypatch.setattr(bench, "settled", lambda frames: (None, True))
-    turned = bench_real(str(tmp_path / "mirrored"), views=9)
+    with coarse.context() as patch:
+        patch.setattr(bench, "settled", lambda frames: (None, True))
+        turned = bench_real(str(tmp_path / "mirrored"), views=9)
     assert turned["mirrored"]["frames"] is True
     for name in ("accuracy", "pixel_accuracy", "share_of_the_person"):
-        assert turned["scores"][name] == pytest.approx(plain["scores"][name], abs=0.02)
+        assert turned["scores"][name] == pytest.approx(measured["scores"][name], abs=0.02)
     for part in SEEN:
-        accuracies = [each["scores"]["parts"][part]["accuracy"] for each in (turned, plain)]
+        accuracies = [each["scores"]["parts"][part]["accuracy"] for each in (turned, measured)]
         assert accuracies[0] == pytest.approx(accuracies[1], abs=0.04)
 
 
