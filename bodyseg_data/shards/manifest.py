@@ -96,6 +96,11 @@ class Manifest:
         """Number of samples, in one split or in all."""
         return sum(len(shard) for shard in self.shards if split in (None, shard.split))
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the content, in hexadecimal, as the file holds it; computed anew each time."""
+        return str(self.to_json()["digest"])
+
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON object, with a digest of its other fields."""
         tree: dict[str, Any] = {

@@ -12,6 +12,7 @@ COMMANDS: Final[cli.Commands] = {
     "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
+    "card": ("bodyseg_model.commands.sharing.card", "write the cards of a set or a network beside it"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "sensor fit": ("bodyseg_model.commands.sensor_fit", "measure which artifacts a sensor has from its own frames"),
     "sensor list": ("bodyseg_model.commands.sensor_list", "list the sensor models that ship with the package"),

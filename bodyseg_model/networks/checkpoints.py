@@ -239,6 +239,11 @@ def _last_weights(folder: Path) -> Trained:
     return _trained(network, card, folder / PLAN)
 
 
+def confusion_file(path: Path) -> Path:
+    """Path of the confusion matrix of a network's scores, beside its weights `path` (.safetensors)."""
+    return path.with_suffix(".confusion.json")
+
+
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     """Write tensors as safetensors, at once or not at all; returns the SHA-256 of the file. Raises BadConfig."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
