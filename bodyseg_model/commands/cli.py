@@ -13,6 +13,8 @@ COMMANDS: Final[cli.Commands] = {
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "card": ("bodyseg_model.commands.sharing.card", "write the cards of a set or a network beside it"),
+    "push": ("bodyseg_model.commands.sharing.push", "copy a set or a network to an address"),
+    "pull": ("bodyseg_model.commands.sharing.pull", "copy a set or a network from an address"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "sensor fit": ("bodyseg_model.commands.sensor_fit", "measure which artifacts a sensor has from its own frames"),
     "sensor list": ("bodyseg_model.commands.sensor_list", "list the sensor models that ship with the package"),
