@@ -49,6 +49,7 @@ BENCHES: Final = {
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
+    "reading": Bench("data.reading.bench", required=("data",)),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
     "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),
     "clothes": Bench("data.surface.clothes", optional=("mit",)),
