@@ -51,10 +51,7 @@ def write_large_manifest(example: Manifest, samples: int, folder: Path) -> None:
 
 
 def cost_of_opening(example: Manifest, samples: int) -> dict[str, Any]:
-    """Bytes of a manifest of `samples`, processor seconds and peak memory (bytes above the start) of reading it.
-
-    Measured in a process of its own.
-    """
+    """Bytes of a manifest of `samples`, processor seconds to read it, and peak memory of the process that does, bytes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_large_manifest(example, samples, folder)
@@ -111,16 +108,12 @@ def _record(number: int) -> ShardRecord:
 
 
 def _open(folder: Path) -> tuple[float, int]:
-    before, start = _peak_bytes(), time.process_time()
+    start = time.process_time()
     manifest = read_manifest(folder)
     seconds = time.process_time() - start
     if not manifest.samples():
         raise RuntimeError("a manifest without samples was read")
-    return seconds, _peak_bytes() - before
-
-
-def _peak_bytes() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _compact(tree: dict[str, Any]) -> bytes:
