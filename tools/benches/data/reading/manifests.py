@@ -51,7 +51,7 @@ def write_large_manifest(example: Manifest, samples: int, folder: Path) -> None:
 
 
 def cost_of_opening(example: Manifest, samples: int) -> dict[str, Any]:
-    """Bytes of a manifest of `samples`, processor seconds to read it, and peak memory of the process that does, bytes."""
+    """Bytes of a manifest of `samples`; processor seconds of reading it, and peak memory of the process, bytes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_large_manifest(example, samples, folder)
