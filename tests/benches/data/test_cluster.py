@@ -18,9 +18,10 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setitem(SOURCES, "open", FiguresEntry())
     monkeypatch.setattr(cluster, "_BODIES", 2)
+    monkeypatch.setattr(cluster, "_PROCESSES", False)
     monkeypatch.setattr(cluster, "Packing", lambda *words, **options: Packing(*words, **{**options, "rig": SMALL}))
     steps: list[tuple[int, int]] = []
-    found = cluster.bench_cluster(2, (1, 2), lambda done, total: steps.append((done, total)), processes=False)
+    found = cluster.bench_cluster(2, (1, 2), lambda done, total: steps.append((done, total)))
     assert steps == [(1, 2), (2, 2)]
     assert found["views"] == 4
     assert found["equal"]

@@ -15,8 +15,9 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     monkeypatch.setattr(bench, "RANKS", 4)
     monkeypatch.setattr(bench, "RANKS_A_MACHINE", (2, 4))
     monkeypatch.setattr(bench, "BATCH", 2)
+    monkeypatch.setattr(bench, "SIZES", (SHARD_SAMPLES,))
     steps: list[tuple[int, int]] = []
-    found = bench.bench_reading(str(small_set), lambda done, total: steps.append((done, total)), (SHARD_SAMPLES,))
+    found = bench.bench_reading(str(small_set), lambda done, total: steps.append((done, total)))
     assert steps == [(done, 4) for done in range(1, 5)]
     alone, two, four = found["ranks"]
     train = [shard for shard in read_manifest(small_set).shards if shard.split == "train"]

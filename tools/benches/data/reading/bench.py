@@ -45,25 +45,25 @@ class CountedFolder(RemoteFolder):
         self.sent += size
 
 
-def bench_reading(data: str, progress: Progress = silent, sizes: tuple[int, ...] = SIZES) -> dict[str, Any]:
+def bench_reading(data: str, progress: Progress = silent) -> dict[str, Any]:
     """Requests and bytes of one epoch of `RANKS` ranks over the set `data`, a local folder, and costs of opening sets.
 
     ranks: for each number of ranks that share a machine, and so a cache, requests, bytes sent over the bytes of the
     set, and shards that a rank reads of; the row without a cache reads samples by byte range. opening: for manifests
-    of `sizes` samples; fits: lines through them, and their value for `EXTRAPOLATED` samples. Raises BadConfig for a set
+    of `SIZES` samples; fits: lines through them, and their value for `EXTRAPOLATED` samples. Raises BadConfig for a set
     with fewer samples than ranks.
     """
     folder = Path(data)
     images = RangeImages(folder, variant="none", split="train")
     if len(images) < RANKS:
         raise BadConfig(f"bench reading needs a set of at least {RANKS} training samples, found {len(images)}")
-    steps = len(RANKS_A_MACHINE) + 1 + len(sizes)
+    steps = len(RANKS_A_MACHINE) + 1 + len(SIZES)
     rows = []
     for done, group in enumerate((None, *RANKS_A_MACHINE), 1):
         rows.append(_epoch(images, folder, group))
         progress(done, steps)
     opening = []
-    for samples in sizes:
+    for samples in SIZES:
         opening.append(cost_of_opening(images.manifest, samples))
         progress(len(rows) + len(opening), steps)
     return {

@@ -15,16 +15,18 @@ from bodyseg_data.packing.pack import Packing, pack
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 _BODIES: Final = 40
+_PROCESSES: Final = True
+"""Workers are processes, as on a cluster, and not threads."""
 
 
 def bench_cluster(
-    views: int = 54, num_workers: tuple[int, ...] = (1, 2, 4), progress: Progress = silent, processes: bool = True
+    views: int = 54, num_workers: tuple[int, ...] = (1, 2, 4), progress: Progress = silent
 ) -> dict[str, Any]:
     """Seconds of packing `views` views of each of `_BODIES` open bodies, by clusters of workers of one thread.
 
     clusters: for each of `num_workers` the seconds from the first job to the manifest, views a second, and the share of
     the speed of as many times the first cluster's workers. The body model is loaded before, by a packing of one body.
-    processes: workers are processes, as on a cluster, and not threads. equal: whether all manifests are the same bytes.
+    equal: whether all manifests are the same bytes.
     Raises MissingLibrary without `distributed` or Anny.
     """
     packing = Packing("open", meshes=_BODIES, views=ViewGrid(count=views))
@@ -32,7 +34,7 @@ def bench_cluster(
     manifests = set()
     for done, workers in enumerate(num_workers, 1):
         with tempfile.TemporaryDirectory() as folder:
-            seconds = _packed(packing, workers, Path(folder), processes)
+            seconds = _packed(packing, workers, Path(folder))
             manifests.add((Path(folder) / "shards" / MANIFEST_NAME).read_bytes())
         speed = _BODIES * views / seconds
         first = rows[0] if rows else {"workers": workers, "views_a_second": speed}
@@ -49,7 +51,7 @@ def bench_cluster(
     return {"views": _BODIES * views, "clusters": rows, "equal": len(manifests) == 1}
 
 
-def _packed(packing: Packing, workers: int, folder: Path, processes: bool) -> float:
+def _packed(packing: Packing, workers: int, folder: Path) -> float:
     try:
         import distributed
     except ImportError as error:
