@@ -60,7 +60,7 @@ def _packed(packing: Packing, workers: int, folder: Path) -> float:
     options: dict[str, Any] = {
         "n_workers": workers,
         "threads_per_worker": 1,
-        "processes": processes,
+        "processes": _PROCESSES,
         "protocol": "tcp://",
     }
     options |= {"dashboard_address": None, "silence_logs": 50, "scheduler_kwargs": {"dashboard_address": ":0"}}
