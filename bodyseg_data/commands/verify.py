@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
+from bodyseg_data.cards.stale import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig, BadShard
@@ -45,6 +46,9 @@ def run(options: Options) -> int:
     listed = {shard.name for shard in manifest.shards}
     for stray in _strays(store, listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
+        faults += 1
+    for line in stale_cards(store, manifest.digest):
+        sys.stdout.write(f"{line}\n")
         faults += 1
     for note in manifest.notes():
         sys.stdout.write(f"note: {note}\n")

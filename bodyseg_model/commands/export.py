@@ -8,7 +8,14 @@ from pathlib import Path
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, load_network, read_json, save_network
+from bodyseg_model.networks.checkpoints import (
+    WEIGHTS_SHA256,
+    confusion_file,
+    load_network,
+    read_json,
+    save_network,
+    write_json,
+)
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
@@ -21,7 +28,9 @@ class Options:
 
     run: Path = option("a training's folder, or a .safetensors file")
     out: Path = option("the .safetensors file to write; its card goes beside it as .json")
-    scores: Path | None = option("figures of `bodyseg evaluate` to put on the card", None)
+    scores: Path | None = option(
+        "figures of `bodyseg evaluate` to put on the card, their confusion matrix in a file beside it", None
+    )
 
 
 def run(options: Options) -> int:
@@ -30,8 +39,12 @@ def run(options: Options) -> int:
         raise BadConfig(f"--out must be a .safetensors file, found {options.out}")
     trained = load_network(options.run)
     facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
+    confusion = None
     if options.scores is not None:
         facts["scores"] = read_json(options.scores)
+        confusion = facts["scores"].pop("confusion", None)
     save_network(options.out, trained.network, trained.card["network"], facts, half=True)
+    if confusion is not None:
+        write_json(confusion_file(options.out), {"confusion": confusion})
     sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
     return 0

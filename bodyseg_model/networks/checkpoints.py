@@ -239,6 +239,11 @@ def _last_weights(folder: Path) -> Trained:
     return _trained(network, card, folder / PLAN)
 
 
+def confusion_file(path: Path) -> Path:
+    """Path of the confusion matrix of a network's scores, beside its weights `path` (.safetensors)."""
+    return path.with_suffix(".confusion.json")
+
+
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
     """Write tensors as safetensors, at once or not at all; returns the SHA-256 of the file. Raises BadConfig."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -270,12 +275,17 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises BadConfig, naming it."""
+    return parse_json(read_bytes(path), str(path))
+
+
+def parse_json(data: bytes, where: str) -> dict[str, Any]:
+    """The object in JSON text; `where` names its origin in messages. Raises BadConfig."""
     try:
-        content = json.loads(read_bytes(path))
+        content = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{path} is not JSON: {error}") from error
+        raise BadConfig(f"{where} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise BadConfig(f"{path} must hold a JSON object, found {type(content).__name__}")
+        raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
     return content
 
 

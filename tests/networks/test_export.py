@@ -25,12 +25,13 @@ def run(tmp_path: Path) -> Path:
 
 def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path: Path) -> None:
     scores = tmp_path / "scores.json"
-    scores.write_text('{"accuracy": 0.5}')
+    scores.write_text('{"accuracy": 0.5, "confusion": [[3, 1], [0, 2]]}')
     out = tmp_path / "given.safetensors"
     assert main(["export", "--run", str(run), "--out", str(out), "--scores", str(scores)]) == 0
     given, kept = load_network(out), load_network(run)
     digest = hashlib.sha256(out.read_bytes()).hexdigest()
     assert given.card == {**kept.card, "scores": {"accuracy": 0.5}, "weights_sha256": digest}
+    assert json.loads((tmp_path / "given.confusion.json").read_text()) == {"confusion": [[3, 1], [0, 2]]}
     assert out.stat().st_size < 0.7 * (run / "network.safetensors").stat().st_size
     with torch.no_grad():
         range_m = torch.full((1, 1, 40, 40), 2.0)

@@ -49,6 +49,8 @@ BENCHES: Final = {
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
+    "cluster": Bench("data.render.cluster", None, "views of each body, 54", optional=("num_workers",)),
+    "reading": Bench("data.reading.bench", required=("data",)),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
     "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),
     "clothes": Bench("data.surface.clothes", optional=("mit",)),
@@ -110,7 +112,7 @@ class Options:
     views: int | None = option(f"size of the measurement (with its default: {_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     num_workers: tuple[int, ...] | None = option(
-        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4)", None
+        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4, cluster 1 2 4)", None
     )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(

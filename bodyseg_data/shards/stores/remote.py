@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
 import re
@@ -9,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -98,6 +100,32 @@ class RemoteFolder:
         try:
             return self._with_retries(name, self._transport.size)
         except FileMissing as error:
+            raise self._unreachable(name, error) from None
+
+    def find_size(self, name: str) -> int | None:
+        """Size of a file, bytes; None if it does not exist. Raises Unreachable."""
+        try:
+            return self._with_retries(name, self._transport.size)
+        except FileMissing:
+            return None
+
+    def write_file(self, name: str, path: Path) -> None:
+        """Upload a local file. Raises Unreachable, also for an address that cannot be written."""
+        self._write(name, lambda address: self._transport.put(address, path))
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        """Upload a small file. Raises Unreachable, also for an address that cannot be written."""
+        self._write(name, lambda address: self._transport.put(address, data))
+
+    def remove(self, name: str) -> None:
+        """Remove a file, which may be missing. Raises Unreachable."""
+        with contextlib.suppress(FileMissing):
+            self._with_retries(name, self._transport.remove)
+
+    def _write(self, name: str, attempt: Callable[[str], None]) -> None:
+        try:
+            self._with_retries(name, attempt)
+        except FileMissing as error:  # such as a bucket that does not exist
             raise self._unreachable(name, error) from None
 
     def prepare_reread(self, name: str) -> bool:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 from bodyseg_data.core.errors import MissingLibrary
@@ -62,6 +63,12 @@ class Transport(Protocol):
 
     def size(self, address: str) -> int:
         """Size of a file, bytes."""
+
+    def put(self, address: str, content: Path | bytes) -> None:
+        """Upload a local file, or some bytes, whole."""
+
+    def remove(self, address: str) -> None:
+        """Remove a file."""
 
 
 def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
@@ -130,6 +137,12 @@ class _HttpTransport:
             if not re.fullmatch(r"[0-9]{1,19}", total):
                 raise PermanentFailure("the server does not say how large the file is")
             return int(total)
+
+    def put(self, address: str, content: Path | bytes) -> None:
+        raise PermanentFailure("http addresses are read, not written")
+
+    def remove(self, address: str) -> None:
+        raise PermanentFailure("http addresses are read, not written")
 
     @contextmanager
     def _response(self, address: str, start: int | None, stop: int | None) -> Iterator[tuple[Any, bytes, Any]]:
@@ -243,6 +256,22 @@ class _BlockTransport:
     def size(self, address: str) -> int:
         with _classified_errors():
             return int(self._filesystem.get().info(address, **self._limit)["size"])
+
+    def put(self, address: str, content: Path | bytes) -> None:
+        with _classified_errors():
+            filesystem = self._filesystem.get()
+            if not getattr(
+                filesystem, "async_impl", False
+            ):  # stores of objects, which are asynchronous, have no folders
+                filesystem.makedirs(address.rpartition("/")[0], exist_ok=True)
+            if isinstance(content, bytes):
+                filesystem.pipe_file(address, content)
+            else:
+                filesystem.put_file(str(content), address)
+
+    def remove(self, address: str) -> None:
+        with _classified_errors():
+            self._filesystem.get().rm_file(address)
 
 
 @contextmanager

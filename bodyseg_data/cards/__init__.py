@@ -1,0 +1,1 @@
+"""Cards of sets: a Croissant file and a dataset card, written from the manifest."""

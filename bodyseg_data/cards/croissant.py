@@ -1,0 +1,185 @@
+"""The Croissant file of a set: what it is, its shards with their checksums, and the records in them.
+
+Written by the specification of Croissant 1.1 (https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html). A
+record set holds one member of the samples of one split, since the members are files in tars: `train-bsi` the image
+files, `train-json` the descriptions. Records of a sample share their `key`.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Final
+
+from bodyseg_data.cards import texts
+from bodyseg_data.cards.set_facts import SetFacts
+from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
+from bodyseg_data.core.parts import PARTS
+from bodyseg_data.core.splits import Split
+from bodyseg_data.shards.codecs import CODECS
+
+CROISSANT_NAME: Final = "croissant.json"
+CROISSANT: Final = "http://mlcommons.org/croissant/1.1"
+
+DIGEST_PREFIX: Final = "sha256:"
+"""Before the manifest's digest, in the file's `identifier`."""
+
+_CONTEXT: Final[dict[str, Any]] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    **{
+        name: f"cr:{name}"
+        for name in (
+            *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field"),
+            *("fileProperty", "source", "subField", "transform"),
+            *("fileObject", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
+            *(
+                "parentField",
+                "path",
+                "recordSet",
+                "references",
+                "regex",
+                "repeated",
+                "replace",
+                "samplingRate",
+                "separator",
+            ),
+        )
+    },
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "description": {"@container": "@language"},
+    "name": {"@container": "@language"},
+}
+
+_FORMATS: Final = {"json": "application/json", "png": "image/png"}
+_KEY_PATTERN: Final = r"^([^.]+)[.].*$"
+
+
+def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
+    """Return the content of a set's Croissant file as plain JSON."""
+    members = [*CODECS[facts.codec].members, "json"]
+    bodies = texts.bodies(facts)
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": [CROISSANT, "http://mlcommons.org/croissant/RAI/1.0"],
+        "name": publication.title,
+        "description": " ".join([texts.summary(facts), *bodies]),
+        **_licence(publication.licence),
+        **({"creator": {"@type": "sc:Person", "name": publication.author}} if publication.author else {}),
+        **({"url": publication.url} if publication.url else {}),
+        "datePublished": publication.published.isoformat(),
+        "version": facts.version,
+        "identifier": f"{DIGEST_PREFIX}{facts.digest}",
+        "citeAs": ", ".join([*filter(None, [publication.author]), publication.title, f"version {facts.version}"]),
+        "keywords": ["range image", "depth", "body part segmentation", "structured light", "webdataset"],
+        "rai:dataCollection": " ".join([f"Rendered by {facts.renderer}, rig {facts.rig.name}.", *bodies]),
+        "rai:dataLimitations": list(texts.LIMITS),
+        "rai:personalSensitiveInformation": texts.people(facts),
+        "distribution": [*_shards(facts, publication), *_file_sets(facts, members)],
+        "recordSet": [
+            *(_records(split, member) for split in facts.splits for member in members),
+            _parts(),
+        ],
+    }
+
+
+def croissant_bytes(facts: SetFacts, publication: Publication) -> bytes:
+    """Return the Croissant file; the same facts give the same bytes."""
+    return (json.dumps(croissant(facts, publication), indent=1) + "\n").encode()
+
+
+def _licence(licence: str) -> dict[str, str]:
+    if licence == UNKNOWN_LICENCE:
+        return {}
+    plain = all(letter.isalnum() or letter in ".-+" for letter in licence)
+    return {"license": f"https://spdx.org/licenses/{licence}.html" if plain else licence}
+
+
+def _shards(facts: SetFacts, publication: Publication) -> list[dict[str, Any]]:
+    base = f"{publication.url.rstrip('/')}/" if publication.url else ""
+    return [
+        {
+            "@type": "cr:FileObject",
+            "@id": shard.name,
+            "name": shard.name,
+            "contentUrl": f"{base}{shard.name}",
+            "contentSize": f"{shard.size} B",
+            "encodingFormat": "application/x-tar",
+            "sha256": shard.sha256,
+        }
+        for shard in facts.shards
+    ]
+
+
+def _file_sets(facts: SetFacts, members: list[str]) -> list[dict[str, Any]]:
+    return [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"{split}-{member}-files",
+            "name": f"{split}-{member}-files",
+            "description": f"Members NAME.{member} of the shards of the split {split}.",
+            "containedIn": [{"@id": shard.name} for shard in facts.shards if shard.split == split],
+            "encodingFormat": _FORMATS.get(member.rpartition(".")[2], "application/octet-stream"),
+            "includes": f"*.{member}",
+        }
+        for split in facts.splits
+        for member in members
+    ]
+
+
+def _records(split: Split, member: str) -> dict[str, Any]:
+    """One record a sample: its key, and one of its members as it is stored, a PNG as an image."""
+    name = f"{split}-{member}"
+
+    def source(file_property: str, **transform: Any) -> dict[str, Any]:
+        return {"fileSet": {"@id": f"{name}-files"}, "extract": {"fileProperty": file_property}, **transform}
+
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": f"Samples of the split {split}, in the order of their keys: {texts.MEMBERS[member]}.",
+        "key": {"@id": f"{name}/key"},
+        "field": [
+            {
+                "@type": "cr:Field",
+                "@id": f"{name}/key",
+                "name": f"{name}/key",
+                "description": "Key of the sample, which names body and view.",
+                "dataType": "sc:Text",
+                "source": source("filename", transform={"regex": _KEY_PATTERN}),
+            },
+            {
+                "@type": "cr:Field",
+                "@id": f"{name}/content",
+                "name": f"{name}/content",
+                "description": texts.MEMBERS[member],
+                "dataType": "sc:ImageObject" if member.endswith(".png") else "sc:Text",
+                "source": source("content"),
+            },
+        ],
+    }
+
+
+def _parts() -> dict[str, Any]:
+    """The 33 parts, in the file itself."""
+    fields = {"label": "sc:Integer", "landmark": "sc:Text", "side": "sc:Text"}
+    return {
+        "@type": "cr:RecordSet",
+        "@id": "parts",
+        "name": "parts",
+        "description": "The parts, each the surface nearest to one landmark; sides are the subject's own.",
+        "key": {"@id": "parts/label"},
+        "field": [
+            {"@type": "cr:Field", "@id": f"parts/{name}", "name": f"parts/{name}", "dataType": kind}
+            for name, kind in fields.items()
+        ],
+        "data": [{f"parts/{name}": getattr(part, name) for name in fields} for part in PARTS],
+    }

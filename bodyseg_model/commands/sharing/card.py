@@ -1,0 +1,67 @@
+"""`bodyseg card`: write the cards of a set or a network beside it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from bodyseg_data.cards.croissant import CROISSANT_NAME, croissant_bytes
+from bodyseg_data.cards.dataset_card import CARD_NAME, dataset_card
+from bodyseg_data.cards.set_facts import set_facts
+from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
+from bodyseg_data.commands.options import option
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import write_result
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+
+EXAMPLE = 'bodyseg card shards --title "Standing people" --licence CC0-1.0 --author "A. Author"'
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command."""
+
+    what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
+    title: str | None = option("title of the set or network (default: the folder's or file's name)", None)
+    licence: str = option("its licence: an SPDX identifier like CC0-1.0, an address or a sentence", UNKNOWN_LICENCE)
+    author: str = option("who publishes it", "")
+    url: str = option("http address of the folder that will hold the set; Croissant then names its shards there", "")
+    date: str | None = option("date of publication, YYYY-MM-DD (default: today)", None)
+
+
+def run(options: Options) -> int:
+    """Write the cards and name them."""
+    title = options.title or options.what.absolute().name.removesuffix(".safetensors")
+    publication = Publication(title, _date(options.date), options.licence, options.author, options.url)
+    if (options.what / MANIFEST_NAME).exists():
+        files = _of_set(options.what, publication)
+    else:
+        files = _of_network(options.what, publication)
+    for path, data in files.items():
+        write_result(path, data)
+        sys.stdout.write(f"wrote {path}\n")
+    return 0
+
+
+def _of_set(folder: Path, publication: Publication) -> dict[Path, bytes]:
+    facts = set_facts(read_manifest(folder))
+    return {
+        folder / CROISSANT_NAME: croissant_bytes(facts, publication),
+        folder / CARD_NAME: dataset_card(facts, publication).encode(),
+    }
+
+
+def _of_network(path: Path, publication: Publication) -> dict[Path, bytes]:
+    from bodyseg_model.networks.model_card import model_card, network_file, page_file
+
+    weights = network_file(path)
+    return {page_file(path): model_card(weights, publication).encode()}
+
+
+def _date(text: str | None) -> date:
+    try:
+        return datetime.now(UTC).date() if text is None else date.fromisoformat(text)
+    except ValueError:
+        raise BadConfig(f"--date must be a day like 2026-01-31, found {text!r}") from None

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from benches.data.render import cluster
+from fakes import FiguresEntry
+from small_rig import SMALL
+
+from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.packing.pack import Packing
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # distributed closes its loops late
+def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry())
+    monkeypatch.setattr(cluster, "_BODIES", 2)
+    monkeypatch.setattr(cluster, "_PROCESSES", False)
+    monkeypatch.setattr(cluster, "Packing", lambda *words, **options: Packing(*words, **{**options, "rig": SMALL}))
+    steps: list[tuple[int, int]] = []
+    found = cluster.bench_cluster(2, (1, 2), lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 2), (2, 2)]
+    assert found["views"] == 4
+    assert found["equal"]
+    one, two = found["clusters"]
+    assert (one["workers"], two["workers"]) == (1, 2)
+    assert one["share_of_linear"] == 1
+    assert two["share_of_linear"] == pytest.approx(one["seconds"] / two["seconds"] / 2, rel=0.05)
+
+
+def test_without_dask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[cluster\]'"):
+        cluster.bench_cluster(1, (1,))

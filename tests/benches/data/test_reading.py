@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from benches.data.reading import bench
+from benches.data.reading.manifests import SHARD_SAMPLES, fit, write_large_manifest
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.shards.manifest import read_manifest
+
+
+def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "RANKS", 4)
+    monkeypatch.setattr(bench, "RANKS_A_MACHINE", (2, 4))
+    monkeypatch.setattr(bench, "BATCH", 2)
+    monkeypatch.setattr(bench, "SIZES", (SHARD_SAMPLES,))
+    steps: list[tuple[int, int]] = []
+    found = bench.bench_reading(str(small_set), lambda done, total: steps.append((done, total)))
+    assert steps == [(done, 4) for done in range(1, 5)]
+    alone, two, four = found["ranks"]
+    train = [shard for shard in read_manifest(small_set).shards if shard.split == "train"]
+    size = sum(shard.size for shard in train)
+    assert (alone["requests"], alone["bytes"]) == (16, sum(sum(shard.lengths) for shard in train))
+    assert (four["requests"], four["bytes"], four["times_the_set"]) == (2, size, 1.0)
+    assert (two["requests"], two["times_the_set"]) == (4, 2.0)
+    assert 1 < two["shards_a_rank"] <= two["shards"] == 2
+    (opened,) = found["opening"]
+    assert opened["samples"] == SHARD_SAMPLES
+    assert opened["cpu_s"] > 0
+    assert 50 < opened["bytes"] / SHARD_SAMPLES < 200
+    assert opened["memory_bytes"] > 10e6
+    assert set(found["fits"]) == {"bytes", "cpu_s", "memory_bytes"}
+
+
+def test_too_few_samples_for_the_ranks_are_one_line(small_set: Path) -> None:
+    with pytest.raises(BadConfig, match="a set of at least 64 training samples, found 16"):
+        bench.bench_reading(str(small_set))
+
+
+def test_a_large_manifest_is_one_that_is_read(small_set: Path, tmp_path: Path) -> None:
+    write_large_manifest(read_manifest(small_set), 2 * SHARD_SAMPLES, tmp_path)
+    manifest = read_manifest(tmp_path)
+    assert manifest.samples() == 2 * SHARD_SAMPLES
+    assert manifest.rig == read_manifest(small_set).rig
+    assert manifest.shards[1].sha256 == hashlib.sha256(b"1").hexdigest()
+
+
+def test_a_line_goes_through_its_points() -> None:
+    rows = [{"samples": number, "bytes": 100 + 7 * number} for number in (10, 20, 50)]
+    found = fit(rows, "bytes", 1000)
+    assert found["value"] == pytest.approx(7100)
+    assert (found["constant"], found["a_sample"]) == (pytest.approx(100), pytest.approx(7))
+    assert found["largest_error"] == 0

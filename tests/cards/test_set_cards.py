@@ -1,0 +1,246 @@
+"""The Croissant file and the dataset card of a set, read by those who read such files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_rig import SMALL
+
+from bodyseg_data import RangeImages
+from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.cards.croissant import CROISSANT_NAME, croissant
+from bodyseg_data.cards.dataset_card import CARD_NAME, dataset_card, size_class
+from bodyseg_data.cards.origins import ORIGINS, origin_of
+from bodyseg_data.cards.set_facts import SetFacts, set_facts
+from bodyseg_data.cards.texts import Publication
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_model.commands.cli import main
+
+DAY = date(2026, 1, 31)
+
+pytestmark = [
+    # mlcroissant leaves files open, and rdflib, by which it parses, calls a class of its own that it calls deprecated.
+    pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib"),
+]
+
+
+@pytest.fixture(scope="module")
+def mlcroissant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The package mlcroissant, which keeps what it unpacks in a folder of these tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CROISSANT_CACHE", str(tmp_path_factory.mktemp("croissant")))
+        yield pytest.importorskip("mlcroissant")
+
+
+@pytest.fixture(scope="module")
+def described(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the small set, with cards."""
+    folder = tmp_path_factory.mktemp("described") / "shards"
+    shutil.copytree(small_set, folder)
+    words = ["--title", "Plain figures", "--licence", "CC0-1.0", "--author", "A. Author", "--date", "2026-01-31"]
+    assert main(["card", str(folder), *words]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pictures(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set whose images are PNGs, without cards."""
+    return pack_figures(tmp_path_factory.mktemp("pictures") / "pictures", rig=SMALL, codec="png")
+
+
+@pytest.fixture(scope="module")
+def facts(small_set: Path) -> SetFacts:
+    return set_facts(read_manifest(small_set))
+
+
+def records(mlcroissant: Any, folder: Path, name: str) -> dict[str, Any]:
+    """Key -> content of all records of a record set."""
+    dataset = mlcroissant.Dataset(folder / CROISSANT_NAME)
+    found = [(record[f"{name}/key"].decode(), record[f"{name}/content"]) for record in dataset.records(name)]
+    assert len(dict(found)) == len(found)
+    return dict(found)
+
+
+def test_a_croissant_file_is_valid_and_its_records_are_the_samples(mlcroissant: Any, described: Path) -> None:
+    dataset = mlcroissant.Dataset(described / CROISSANT_NAME)
+    assert dataset.metadata.ctx.conforms_to.value == "http://mlcommons.org/croissant/1.1"
+    assert not dataset.metadata.ctx.issues.errors
+    assert not dataset.metadata.ctx.issues.warnings
+    assert [record["parts/label"] for record in dataset.records("parts")] == list(range(33))
+    for split in ("train", "test"):
+        images = RangeImages(described, variant="none", split=split)
+        files, descriptions = (records(mlcroissant, described, f"{split}-{member}") for member in ("bsi", "json"))
+        assert sorted(files) == sorted(descriptions) == sorted(images.clean(index).key for index in range(len(images)))
+        for index in range(len(images)):
+            image, clean = images[index], images.clean(index)
+            read = decode_sample(clean.key, {"bsi": files[clean.key], "json": descriptions[clean.key]})
+            range_m = read.range.astype(np.float32) * np.float32(images.step_m)
+            assert np.array_equal(np.asarray(image["range"]).reshape(range_m.shape), range_m)
+            assert np.array_equal(np.asarray(image["labels"]).reshape(range_m.shape), read.labels)
+            assert read.info == clean.info
+
+
+def test_records_of_a_set_of_png_are_images(mlcroissant: Any, pictures: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "shards"
+    shutil.copytree(pictures, folder)
+    assert main(["card", str(folder)]) == 0
+    # The reader unpacks a shard into a folder named by the shard's address alone, so another set needs other names.
+    tree = json.loads((folder / CROISSANT_NAME).read_text())
+    for entry in tree["distribution"]:
+        if "contentUrl" in entry:
+            entry["contentUrl"] = f"../{folder.name}/{entry['contentUrl']}"
+    (folder / CROISSANT_NAME).write_text(json.dumps(tree))
+    images = RangeImages(folder, variant="none", split="test")
+    ranges, labels = (records(mlcroissant, folder, f"test-{member}.png") for member in ("range", "labels"))
+    assert len(ranges) == len(labels) == len(images)
+    for index in range(len(images)):
+        clean = images.clean(index)
+        assert np.array_equal(np.asarray(ranges[clean.key]), clean.range)
+        assert np.array_equal(np.asarray(labels[clean.key]), join_labels(clean.labels, clean.faces_projector))
+
+
+def test_an_altered_shard_is_found_by_its_checksum(mlcroissant: Any, described: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "shards"
+    shutil.copytree(described, folder)
+    shard = folder / "test-00000.tar"
+    data = bytearray(shard.read_bytes())
+    data[700] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(Exception, match="generation of the dataset") as caught:
+        records(mlcroissant, folder, "test-bsi")
+    assert "Hash of downloaded file" in str(caught.value.__cause__)
+
+
+def test_hugging_faces_datasets_stream_a_set(described: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setenv("HF_HOME", str(tmp_path))
+    datasets = pytest.importorskip("datasets")
+    files = {split: str(described / f"{split}-*.tar") for split in ("train", "test")}
+    samples = datasets.load_dataset("webdataset", data_files=files, streaming=True, cache_dir=str(tmp_path))
+    for split in ("train", "test"):
+        images = RangeImages(described, variant="none", split=split)
+        count = 0
+        for index, sample in enumerate(samples[split]):
+            clean = images.clean(index)
+            members = {"bsi": sample["bsi"], "json": json.dumps(sample["json"]).encode()}
+            read = decode_sample(sample["__key__"], members)
+            assert read.key == clean.key
+            assert np.array_equal(read.range, clean.range)
+            assert np.array_equal(read.labels, clean.labels)
+            count += 1
+        assert count == len(images)
+
+
+def test_a_dataset_card_tells_what_the_manifest_holds(described: Path, facts: SetFacts) -> None:
+    text = (described / CARD_NAME).read_text()
+    _, header, page = text.split("---\n", 2)
+    for line in ("license: cc0-1.0", 'pretty_name: "Plain figures"', "- n<1K", "    path: train-*.tar"):
+        assert f"{line}\n" in header
+    assert f"bodyseg_manifest: {facts.digest}\n" in header
+    for line in (
+        "# Plain figures",
+        "| train | 16 | 4 | 2 | A 8, people 8 | 2, 0.1 MB |",
+        "| test | 8 | 2 | 2 | A 4, people 4 | 1, 0.0 MB |",
+        "| camera | 160 x 82 pixels (rows x columns), focal length 189.394 pixels |",
+        "| views | distance cm: 215 to 295; azimuth deg: 0 to 260 |",
+        "| 32 | Lt. Digit II | tip of the second toe | left |",
+        "- Every body is made; no person was measured.",
+        "- this set: CC0-1.0, published by A. Author, 2026-01-31",
+    ):
+        assert f"{line}\n" in page
+
+
+def test_cards_state_what_no_manifest_knows_only_where_it_is_given(facts: SetFacts) -> None:
+    plain = Publication("Mine", DAY)
+    tree, page = croissant(facts, plain), dataset_card(facts, plain)
+    assert not {"license", "url", "creator"} & set(tree)
+    assert "license: unknown\n" in page
+    assert "- this set: not stated, 2026-01-31\n" in page
+    full = Publication("Mine", DAY, "The owner's terms, see there", "A. Author", "https://host/set/")
+    tree, page = croissant(facts, full), dataset_card(facts, full)
+    assert tree["license"] == "The owner's terms, see there"
+    assert tree["distribution"][0]["contentUrl"] == f"https://host/set/{facts.shards[0].name}"
+    assert 'license: other\nlicense_name: "The owner\'s terms, see there"\n' in page
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"title": " "}, "a card's title must be one line of text"),
+        ({"licence": ""}, "a card's licence must be one line of text"),
+        ({"author": "two\nlines"}, "a card's author must be one line of text"),
+        ({"url": "s3://bucket/set"}, "a card's url must begin with https:// or http://"),
+        ({"published": "2026"}, "Publication: published must be of class date"),
+    ],
+)
+def test_a_publication_checks_its_facts(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        Publication(**{"title": "Mine", "published": DAY, **change})
+
+
+def test_every_source_has_an_origin_and_only_made_bodies_are_nobodys(facts: SetFacts) -> None:
+    assert set(ORIGINS) == set(SOURCES)
+    assert {name for name, entry in SOURCES.items() if entry.reads is None} == {
+        name for name, origin in ORIGINS.items() if origin.made
+    }
+    assert not origin_of("somebody's own").made
+    real = SetFacts(**{**vars(facts), "sources": ("paper", "mit"), "notes": ("a: repaired",)})
+    page = dataset_card(real, Publication("Mine", DAY))
+    assert "- Some bodies are those of real people; their shape may identify them.\n" in page
+    assert "1 notes, listed by `bodyseg verify`." in page
+
+
+def test_sizes_are_those_of_the_hub() -> None:
+    assert [size_class(count) for count in (999, 1000, 125_766, 10**8)] == [
+        "n<1K",
+        "1K<n<10K",
+        "100K<n<1M",
+        "n>100M",
+    ]
+
+
+def test_verify_accepts_cards_and_reports_those_of_another_set(
+    described: Path, pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", str(described)]) == 0
+    other = tmp_path / "shards"
+    shutil.copytree(pictures, other)
+    (other / CARD_NAME).write_text("# My own page\n")
+    assert main(["verify", str(other)]) == 0
+    for name in (CARD_NAME, CROISSANT_NAME):
+        shutil.copy(described / name, other / name)
+    capsys.readouterr()
+    assert main(["verify", str(other)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == [CROISSANT_NAME, CARD_NAME]
+    assert all("card of another set: manifest " in line for line in lines)
+    for text in ("[]", "no JSON", '{"identifier": 3}'):
+        (other / CROISSANT_NAME).write_text(text)
+        assert main(["verify", str(other)]) == 1
+    assert main(["card", str(other)]) == 0
+    assert main(["verify", str(other)]) == 0
+
+
+def test_bad_arguments_of_card_get_one_line(
+    described: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, message in (
+        ([str(described), "--date", "soon"], "--date must be a day like 2026-01-31, found 'soon'"),
+        ([str(tmp_path)], "neither a set of shards nor a trained network"),
+        ([str(tmp_path / "absent.safetensors")], "neither a set of shards nor a trained network"),
+    ):
+        assert main(["card", *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
