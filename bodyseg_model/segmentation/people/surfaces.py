@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from importlib import import_module
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bodyseg_data.core.kernels import use_compiled
 
 GAP_PIXELS: Final = 3
 """Greatest distance of neighbours in a row or column, pixels, so that single missing pixels divide no surface."""
@@ -31,6 +34,20 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
     Numbers start from 0, in the order of the surfaces' first pixels in reading order. focal_px: of the camera.
     """
+    if not use_compiled():
+        return _connected(range_m, focal_px)
+    surface, parent = np.empty(range_m.shape, np.int32), np.empty(range_m.size, np.int32)
+    loops().number_surfaces(range_m, _jumps(range_m), np.float32(SHADOW_M * focal_px), GAP_PIXELS, surface, parent)
+    return surface
+
+
+def loops() -> Any:
+    """The compiled loops of this folder, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.people.loops")
+
+
+def _connected(range_m: NDArray[np.float32], focal_px: float) -> NDArray[np.int32]:
+    """The NumPy form of `connected_surfaces`."""
     rows, columns = range_m.shape
     # With an empty margin on the left and below, neighbours are a fixed step apart in flat memory, and no row runs into
     # the next.
