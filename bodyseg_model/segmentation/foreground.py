@@ -78,8 +78,10 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     """
     if background.mode == "keep":
         return _all_of(range_m > 0)
-    within = (range_m > 0) & (range_m >= background.near_m) & (range_m <= background.far_m)
-    return _all_of(within) if background.mode == "limits" else _people(np.where(within, range_m, 0), camera)
+    within = (range_m >= background.near_m) & (range_m <= background.far_m)
+    if background.mode == "limits":
+        return _all_of(within & (range_m > 0))
+    return _people(np.where(within, range_m, np.float32(0)), camera)
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:
@@ -92,29 +94,24 @@ def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
     surfaces = Surfaces(range_m, camera)
     for _ in range(_MOST_PLANES):
         large = [surfaces.pixels_of(number) for number in surfaces.by_size(LEAST_AREA_M2 / 2)]
-        flat = [pixels[on_largest_plane(range_m, pixels, camera)] for pixels in large]
-        if not sum(map(len, flat)):
+        flat = [on_largest_plane(range_m, pixels, camera) for pixels in large]
+        if not any(map(np.any, flat)):
             break
-        range_m.ravel()[np.concatenate(flat)] = 0
-        surfaces = Surfaces(range_m, camera)
+        surfaces.remove(large, flat)
     boxes = surfaces.bounding_boxes()
     taken = np.zeros(len(surfaces.area_m2), np.bool_)
     bodies = []
     for number in surfaces.by_size(BODY_AREA_M2[0]):
-        if taken[number] or not _has_body_size(surfaces.pixels_of(number), range_m, camera):
+        if taken[number] or not _has_body_size(surfaces, number):
             continue
         taken[number] = True
         pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
         taken[pieces] = True
-        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)])))
+        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)]), kind="stable"))
     return tuple(bodies)
 
 
-def _has_body_size(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> bool:
-    rows, columns = np.divmod(pixels, range_m.shape[1])
-    depths = range_m.ravel()[pixels].astype(np.float64)
-    width = np.ptp((columns + 0.5 - camera.centre_px[0]) * depths) / camera.focal_px
-    height = np.ptp((rows + 0.5 - camera.centre_px[1]) * depths) / camera.focal_px
-    area = ((depths / camera.focal_px) ** 2).sum()
-    extent = max(width, height, np.ptp(depths))
-    return bool(area <= BODY_AREA_M2[1] and height >= BODY_HEIGHT_M and extent <= BODY_EXTENT_M)
+def _has_body_size(surfaces: Surfaces, number: int) -> bool:
+    width, height, depth = surfaces.extents_m(number)
+    large = surfaces.area_m2[number] > BODY_AREA_M2[1] or max(width, height, depth) > BODY_EXTENT_M
+    return not large and height >= BODY_HEIGHT_M

@@ -12,17 +12,18 @@ import numpy as np
 from bodyseg_data.core.kernels import compiled
 
 _ONE: Final = np.float32(1)
-_NONE: Final = np.float32(0)
+_NOTHING: Final = np.float32(0)
+_UNMEASURED: Final = np.float32(np.inf)
 _kernel = partial(compiled, feature="the compiled form of the background's removal")
 
 
 @_kernel
-def _root(parent: Any, run: Any) -> Any:
-    """The root of a run; paths are halved on the way."""
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
+def _root(parent: Any, number: Any) -> Any:
+    """The root of a segment; paths are halved on the way."""
+    while parent[number] != number:
+        parent[number] = parent[parent[number]]
+        number = parent[number]
+    return number
 
 
 @_kernel
@@ -35,115 +36,186 @@ def _join(parent: Any, one: Any, other: Any) -> None:
 
 
 @_kernel
-def number_surfaces(range_m: Any, level: Any, widest: Any, gap: Any, surface: Any, parent: Any) -> Any:
-    """Number the connected surfaces as `surfaces.connected_surfaces` does, in `surface`, int32 [H, W].
+def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
+    """Write what is to be looked at in a row of a framed image into `marks`, uint8: bit 0 where a segment begins, bit 1
+    where one ends, bits 2 to 4 where a pixel is on one surface with the one 1 to 3 rows above and may be the first of
+    its segment that is. steps, begins: uint8 [4, columns + 1] of this row and the three above, from column -1 on.
 
-    range_m, level: float32 [H, W]. widest: of a shadow, pixels at a range of 1 m, float32. gap: `GAP_PIXELS`. parent:
-    int32 scratch for as many runs as there are pixels. Returns the number of surfaces.
+    Free of branches, so that the compiler compares many pixels at once.
+    """
+    columns = np.uint64(marks.size)
+    here, left, right = level[row, 3:], level[row, 2:], level[row, 4:]
+    above, above_2, above_3 = level[row - 1, 3:], level[row - 2, 3:], level[row - 3, 3:]
+    step, step_1, step_2 = steps[row & 3], steps[(row - 1) & 3], steps[(row - 2) & 3]
+    begin, begin_1, begin_2, begin_3 = (
+        begins[row & 3],
+        begins[(row - 1) & 3],
+        begins[(row - 2) & 3],
+        begins[(row - 3) & 3],
+    )
+    for i in range(columns):
+        value, after = here[i], i + np.uint64(1)
+        begin[after] = (value < _UNMEASURED) & (not abs(value - left[i]) <= _ONE)
+        step[after] = abs(value - above[i]) <= _ONE
+        marks[i] = (value < _UNMEASURED) & (not abs(value - right[i]) <= _ONE)
+    for i in range(columns):
+        after = i + np.uint64(1)
+        stairs, stairs_before = step[after] & step_1[after], step[i] & step_1[i]
+        two = np.uint8(abs(here[i] - above_2[i]) <= _ONE) & ~stairs
+        two_before = np.uint8(abs(left[i] - level[row - 2, 2:][i]) <= _ONE) & ~stairs_before
+        three = np.uint8(abs(here[i] - above_3[i]) <= _ONE) & ~(stairs & step_2[after])
+        three_before = np.uint8(abs(left[i] - level[row - 3, 2:][i]) <= _ONE) & ~(stairs_before & step_2[i])
+        new = begin[after]
+        marks[i] = (
+            new
+            | (marks[i] << 1)
+            | ((step[after] & (~step[i] | new | begin_1[after])) & 1) << 2
+            | ((two & (~two_before | new | begin_2[after])) & 1) << 3
+            | ((three & (~three_before | new | begin_3[after])) & 1) << 4
+        )
+
+
+@_kernel
+def find_segments(range_m: Any, level: Any, widest: Any, focal_px: Any, segments: Any, parent: Any, area_m2: Any) -> Any:
+    """Divide rows into segments, adjacent pixels of one surface, and join those of one surface.
+
+    range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 1], with `GAP_PIXELS`, 3, rows above and columns on the left
+    and one on the right that are unmeasured. widest: of a shadow, pixels at 1 m, float32. Writes the first flat index,
+    one after the last, and the number of the surface of each segment into `segments`, int32 [3, N], and its area into
+    `area_m2`, float64 [N]. parent: int32 [N], scratch. Returns the numbers of segments and surfaces.
     """
     rows, columns = range_m.shape
-    runs = 0
+    steps, begins = np.zeros((4, columns + 1), np.uint8), np.zeros((4, columns + 1), np.uint8)
+    marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
+    words, of_row = marks.view(np.uint64), marks[:columns]
+    numbers = np.full((4, columns), -1, np.int32)
+    count, start = 0, 0
     for row in range(rows):
-        here, numbers = level[row], surface[row]
-        last = -1  # the last measured column of the row
-        for column in range(columns):
-            value = here[column]
-            if range_m[row, column] <= _NONE:
-                numbers[column] = -1
+        _compare(level, row + 3, steps, begins, of_row)
+        here, number = level[row + 3, 3:], numbers[(row + 3) & 3]
+        last = -1  # the last measured column so far
+        for word in range(words.size):
+            if words[word] == np.uint64(0):
                 continue
-            joined = False
-            if last >= 0 and abs(value - here[last]) <= _ONE:
-                joined = last == column - 1
-                if not joined:  # across a hole
-                    nearer = min(range_m[row, last], range_m[row, column])
-                    joined = np.float64(column - last) <= max(np.float64(widest / nearer), np.float64(gap))
-            if joined:
-                run = numbers[last]
-            else:
-                run = np.int32(runs)
-                parent[run] = run
-                runs += 1
-            numbers[column] = run
-            last = column
-            for shift in range(2, min(gap, column) + 1):
-                other = numbers[column - shift]
-                if other >= 0 and other != run and abs(value - here[column - shift]) <= _ONE:
-                    _join(parent, other, run)
-            stairs = True
-            for shift in range(1, min(gap, row) + 1):
-                # What smaller steps join needs no further look, nor does a pair of runs that the pixel before joined.
-                stairs = stairs and abs(level[row - shift + 1, column] - level[row - shift, column]) <= _ONE
-                if shift > 1 and stairs:
+            for column in range(8 * word, 8 * word + 8):
+                mark = marks[column]
+                if mark == 0:
                     continue
-                other = surface[row - shift, column]
-                if other < 0 or abs(value - level[row - shift, column]) > _ONE:
+                if mark & 1:
+                    start = column
+                    parent[count] = count
+                for shift in range(1, 4):
+                    if mark & (2 << shift):
+                        _join(parent, numbers[(row + 3 - shift) & 3, column], count)
+                if not mark & 2:
                     continue
-                if (
-                    column > 0
-                    and numbers[column - 1] == run
-                    and surface[row - shift, column - 1] == other
-                    and abs(here[column - 1] - level[row - shift, column - 1]) <= _ONE
-                ):
-                    continue
-                _join(parent, other, run)
-    count = 0
-    for run in range(runs):  # a root comes before all that it is the root of
-        if parent[run] == run:
-            parent[run] = -1 - count
-            count += 1
+                total = 0.0
+                for i in range(start, column + 1):
+                    number[i] = count
+                    side = np.float64(range_m[row, i]) / focal_px
+                    total += side * side
+                area_m2[count] = total
+                segments[0, count], segments[1, count] = row * columns + start, row * columns + column + 1
+                if 0 <= last < start - 1 and abs(here[start] - here[last]) <= _ONE:
+                    wide = max(np.float64(widest / min(range_m[row, last], range_m[row, start])), 3.0)
+                    if np.float64(start - last) <= wide:
+                        _join(parent, number[last], count)
+                for right in range(start, min(start + 2, column) + 1):
+                    for left in range(max(right - 3, 0), min(right - 1, start)):
+                        if abs(here[right] - here[left]) <= _ONE:
+                            _join(parent, number[left], count)
+                last = column
+                count += 1
+    surfaces = 0
+    for segment in range(count):  # a root comes before all that it is the root of
+        above = parent[segment]
+        if above == segment:
+            segments[2, segment] = surfaces
+            surfaces += 1
         else:
-            above = parent[run]
-            parent[run] = above if above < 0 else parent[above]
-    for row in range(rows):
-        for column in range(columns):
-            run = surface[row, column]
-            if run >= 0:
-                surface[row, column] = -1 - parent[run]
-    return count
+            segments[2, segment] = segments[2, above]
+    return count, surfaces
 
 
 @_kernel
-def measure_surfaces(range_m: Any, surface: Any, focal_px: Any, area_m2: Any, ends: Any) -> None:
-    """Add up areas, float64 [N], and write where each surface's pixels end among those of all, intp [N]."""
-    rows, columns = range_m.shape
-    for row in range(rows):
-        for column in range(columns):
-            number = surface[row, column]
-            if number >= 0:
-                side = np.float64(range_m[row, column]) / focal_px
-                area_m2[number] += side * side
-                ends[number] += 1
-    for number in range(1, ends.size):
-        ends[number] += ends[number - 1]
+def paint_surfaces(segments: Any, flat: Any) -> None:
+    """Write the number of every segment's surface into its pixels of a flat image."""
+    for segment in range(segments.shape[1]):
+        for pixel in range(segments[0, segment], segments[1, segment]):
+            flat[pixel] = segments[2, segment]
 
 
 @_kernel
-def sort_pixels(surface: Any, starts: Any, pixels: Any) -> None:
-    """Write the flat indices of each surface's pixels, ascending, from its entry of `starts` on; starts move on."""
-    rows, columns = surface.shape
-    for row in range(rows):
-        for column in range(columns):
-            number = surface[row, column]
-            if number >= 0:
-                pixels[starts[number]] = row * columns + column
-                starts[number] += 1
+def measure_surfaces(segments: Any, segment_m2: Any, area_m2: Any, counts: Any) -> None:
+    """Add up areas, float64 [N], and numbers of pixels, intp [N], of surfaces."""
+    for segment in range(segments.shape[1]):
+        number = segments[2, segment]
+        area_m2[number] += segment_m2[segment]
+        counts[number] += segments[1, segment] - segments[0, segment]
 
 
 @_kernel
-def bound_surfaces(range_m: Any, surface: Any, lowest: Any, highest: Any) -> None:
+def list_pixels(segments: Any, number: Any, pixels: Any) -> None:
+    """Write the flat indices of a surface's pixels, ascending."""
+    count = 0
+    for segment in range(segments.shape[1]):
+        if segments[2, segment] == number:
+            for pixel in range(segments[0, segment], segments[1, segment]):
+                pixels[count] = pixel
+                count += 1
+
+
+@_kernel
+def bound_surfaces(flat: Any, columns: Any, segments: Any, lowest: Any, highest: Any) -> None:
     """Write lowest and highest row, column and range of each surface, float64 [3, N] that hold inf and -inf."""
-    rows, columns = range_m.shape
-    for row in range(rows):
-        for column in range(columns):
-            number = surface[row, column]
-            if number >= 0:
-                z = np.float64(range_m[row, column])
-                lowest[0, number] = min(lowest[0, number], np.float64(row))
-                highest[0, number] = max(highest[0, number], np.float64(row))
-                lowest[1, number] = min(lowest[1, number], np.float64(column))
-                highest[1, number] = max(highest[1, number], np.float64(column))
-                lowest[2, number] = min(lowest[2, number], z)
-                highest[2, number] = max(highest[2, number], z)
+    for segment in range(segments.shape[1]):
+        first, end, number = segments[0, segment], segments[1, segment], segments[2, segment]
+        row = first // columns
+        nearest = farthest = flat[first]
+        for pixel in range(first + 1, end):
+            nearest, farthest = min(nearest, flat[pixel]), max(farthest, flat[pixel])
+        lowest[0, number] = min(lowest[0, number], np.float64(row))
+        highest[0, number] = max(highest[0, number], np.float64(row))
+        lowest[1, number] = min(lowest[1, number], np.float64(first - row * columns))
+        highest[1, number] = max(highest[1, number], np.float64(end - 1 - row * columns))
+        lowest[2, number] = min(lowest[2, number], np.float64(nearest))
+        highest[2, number] = max(highest[2, number], np.float64(farthest))
+
+
+@_kernel
+def remove_pixels(range_m: Any, level: Any, pixels: Any, gone: Any) -> None:
+    """Make those of ascending pixels that are `gone` unmeasured in a range image, and in its framed `level`."""
+    columns = range_m.shape[1]
+    row, row_end = 0, columns
+    for i in range(pixels.size):
+        pixel = pixels[i]
+        while pixel >= row_end:
+            row += 1
+            row_end += columns
+        if gone[i]:
+            column = pixel - row_end + columns
+            range_m[row, column] = _NOTHING
+            level[row + 3, column + 3] = _UNMEASURED
+
+
+@_kernel
+def extents(flat: Any, columns: Any, centre: Any, pixels: Any) -> Any:
+    """Width and height, times the focal length, and depth of pixels, ascending; centre: float64 [2]."""
+    row, row_end = 0, columns
+    left = top = near = np.inf
+    right = bottom = far = -np.inf
+    for i in range(pixels.size):
+        pixel = pixels[i]
+        while pixel >= row_end:
+            row += 1
+            row_end += columns
+        z = np.float64(flat[pixel])
+        x = (np.float64(pixel - row_end + columns) + 0.5 - centre[0]) * z
+        y = (np.float64(row) + 0.5 - centre[1]) * z
+        left, right = min(left, x), max(right, x)
+        top, bottom = min(top, y), max(bottom, y)
+        near, far = min(near, z), max(far, z)
+    return right - left, bottom - top, far - near
 
 
 @_kernel
@@ -183,20 +255,24 @@ def moments(points: Any, plane: Any, tolerance: Any, sums: Any) -> None:
 
 @_kernel
 def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any) -> Any:
-    """Mark the pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
+    """Mark those of ascending pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
 
     flat: float32 ranges. lens: float64 [3], principal point and focal length, pixels.
     """
     a, b, c = plane[0], plane[1], plane[2]
     across, down, focal_px = lens[0], lens[1], lens[2]
     total = 0.0
+    row, row_end = 0, columns
+    y = (0.5 - down) / focal_px * b
     for i in range(pixels.size):
         pixel = pixels[i]
-        row = pixel // columns
+        while pixel >= row_end:
+            row += 1
+            row_end += columns
+            y = (np.float64(row) + 0.5 - down) / focal_px * b
         z = np.float64(flat[pixel])
-        x = (np.float64(pixel - row * columns) + 0.5 - across) / focal_px
-        y = (np.float64(row) + 0.5 - down) / focal_px
-        near[i] = abs(x * a + y * b + c - 1.0 / z) <= tolerance
+        x = (np.float64(pixel - row_end + columns) + 0.5 - across) / focal_px
+        near[i] = abs(x * a + y + c - 1.0 / z) <= tolerance
         if near[i]:
             total += z * z * z
     return total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
@@ -34,26 +35,57 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
     Numbers start from 0, in the order of the surfaces' first pixels in reading order. focal_px: of the camera.
     """
+    level = jumps(range_m)
     if not use_compiled():
-        return _connected(range_m, focal_px)
-    surface, parent = np.empty(range_m.shape, np.int32), np.empty(range_m.size, np.int32)
-    loops().number_surfaces(range_m, _jumps(range_m), np.float32(SHADOW_M * focal_px), GAP_PIXELS, surface, parent)
+        return joined_surfaces(range_m, level, focal_px)
+    surface = np.full(range_m.shape, -1, np.int32)
+    loops().paint_surfaces(find_segments(range_m, level, focal_px)[0], surface.ravel())
     return surface
 
 
+@cache
 def loops() -> Any:
     """The compiled loops of this folder, in a module that needs numba."""
     return import_module("bodyseg_model.segmentation.people.loops")
 
 
-def _connected(range_m: NDArray[np.float32], focal_px: float) -> NDArray[np.int32]:
-    """The NumPy form of `connected_surfaces`."""
+def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0.
+
+    float32 [3 + H, 3 + W + 1]: in an empty frame, `GAP_PIXELS` wide above and on the left, so that neighbours are a
+    fixed step apart in flat memory, and no row runs into the next.
+    """
     rows, columns = range_m.shape
-    # With an empty margin on the left and below, neighbours are a fixed step apart in flat memory, and no row runs into
-    # the next.
-    framed = np.zeros((rows + GAP_PIXELS, GAP_PIXELS + columns), np.float32)
-    framed[:rows, GAP_PIXELS:] = range_m
-    stride, level = framed.shape[1], _jumps(framed).ravel()
+    level = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + 1), np.inf, np.float32)
+    inner = level[GAP_PIXELS:, GAP_PIXELS:-1]
+    limit = JUMP_M / JUMP_SHARE
+    np.divide(range_m, JUMP_M, out=inner, where=range_m > 0)
+    far = range_m > limit
+    inner[far] = (1 + np.log(range_m[far] / limit)) / JUMP_SHARE
+    return level
+
+
+def find_segments(
+    range_m: NDArray[np.float32], level: Floats, focal_px: float
+) -> tuple[NDArray[np.int32], NDArray[np.float64], int]:
+    """Find the segments of rows, adjacent pixels of one surface, by the compiled loops.
+
+    Returns the first flat index, one after the last, and the number of the surface of each, int32 [3, N]; areas as if
+    they faced the camera, float64 [N], m²; and the number of surfaces. level: from `jumps`.
+    """
+    segments, parent = np.empty((3, range_m.size), np.int32), np.empty(range_m.size, np.int32)
+    area_m2 = np.empty(range_m.size)
+    widest = np.float32(SHADOW_M * focal_px)
+    count, surfaces = loops().find_segments(range_m, level, widest, focal_px, segments, parent, area_m2)
+    return segments[:, :count], area_m2[:count], surfaces
+
+
+def joined_surfaces(range_m: NDArray[np.float32], level: Floats, focal_px: float) -> NDArray[np.int32]:
+    """The NumPy form of `connected_surfaces`. level: from `jumps`."""
+    rows, columns = range_m.shape
+    framed = np.zeros(level.shape, np.float32)
+    framed[GAP_PIXELS:, GAP_PIXELS:-1] = range_m
+    stride, level = framed.shape[1], level.ravel()
     measured = level < np.inf
     # Adjacent pixels of a row and surface make a run; only runs, which are few, are joined afterwards.
     begins = measured.copy()
@@ -64,17 +96,8 @@ def _connected(range_m: NDArray[np.float32], focal_px: float) -> NDArray[np.int3
     joined = np.concatenate([_without_doubles(run[pixels]) for pixels in pairs], axis=1)
     surface = np.append(_joined(int(np.count_nonzero(begins)), joined), np.int32(-1))
     run[~measured] = -1
-    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)[:rows, GAP_PIXELS:]
+    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)[GAP_PIXELS:, GAP_PIXELS:-1]
     return surfaces
-
-
-def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0."""
-    far = JUMP_M / JUMP_SHARE
-    with np.errstate(divide="ignore"):
-        near = np.where(range_m > 0, range_m / JUMP_M, np.inf)
-        jumps = np.where(range_m <= far, near, (1 + np.log(range_m / far)) / JUMP_SHARE)
-    return np.asarray(jumps, np.float32)
 
 
 def _near(level: Floats, shift: int) -> Mask:
