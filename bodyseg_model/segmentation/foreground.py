@@ -107,7 +107,9 @@ def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
         taken[number] = True
         pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
         taken[pieces] = True
-        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)]), kind="stable"))
+        bodies.append(
+            np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)]), kind="stable")
+        )
     return tuple(bodies)
 
 

@@ -76,7 +76,9 @@ def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
 
 
 @_kernel
-def find_segments(range_m: Any, level: Any, widest: Any, focal_px: Any, segments: Any, parent: Any, area_m2: Any) -> Any:
+def find_segments(
+    range_m: Any, level: Any, widest: Any, focal_px: Any, segments: Any, parent: Any, area_m2: Any
+) -> Any:
     """Divide rows into segments, adjacent pixels of one surface, and join those of one surface.
 
     range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 1], with `GAP_PIXELS`, 3, rows above and columns on the left

@@ -56,7 +56,7 @@ def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     fixed step apart in flat memory, and no row runs into the next.
     """
     rows, columns = range_m.shape
-    level = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + 1), np.inf, np.float32)
+    level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + 1), np.inf, np.float32)
     inner = level[GAP_PIXELS:, GAP_PIXELS:-1]
     limit = JUMP_M / JUMP_SHARE
     np.divide(range_m, JUMP_M, out=inner, where=range_m > 0)
@@ -82,10 +82,9 @@ def find_segments(
 
 def joined_surfaces(range_m: NDArray[np.float32], level: Floats, focal_px: float) -> NDArray[np.int32]:
     """The NumPy form of `connected_surfaces`. level: from `jumps`."""
-    rows, columns = range_m.shape
     framed = np.zeros(level.shape, np.float32)
     framed[GAP_PIXELS:, GAP_PIXELS:-1] = range_m
-    stride, level = framed.shape[1], level.ravel()
+    stride, level = level.shape[1], level.ravel()
     measured = level < np.inf
     # Adjacent pixels of a row and surface make a run; only runs, which are few, are joined afterwards.
     begins = measured.copy()
