@@ -148,6 +148,29 @@ def test_every_stage_is_timed() -> None:
     assert all(spent > 0 for spent in result.milliseconds.values())
 
 
+def test_a_stream_answers_each_frame_before_it_asks_for_the_next() -> None:
+    frames = [standing(20, 2.0), standing(24, 2.0), np.zeros((60, 80), np.float32)]
+    taken: list[int] = []
+
+    def live() -> Iterator[NDArray[np.float32]]:
+        for number, frame in enumerate(frames):
+            taken.append(number)
+            yield frame
+
+    network = Places(0, 10)
+    segmenter = Segmenter(network, LENS)
+    for number, answer in enumerate(segmenter.stream(live())):
+        assert taken == list(range(number + 1))
+        expected = segmenter(frames[number])
+        np.testing.assert_array_equal(answer.labels, expected.labels)
+        assert tuple(answer.milliseconds) == STAGES
+        confidence = answer.confidence
+        assert confidence.dtype == np.float32 and confidence.shape == (60, 80)
+        np.testing.assert_array_equal(confidence > 0.9, answer.labels != BACKGROUND)
+        assert len(answer.bodies) == (number < 2)
+    assert tuple(network.seen[0].shape) == (1, 1, 640, 329), "the network has run before the first frame"
+
+
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
     monkeypatch.setattr("bodyseg_model.evaluation.frame_times.time.perf_counter", lambda: next(times))

@@ -81,9 +81,9 @@ def find_segments(
 ) -> Any:
     """Divide rows into segments, adjacent pixels of one surface, and join those of one surface.
 
-    range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 1], with `GAP_PIXELS`, 3, rows above and columns on the left
-    and one on the right that are unmeasured. widest: of a shadow, pixels at 1 m, float32. Writes the first flat index,
-    one after the last, and the number of the surface of each segment into `segments`, int32 [3, N], and its area into
+    range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 2], from `surfaces.jumps`. widest: of a shadow, pixels at 1
+    m, float32. Writes the first flat index, one after the last, and the number of the surface of each segment into
+    `segments`, int32 [3, N], and its area into
     `area_m2`, float64 [N]. parent: int32 [N], scratch. Returns the numbers of segments and surfaces.
     """
     rows, columns = range_m.shape

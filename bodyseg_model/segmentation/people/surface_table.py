@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, find_segments, joined_surfaces, jumps, loops
+from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, find_segments, joined_surfaces, jumps, loops, within
 
 REACH_M: Final = (0.6, 0.3)
 """Greatest distance of a small surface in front of a body and behind it, metres, that may still belong to it: of an arm
@@ -43,7 +43,7 @@ class Surfaces:
         pixels = np.flatnonzero(surface >= 0)
         count = int(surface.max(initial=-1)) + 1
         # Summed by segments first, as the compiled form does.
-        here, left = self._level[GAP_PIXELS:, GAP_PIXELS:-1], self._level[GAP_PIXELS:, GAP_PIXELS - 1 : -2]
+        here, left = within(self._level), self._level[GAP_PIXELS:, GAP_PIXELS - 1 : -GAP_PIXELS]
         with np.errstate(invalid="ignore"):  # inf - inf
             segment = np.cumsum(~(np.abs(here - left) <= 1).ravel()[pixels]) - 1
         sides = self._range_m.ravel()[pixels].astype(np.float64) / focal_px

@@ -52,17 +52,22 @@ def loops() -> Any:
 def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0.
 
-    float32 [3 + H, 3 + W + 1]: in an empty frame, `GAP_PIXELS` wide above and on the left, so that neighbours are a
-    fixed step apart in flat memory, and no row runs into the next.
+    float32 [3 + H, 3 + W + 2]: in an empty frame, `GAP_PIXELS` wide above and on the left and one less on the right, so
+    that neighbours are a fixed step apart in flat memory, and no row runs into the next.
     """
     rows, columns = range_m.shape
-    level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + 1), np.inf, np.float32)
-    inner = level[GAP_PIXELS:, GAP_PIXELS:-1]
+    level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + GAP_PIXELS - 1), np.inf, np.float32)
+    inner = within(level)
     limit = JUMP_M / JUMP_SHARE
     np.divide(range_m, JUMP_M, out=inner, where=range_m > 0)
     far = range_m > limit
     inner[far] = (1 + np.log(range_m[far] / limit)) / JUMP_SHARE
     return level
+
+
+def within(framed: Floats) -> Floats:
+    """The image [H, W] in a frame like that of `jumps`, a view."""
+    return framed[GAP_PIXELS:, GAP_PIXELS : 1 - GAP_PIXELS]
 
 
 def find_segments(
@@ -83,7 +88,7 @@ def find_segments(
 def joined_surfaces(range_m: NDArray[np.float32], level: Floats, focal_px: float) -> NDArray[np.int32]:
     """The NumPy form of `connected_surfaces`. level: from `jumps`."""
     framed = np.zeros(level.shape, np.float32)
-    framed[GAP_PIXELS:, GAP_PIXELS:-1] = range_m
+    within(framed)[:] = range_m
     stride, level = level.shape[1], level.ravel()
     measured = level < np.inf
     # Adjacent pixels of a row and surface make a run; only runs, which are few, are joined afterwards.
@@ -95,8 +100,8 @@ def joined_surfaces(range_m: NDArray[np.float32], level: Floats, focal_px: float
     joined = np.concatenate([_without_doubles(run[pixels]) for pixels in pairs], axis=1)
     surface = np.append(_joined(int(np.count_nonzero(begins)), joined), np.int32(-1))
     run[~measured] = -1
-    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)[GAP_PIXELS:, GAP_PIXELS:-1]
-    return surfaces
+    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)
+    return surfaces[GAP_PIXELS:, GAP_PIXELS : 1 - GAP_PIXELS]
 
 
 def _near(level: Floats, shift: int) -> Mask:
