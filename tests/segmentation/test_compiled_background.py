@@ -51,7 +51,7 @@ def room(seed: int) -> NDArray[np.float32]:
     return np.where(draws.random(seen.shape) < 0.05, 0, noisy).astype(np.float32)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     st.tuples(st.integers(1, 9), st.integers(1, 30)),
     st.integers(0, 2**32 - 1),

@@ -60,13 +60,10 @@ WAYS: Final = {
 
 def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any]:
     """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024."""
-    known = load_sensor("kinect_v1").camera
-    middle = _SQUARE / 2
-    square = replace(known, rows=_SQUARE, columns=_SQUARE, focal_px=_SQUARE_FOCAL_PX, centre_px=(middle, middle))
-    cameras = {"640 x 480": known, "1024 x 1024": square}
-    done, total = 0, len(cameras) * (views + len(WAYS))
+    chosen = cameras()
+    done, total = 0, len(chosen) * (views + len(WAYS))
     sizes: dict[str, Any] = {}
-    for name, camera in cameras.items():
+    for name, camera in chosen.items():
         with TemporaryDirectory() as folder:
             frames = Path(folder) / "frames"
             frames.mkdir()
@@ -92,6 +89,13 @@ def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any
         "hardware": hardware(),
         "sizes": sizes,
     }
+
+
+def cameras() -> dict[str, Camera]:
+    """Size -> camera: a Kinect v1, and a larger one."""
+    known, middle = load_sensor("kinect_v1").camera, _SQUARE / 2
+    square = replace(known, rows=_SQUARE, columns=_SQUARE, focal_px=_SQUARE_FOCAL_PX, centre_px=(middle, middle))
+    return {"640 x 480": known, "1024 x 1024": square}
 
 
 def _rooms(camera: Camera, count: int) -> Iterator[Room]:

@@ -42,7 +42,7 @@ def _stages(axis: Any, name: str, ways: Tree) -> None:
                 left=0.0 if beside else left,
                 height=0.2 if beside else 0.4,
                 color=colour,
-                label="write, beside the next frame" if beside else stage,
+                label="_" if position else "write, beside the next frame" if beside else stage,
             )
             left += 0.0 if beside else mean
         text = f" P95 {way['ms']['frame']['p95']:.0f} ms, {way['frames_per_second']:.0f} a second"
