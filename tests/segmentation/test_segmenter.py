@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,6 +171,15 @@ def test_a_stream_answers_each_frame_before_it_asks_for_the_next() -> None:
         np.testing.assert_array_equal(confidence > 0.9, answer.labels != BACKGROUND)
         assert len(answer.bodies) == (number < 2)
     assert tuple(network.seen[0].shape) == (1, 1, 640, 329), "the network has run before the first frame"
+
+
+def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs" / "segment.md").read_text(), re.S)
+    names: dict[str, Any] = {}
+    exec("\n".join(blocks), names)
+    assert len(blocks) == 2 and isinstance(names["segment"], Segmenter)
+    for answer in (names["result"], names["answer"]):
+        assert answer.labels.shape == answer.confidence.shape == (480, 640) and tuple(answer.milliseconds) == STAGES
 
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:

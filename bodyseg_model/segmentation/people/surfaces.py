@@ -59,9 +59,11 @@ def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + GAP_PIXELS - 1), np.inf, np.float32)
     inner = within(level)
     limit = JUMP_M / JUMP_SHARE
-    np.divide(range_m, JUMP_M, out=inner, where=range_m > 0)
+    np.divide(range_m, JUMP_M, out=inner)
     far = range_m > limit
-    inner[far] = (1 + np.log(range_m[far] / limit)) / JUMP_SHARE
+    if far.any():
+        np.copyto(inner, (1 + np.log(np.maximum(range_m, limit) / limit)) / JUMP_SHARE, where=far)
+    np.copyto(inner, np.inf, where=range_m <= 0)
     return level
 
 
