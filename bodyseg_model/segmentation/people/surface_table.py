@@ -36,7 +36,8 @@ class Surfaces:
         focal_px = self._camera.focal_px
         if use_compiled():
             self._segments, segment_m2, count = find_segments(self._range_m, self._level, focal_px)
-            self.area_m2, self._counts = np.zeros(count, np.float64), np.zeros(count, np.intp)
+            self.area_m2 = np.zeros(count)
+            self._counts = np.zeros(count, np.intp)
             loops().measure_surfaces(self._segments, segment_m2, self.area_m2, self._counts)
             return
         surface = joined_surfaces(self._range_m, self._level, focal_px).ravel()
@@ -47,9 +48,9 @@ class Surfaces:
         with np.errstate(invalid="ignore"):  # inf - inf
             segment = np.cumsum(~(np.abs(here - left) <= 1).ravel()[pixels]) - 1
         sides = self._range_m.ravel()[pixels].astype(np.float64) / focal_px
-        segment_m2 = np.bincount(segment, sides * sides)
+        segments_m2 = np.bincount(segment, sides * sides)
         first = np.flatnonzero(np.diff(segment, prepend=-1))
-        self.area_m2 = np.bincount(surface[pixels[first]], segment_m2, minlength=count).astype(np.float64)
+        self.area_m2 = np.bincount(surface[pixels[first]], segments_m2, minlength=count).astype(np.float64)
         self._counts = np.bincount(surface[pixels], minlength=count)
         self._pixels = pixels[np.argsort(surface[pixels], kind="stable")]
 
