@@ -35,6 +35,7 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
     Numbers start from 0, in the order of the surfaces' first pixels in reading order. focal_px: of the camera.
     """
+    range_m = np.ascontiguousarray(range_m)  # loops are compiled for this alone
     level = jumps(range_m)
     if not use_compiled():
         return joined_surfaces(range_m, level, focal_px)
