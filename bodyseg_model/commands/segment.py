@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
-
 from bodyseg_data.commands.options import option
-from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
@@ -31,21 +28,24 @@ from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
 from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
 from bodyseg_model.recordings.intrinsics import Intrinsics
-from bodyseg_model.recordings.recording import Frame, Pixels
+from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.recordings.skipping import Skipping
+from bodyseg_model.segmentation.files.frame_results import FrameResults, LabelledFrame
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
+from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
-from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
+from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
-_UNDISTORTED: Final = IMAGES[2]
+_LABELS, _OVERLAY, _UNDISTORTED = IMAGES
+_READ: Final = "read"
 _NEAR: Final = 0.7  # of the stand-off; docs/segment.md has the accuracy by distance
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
@@ -73,6 +73,7 @@ class Options:
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
+    no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif", 10.0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
@@ -83,30 +84,40 @@ def run(options: Options) -> int:
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     trained = shipped_network() if options.run is None else load_network(options.run)
-    label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
+    label_map = trained.label_map
+    preview = None if options.no_overlay else Preview(options.fps, label_map)
     trained.network.to(find_device(options.device))
     cameras = _cameras(options, frames, trained, skipping)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
     segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
-    out = OutputFolder(options.out, options.frames, frames, IMAGES if cameras.bent else IMAGES[:2])
+    written = [_LABELS, *([] if options.no_overlay else [_OVERLAY]), *([_UNDISTORTED] if cameras.bent else [])]
+    out = OutputFolder(options.out, options.frames, frames, written)
+    shape = cameras.first.camera.rows, cameras.first.camera.columns
+    results, shadows = FrameResults(out, label_map, preview, shape), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with _labels_out(options, label_map) as messages:
         out.begin()
-        summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
-        with Progress("segmenting", "frames") as progress:
-            for number, frame in enumerate(frames):
-                if (pixels := _read(frame, skipping, watch := Stopwatch(STAGES))) is not None:
-                    range_m, bodies, labels = _segment(
-                        frame, pixels, watch, cameras, segmenters, out, summary, preview, label_map
-                    )
-                    if messages is not None:
-                        messages.add(frame, labels)
-                    if not cameras.is_own(frame):
-                        shadows.add(number, frame.name, range_m, bodies)
-                progress.update(number + 1, len(frames))
-    save_picture(draw_parts_legend(label_map), options.out / LEGEND)
-    write_result(options.out / PREVIEW, preview.to_gif())
+        first.prepare()
+        start = time.perf_counter()
+        with Progress("segmenting", "frames") as progress, WriteBehind() as behind:
+            for number, file in enumerate(frames):
+                frame = _label(file, cameras, skipping, segmenters)
+                done = partial(progress.update, number + 1, len(frames))
+                if frame is None:
+                    behind.add(done)
+                    continue
+                if frame.camera is None:
+                    shadows.add(number, file.name, frame.range_m, [body.pixels for body in frame.result.bodies])
+                if messages is not None:  # here, as a recording is read by one thread
+                    messages.add(file, frame.result.labels)
+                behind.add(partial(_write, frame, results, done))
+        seconds = time.perf_counter() - start
+    labelled = len(frames) - len(skipping.skipped)
+    if preview is not None:
+        save_picture(draw_parts_legend(label_map), options.out / LEGEND)
+        write_result(options.out / PREVIEW, preview.to_gif())
+    summary = results.summary
     facts = {
         "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
         "labels": {"name": label_map.name, "classes": [*label_map.names]},
@@ -122,13 +133,14 @@ def run(options: Options) -> int:
             "rule": "each body is scaled so that its median range gets the pixel size of that camera at that distance",
         },
         "least_confidence": options.confidence,
-        "preview": {"frames": len(preview), "frames_per_second": round(preview.frames_per_second, 2)},
+        "preview": None if preview is None else preview.to_json(),
+        "frames_per_second": round(labelled / seconds, 2),
         "hardware": hardware(),
         "device": str(device_of(trained.network)),
         "peak_mb": peak_mb(),
     }
     out.finish({**facts, **summary.to_json()})
-    lines = _remarks(options, cameras, summary, shadows, skipping) + _too_near(summary, trained.rig)
+    lines = _remarks(options, cameras, summary, shadows, skipping, labelled / seconds) + _too_near(summary, trained.rig)
     sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
 
@@ -158,54 +170,32 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
     return labels_out(options.labels_out, label_map, options.fps)
 
 
-def _read(frame: Frame, skipping: Skipping, watch: Stopwatch) -> Pixels | None:
-    with watch("read"):
-        return skipping.read(frame)
-
-
-def _segment(
-    frame: Frame,
-    pixels: Pixels,
-    watch: Stopwatch,
-    cameras: FrameCameras,
-    segmenters: Segmenters,
-    out: OutputFolder,
-    summary: SequenceSummary,
-    preview: Preview,
-    label_map: LabelMap,
-) -> tuple[NDArray[np.float32], list[NDArray[np.intp]], NDArray[np.uint8]]:
-    """Label, write and count one frame; returns its ranges, the pixels of its bodies and its labels.
-
-    Raises BadConfig, naming it, before anything of it is written.
-    """
-    with watch("read"):
-        camera = cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
+def _label(file: Frame, cameras: FrameCameras, skipping: Skipping, segmenters: Segmenters) -> LabelledFrame | None:
+    """Read and label one frame; None for one that is skipped. Raises BadConfig, naming it."""
+    watch = Stopwatch((_READ,))
+    with watch(_READ):
+        pixels = skipping.read(file)
+        if pixels is None:
+            return None
+        camera = cameras.of(file, (pixels.shape[0], pixels.shape[1]))
         try:
             lens, segmenter = segmenters.of(camera.camera)
             if lens is not None:
                 pixels = lens(pixels)
-            range_m = to_metres(pixels, frame.step_m)
+            range_m = to_metres(pixels, file.step_m)
         except BadConfig as error:
-            raise BadConfig(f"{frame.where}: {error}") from error
+            raise BadConfig(f"{file.where}: {error}") from error
     try:
         result = segmenter(range_m)
     except BadConfig as error:
-        raise BadConfig(f"{frame.where}: {error}") from error
-    with watch("write"):
-        overlay = draw_overlay(range_m, result.labels, [body.pixels for body in result.bodies], label_map)
-        images: dict[str, NDArray[Any]] = {"labels": result.labels, "overlay": overlay}
-        if _UNDISTORTED in out.folders:
-            images[_UNDISTORTED] = pixels
-        for folder, image in images.items():
-            buffer = io.BytesIO()
-            Image.fromarray(image).save(buffer, "PNG", compress_level=3)  # a third of the time, a tenth more bytes
-            write_result(out.image(folder, frame.name), buffer.getvalue())
-    if overlay.shape[:2] == (cameras.first.camera.rows, cameras.first.camera.columns):
-        preview.add(overlay)  # an animation has frames of one size
-    own = camera.to_json() if cameras.is_own(frame) else None
-    times = {**watch.milliseconds, **result.milliseconds}
-    summary.add(frame.name, frame.where, range_m, result, times, frame.sequence, own)
-    return range_m, [body.pixels for body in result.bodies], result.labels
+        raise BadConfig(f"{file.where}: {error}") from error
+    own = camera.to_json() if cameras.is_own(file) else None
+    return LabelledFrame(file, pixels, range_m, result, watch.milliseconds, own)
+
+
+def _write(frame: LabelledFrame, results: FrameResults, done: Callable[[], None]) -> None:
+    results.add(frame)
+    done()
 
 
 def _background(options: Options) -> Background:
@@ -222,11 +212,19 @@ def _facts(trained: Trained) -> dict[str, Any]:
 
 
 def _remarks(
-    options: Options, cameras: FrameCameras, summary: SequenceSummary, shadows: ShadowFrames, skipping: Skipping
+    options: Options,
+    cameras: FrameCameras,
+    summary: SequenceSummary,
+    shadows: ShadowFrames,
+    skipping: Skipping,
+    per_second: float,
 ) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
     frames, camera = shadows.frames - len(skipping.skipped), cameras.common or cameras.first
-    lines = [f"wrote {frames} frames to {options.out}, {summary.milliseconds['frame']['mean']:.0f} ms a frame"]
+    lines = [
+        f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
+        f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
+    ]
     if summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.people.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
-from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
+from bodyseg_model.segmentation.people.surface_table import REACH_M, Surfaces
+from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M
 
 BackgroundMode = Literal["people", "limits", "keep"]
 
@@ -27,10 +28,6 @@ BODY_HEIGHT_M: Final = 0.3
 LOOSE_AREA_M2: Final = 0.1
 """Surfaces smaller than this, such as a forearm with its hand, join a body that they overlap in the image, if within
 its reach; square metres."""
-
-REACH_M: Final = (0.6, 0.3)
-"""Greatest distance of such a surface in front of a body and behind it, metres: of an arm stretched towards the camera
-or behind the trunk, only the hand may be seen."""
 
 _MOST_PLANES: Final = 6
 
@@ -81,8 +78,10 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     """
     if background.mode == "keep":
         return _all_of(range_m > 0)
-    within = (range_m > 0) & (range_m >= background.near_m) & (range_m <= background.far_m)
-    return _all_of(within) if background.mode == "limits" else _people(np.where(within, range_m, 0), camera)
+    within = (range_m >= background.near_m) & (range_m <= background.far_m)
+    if background.mode == "limits":
+        return _all_of(within & (range_m > 0))
+    return _people(np.where(within, range_m, np.float32(0)), camera)
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:
@@ -92,80 +91,29 @@ def _all_of(mask: NDArray[np.bool_]) -> Bodies:
 
 def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
     """Surfaces of a body's size, after large planes are removed from `range_m`, in place."""
-    surfaces = _Surfaces(range_m, camera)
+    surfaces = Surfaces(range_m, camera)
     for _ in range(_MOST_PLANES):
         large = [surfaces.pixels_of(number) for number in surfaces.by_size(LEAST_AREA_M2 / 2)]
-        flat = [pixels[on_largest_plane(range_m, pixels, camera)] for pixels in large]
-        if not sum(map(len, flat)):
+        flat = [on_largest_plane(range_m, pixels, camera) for pixels in large]
+        if not any(map(np.any, flat)):
             break
-        range_m.ravel()[np.concatenate(flat)] = 0
-        surfaces = _Surfaces(range_m, camera)
+        surfaces.remove(large, flat)
     boxes = surfaces.bounding_boxes()
     taken = np.zeros(len(surfaces.area_m2), np.bool_)
     bodies = []
     for number in surfaces.by_size(BODY_AREA_M2[0]):
-        if taken[number] or not _has_body_size(surfaces.pixels_of(number), range_m, camera):
+        if taken[number] or not _has_body_size(surfaces, number):
             continue
         taken[number] = True
         pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
         taken[pieces] = True
-        bodies.append(np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)])))
+        bodies.append(
+            np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)]), kind="stable")
+        )
     return tuple(bodies)
 
 
-def _has_body_size(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> bool:
-    rows, columns = np.divmod(pixels, range_m.shape[1])
-    depths = range_m.ravel()[pixels].astype(np.float64)
-    width = np.ptp((columns + 0.5 - camera.centre_px[0]) * depths) / camera.focal_px
-    height = np.ptp((rows + 0.5 - camera.centre_px[1]) * depths) / camera.focal_px
-    area = ((depths / camera.focal_px) ** 2).sum()
-    extent = max(width, height, np.ptp(depths))
-    return bool(area <= BODY_AREA_M2[1] and height >= BODY_HEIGHT_M and extent <= BODY_EXTENT_M)
-
-
-class _Surfaces:
-    """The connected surfaces of a range image [H, W], metres, by number. area_m2: [N], as if they faced the camera."""
-
-    def __init__(self, range_m: NDArray[np.float32], camera: Camera) -> None:
-        pixels = np.flatnonzero(range_m)
-        surface = connected_surfaces(range_m, camera.focal_px).ravel()[pixels]
-        order = np.argsort(surface, kind="stable")
-        self._pixels = pixels[order]
-        self._ends = np.cumsum(np.bincount(surface))
-        depths = range_m.ravel()[pixels].astype(np.float64)
-        self.area_m2 = np.bincount(surface, (depths / camera.focal_px) ** 2)
-        self._range_m = range_m
-
-    def by_size(self, least_m2: float) -> list[int]:
-        """The numbers of surfaces of at least this area, the largest first."""
-        order = np.argsort(-self.area_m2, kind="stable")
-        return [int(number) for number in order if self.area_m2[number] >= least_m2]
-
-    def pixels_of(self, number: int) -> NDArray[np.intp]:
-        """The pixels of a surface, flat indices, ascending."""
-        return self._pixels[self._ends[number - 1] if number else 0 : self._ends[number]]
-
-    def bounding_boxes(self) -> _Boxes:
-        starts = np.concatenate([[0], self._ends[:-1]]) if len(self._ends) else np.empty(0, np.intp)
-        axes = (*np.divmod(self._pixels, self._range_m.shape[1]), self._range_m.ravel()[self._pixels])
-        lowest = np.array([np.minimum.reduceat(axis, starts) if len(starts) else [] for axis in axes])
-        highest = np.array([np.maximum.reduceat(axis, starts) if len(starts) else [] for axis in axes])
-        return _Boxes(lowest, highest)
-
-
-@dataclass(frozen=True)
-class _Boxes:
-    """Bounding boxes of surfaces: lowest and highest row, column and range (metres), each [3, N]."""
-
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
-
-    def near(self, number: int) -> NDArray[np.bool_]:
-        """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
-        low, high = self.lowest[:, number].copy(), self.highest[:, number].copy()
-        low[2] -= REACH_M[0]
-        high[2] += REACH_M[1]
-        overlap = (self.highest[:2] >= low[:2, None]) & (self.lowest[:2] <= high[:2, None])
-        within = (self.lowest[2] >= low[2]) & (self.highest[2] <= high[2])
-        near: NDArray[np.bool_] = overlap.all(axis=0) & within
-        return near
+def _has_body_size(surfaces: Surfaces, number: int) -> bool:
+    width, height, depth = surfaces.extents_m(number)
+    large = surfaces.area_m2[number] > BODY_AREA_M2[1] or max(width, height, depth) > BODY_EXTENT_M
+    return not large and height >= BODY_HEIGHT_M

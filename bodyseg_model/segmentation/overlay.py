@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,8 @@ _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
 _DARKEST: Final = 0.55
 _LEVELS: Final = 6
+_SHADES: Final = 128  # more than the bytes between the lightest and the darkest shade of a colour
+_SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
 _LEGEND_WIDTH: Final = 900
 _PREVIEW_SIDE: Final = 320
 MOST_FRAMES: Final = 900
@@ -40,16 +43,40 @@ def draw_overlay(
     bodies: flat indices of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and
     for the room, which is darker than any body; pixels that were not measured are nearly black.
     """
-    picture = np.empty((range_m.size, 3), np.uint8)
-    picture[:] = _EMPTY
-    room = np.flatnonzero(range_m)
-    picture[room] = _between(_ROOM_GREYS, _depth(range_m.ravel()[room]))[:, None]
+    flat, label = range_m.ravel(), labels.ravel()
+    colour = np.where(flat > 0, _shades(flat, _some(flat)), len(_table(label_map)) - 1)
     for pixels in bodies:
-        depth, label = _depth(range_m.ravel()[pixels]), labels.ravel()[pixels]
-        is_part = label < len(label_map)
-        colours = label_map.colours[np.where(is_part, label, 0)] * _between((1, _DARKEST), depth)[:, None]
-        picture[pixels] = np.where(is_part[:, None], colours, _between(_UNKNOWN_GREYS, depth)[:, None]).astype(np.uint8)
-    return picture.reshape(*range_m.shape, 3)
+        ranges, group = flat[pixels], np.minimum(label[pixels], len(label_map)).astype(np.intp)
+        colour[pixels] = (1 + group) * _SHADES + _shades(ranges, _some(ranges))
+    return _table(label_map).take(colour, axis=0).reshape(*range_m.shape, 3)
+
+
+@lru_cache(maxsize=4)
+def _table(label_map: LabelMap) -> NDArray[np.uint8]:
+    """The colours of an overlay: of the room, of every class and of no class, each in `_SHADES` from near to far; then
+    that of pixels that were not measured; uint8 [N, 3].
+    """
+    depth = np.linspace(0, 1, _SHADES)
+    room, unknown = (
+        np.interp(depth, (0, 1), greys)[:, None].repeat(3, axis=1) for greys in (_ROOM_GREYS, _UNKNOWN_GREYS)
+    )
+    parts = (label_map.colours[:, None] * np.interp(depth, (0, 1), (1, _DARKEST))[:, None]).reshape(-1, 3)
+    return np.concatenate([room, parts, unknown, [_EMPTY]]).astype(np.uint8)
+
+
+def _some(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Measured ranges among evenly spaced ones of [N], a few thousand."""
+    some = range_m[:: len(range_m) // _SAMPLED | 1]
+    return some[some > 0]
+
+
+def _shades(range_m: NDArray[np.float32], some: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Shades of ranges [N], from 0 at the 2 % quantile of `some` to the last at the 98 % quantile, so that outliers do
+    not matter.
+    """
+    near, far = np.quantile(some, (0.02, 0.98)) if len(some) else (0.0, 1.0)
+    depth = (range_m - np.float32(near)) * np.float32((_SHADES - 1) / max(far - near, 1e-3))
+    return np.clip(depth + np.float32(0.5), 0, _SHADES - 1, out=depth).astype(np.intp)
 
 
 class Preview:
@@ -80,6 +107,10 @@ class Preview:
     def __repr__(self) -> str:
         return f"Preview({len(self)} frames, {self.frames_per_second:g} per second)"
 
+    def to_json(self) -> dict[str, float]:
+        """Number of frames and rate, for summary.json."""
+        return {"frames": len(self), "frames_per_second": round(self.frames_per_second, 2)}
+
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Append an overlay, sRGB uint8 [H, W, 3], all of one size; it is ignored once there are `MOST_FRAMES`."""
         if len(self._frames) < MOST_FRAMES:
@@ -98,18 +129,6 @@ class Preview:
 def draw_parts_legend(label_map: LabelMap = PARTS33) -> Image.Image:
     """Draw the colours of the classes with their names."""
     return draw_legend(_LEGEND_WIDTH, label_map)
-
-
-def _depth(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Depth from 0 at the 2 % quantile of ranges [N] to 1 at the 98 % quantile, so that outliers do not matter."""
-    if not len(range_m):
-        return range_m
-    near, far = np.quantile(range_m, (0.02, 0.98))
-    return np.asarray(np.clip((range_m - near) / max(far - near, 1e-3), 0, 1), np.float32)
-
-
-def _between(ends: tuple[float, float], depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(np.interp(depth, (0, 1), ends), np.float32)
 
 
 def _palette(label_map: LabelMap) -> NDArray[np.uint8]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
@@ -67,6 +68,14 @@ class Segmentation:
             return None
         return float(np.concatenate([body.confidence for body in self.bodies]).mean(dtype=np.float64))
 
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """Confidence of every pixel, float32 [H, W], 0 to 1; 0 where there is no body."""
+        image = np.zeros(self.labels.shape, np.float32)
+        for body in self.bodies:
+            image.ravel()[body.pixels] = body.confidence
+        return image
+
 
 class Segmenter:
     """Labels the frames of one camera, each independently.
@@ -125,8 +134,7 @@ class Segmenter:
             with watch("resample"):
                 view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
             with watch("network"):
-                prediction = predict(self._network, torch.from_numpy(view.range_m)[None, None].to(self.device))
-                view_labels, view_confidence = (image[0].cpu().numpy() for image in prediction)
+                view_labels, view_confidence = self._predict(view.range_m)
             with watch("back"):
                 confidence, named = view.back(view_confidence), view.back(view_labels)
             with watch("people"):
@@ -138,6 +146,31 @@ class Segmenter:
                 with watch("back"):
                     labels.ravel()[pixels] = np.where(confidence >= self.least_confidence, named, BACKGROUND)
         return Segmentation(labels, tuple(bodies), watch.milliseconds, tuple(things))
+
+    def stream(self, frames: Iterable[NDArray[np.float32]]) -> Iterator[Segmentation]:
+        """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
+        next.
+
+        frames: float32 [H, W], metres, 0 = nothing measured, of the camera's size; they may never end. An answer has
+        `labels`, uint8 [H, W], 255 where there is no body; `confidence`, float32 [H, W]; `bodies`, the people, with
+        pixels, range and confidences of each; and `milliseconds` of every stage. Before the first frame is asked for,
+        `prepare` is called. Raises BadConfig as a call does.
+        """
+        self.prepare()
+        for range_m in frames:
+            yield self(range_m)
+
+    def prepare(self) -> None:
+        """Load the compiled loops and run the network once, so that the first frame takes no longer than others."""
+        room = np.full((self.camera.rows, self.camera.columns), self.background.far_m, np.float32)
+        find_bodies(room, self.camera, self.background)
+        self._predict(np.full((self.rig.camera.rows, self.rig.camera.columns), self.rig.stand_off_m, np.float32))
+
+    def _predict(self, range_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """The network's labels, uint8, and confidences, float32, of a view [h, w], metres."""
+        prediction = predict(self._network, torch.from_numpy(range_m)[None, None].to(self.device))
+        labels, confidence = (image[0].cpu().numpy() for image in prediction)
+        return labels, confidence
 
 
 class Segmenters:

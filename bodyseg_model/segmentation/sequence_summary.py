@@ -87,7 +87,8 @@ class SequenceSummary:
 
     @property
     def milliseconds(self) -> dict[str, dict[str, float]]:
-        """Mean, standard deviation and 95th percentile of every stage and of all together ("frame").
+        """Mean, standard deviation and 95th percentile of every stage, and of all but "write" together ("frame"), from
+        the frame's file to its labels: results are written beside the next frame.
 
         The first frame is left out if there are others, because libraries are initialised during it.
         """
@@ -95,7 +96,10 @@ class SequenceSummary:
         stages = {stage: [frame[stage] for frame in counted] for stage in STAGES}
         return {
             stage: _spread(values)
-            for stage, values in {**stages, "frame": [sum(frame.values()) for frame in counted]}.items()
+            for stage, values in {
+                **stages,
+                "frame": [sum(frame.values()) - frame["write"] for frame in counted],
+            }.items()
         }
 
     def to_json(self) -> dict[str, Any]:

@@ -368,6 +368,43 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert segment.EXAMPLE in capsys.readouterr().out
 
 
+def test_without_overlays_labels_and_summary_are_left(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(recording, "--focal", "100", "--out", out) == 0
+    labels = {path.name: path.read_bytes() for path in (out / "labels").iterdir()}
+    assert run(recording, "--focal", "100", "--out", out, "--no-overlay") == 0
+    assert {path.name: path.read_bytes() for path in (out / "labels").iterdir()} == labels and len(labels) == 5
+    assert {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} == {
+        *(f"labels/{name}" for name in labels),
+        "summary.json",
+    }
+    assert report(out)["preview"] is None and report(out)["frames_per_second"] > 0
+
+
+def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_them(
+    recording: Path,
+    tmp_path: Path,
+    network: Places,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, label = tmp_path / "out", network.scores
+
+    def interrupted(range_m: torch.Tensor) -> torch.Tensor:
+        if len(network.seen) == 4:  # one image before all frames
+            raise KeyboardInterrupt
+        return label(range_m)
+
+    monkeypatch.setattr(network, "scores", interrupted)
+    assert run(recording, "--focal", "100", "--out", out) == 130
+    assert sorted(path.name for path in (out / "labels").iterdir()) == ["7.png", "8.png", "9.png"]
+    assert (out / "unfinished.json").exists() and not (out / "summary.json").exists()
+    assert capsys.readouterr().err.splitlines()[-1] == "bodyseg segment: interrupted"
+    monkeypatch.setattr(network, "scores", label)
+    assert run(recording, "--focal", "100", "--out", out) == 0
+    assert report(out)["frames"] == len(list((out / "labels").iterdir())) == 5
+
+
 def test_a_block_is_no_person(
     recording: Path, tmp_path: Path, network: Places, capsys: pytest.CaptureFixture[str]
 ) -> None:

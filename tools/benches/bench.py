@@ -65,6 +65,7 @@ BENCHES: Final = {
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "things": Bench("model.things.bench", None, "made rooms to fit to, 300", optional=("runs",)),
+    "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
     "people": Bench(
         "model.people.bench", None, "views of each body, 6", required=("data",), optional=("runs", "poses", "alone")
     ),

@@ -54,13 +54,14 @@ class OutputFolder:
 
     def begin(self) -> None:
         """Make the folders. An earlier summary goes first, so that a summary is always of all results; then images of
-        the earlier call that this one does not replace. Raises BadConfig.
+        the earlier call that this one does not replace, and its preview and legend. Raises BadConfig.
         """
         try:
             for folder in self.folders:
                 (self.path / folder).mkdir(parents=True, exist_ok=True)
             write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})
-            (self.path / SUMMARY).unlink(missing_ok=True)
+            for name in (SUMMARY, PREVIEW, LEGEND):
+                (self.path / name).unlink(missing_ok=True)
             kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
             for frame in self._earlier:
                 for stale in self._images(frame["name"]) - kept:

@@ -7,13 +7,16 @@ far.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import pixel_draws, stream
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.people.surfaces import loops
 
 LEAST_AREA_M2: Final = 1.0
 """Least visible area of a floor or wall, square metres: no body has so large a flat surface."""
@@ -39,26 +42,28 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
     """
     if not len(pixels):
         return np.zeros(0, np.bool_)
-    draws = pixel_draws(stream(0, 0, "", "room planes"), _FITTED + 3 * _CANDIDATES, np.uint32) % len(pixels)
-    some = _points(range_m, pixels[draws], camera)
+    some = _points(range_m, pixels[_draws() % len(pixels)], camera)
     plane = _best_candidate(some[:_JUDGES], some[_FITTED:].reshape(-1, 3, 3))
     if plane is None:
         return np.zeros(len(pixels), np.bool_)
     for _ in range(_FITS):
-        near = some[np.abs(_misfit(some, plane)) <= TOLERANCE_PER_M]
-        plane = _fit(near)
-    points = _points(range_m, pixels, camera)
-    on_plane = np.abs(_misfit(points, plane)) <= TOLERANCE_PER_M
-    return on_plane & (seen_area_m2(points[on_plane, 2], plane, camera) >= LEAST_AREA_M2)
+        plane = _fit(some, plane)
+    near, cubes = _near_plane(range_m, pixels, camera, plane)
+    return near if seen_area_m2(cubes, plane, camera) >= LEAST_AREA_M2 else np.zeros(len(pixels), np.bool_)
 
 
-def seen_area_m2(inverse_range: NDArray[np.float64], plane: NDArray[np.float64], camera: Camera) -> float:
-    """Area of a plane (a, b, c) visible in pixels of given inverse ranges [N], 1 / m; square metres.
+def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> float:
+    """Area of a plane (a, b, c), 1 / m, visible in some pixels, square metres. cubes: sum of their ranges cubed, m³.
 
     A pixel at range Z covers (Z / f)² of a surface that faces the camera, and that area over the cosine between ray and
     normal of a slanted one; the cosine is 1 / (Z |(a, b, c)|) for a ray of unit depth.
     """
-    return float(np.linalg.norm(plane) * (inverse_range**-3.0).sum() / camera.focal_px**2)
+    return float(np.linalg.norm(plane)) * cubes / camera.focal_px**2
+
+
+@lru_cache(maxsize=1)
+def _draws() -> NDArray[np.uint32]:
+    return pixel_draws(stream(0, 0, "", "room planes"), _FITTED + 3 * _CANDIDATES, np.uint32)
 
 
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
@@ -75,11 +80,40 @@ def _misfit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
     return points[:, 0] * a + points[:, 1] * b + c - points[:, 2]
 
 
-def _fit(points: Points) -> NDArray[np.float64]:
-    """Fit a plane (a, b, c) by least squares of misfits, from the normal equations."""
-    flat = np.column_stack([points[:, :2], np.ones(len(points))])
-    normal, right = np.einsum("ki,kj->ij", flat, flat), np.einsum("ki,k->i", flat, points[:, 2])
-    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], np.float64)
+def _near_plane(
+    range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera, plane: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], float]:
+    """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
+    if use_compiled():
+        near, lens = np.empty(len(pixels), np.bool_), np.array([*camera.centre_px, camera.focal_px])
+        flat, columns = range_m.ravel(), range_m.shape[1]
+        return near, float(loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
+    near = np.abs(_misfit(_points(range_m, pixels, camera), plane)) <= TOLERANCE_PER_M
+    z = range_m.ravel()[pixels[near]].astype(np.float64)
+    return near, _sum_in_order(z * z * z)
+
+
+def _fit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit a plane (a, b, c) by least squares of misfits to the points [N, 3] near another one."""
+    xx, xy, x, yy, y, count, x_inverse, y_inverse, inverse = _moments(points, plane)
+    normal = np.array([[xx, xy, x], [xy, yy, y], [x, y, count]])
+    return np.asarray(np.linalg.lstsq(normal, np.array([x_inverse, y_inverse, inverse]), rcond=None)[0], np.float64)
+
+
+def _moments(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums of xx, xy, x, yy, y, 1, x / Z, y / Z and 1 / Z over the points [N, 3] near a plane, [9]."""
+    if use_compiled():
+        sums = np.zeros(9)
+        loops().moments(points, plane, TOLERANCE_PER_M, sums)
+        return sums
+    x, y, inverse = points[np.abs(_misfit(points, plane)) <= TOLERANCE_PER_M].T
+    terms = (x * x, x * y, x, y * y, y, np.ones(len(x)), x * inverse, y * inverse, inverse)
+    return np.array([_sum_in_order(term) for term in terms])
+
+
+def _sum_in_order(terms: NDArray[np.float64]) -> float:
+    """Sum from the first term to the last, as a loop adds them; `np.sum` adds in another order."""
+    return float(np.cumsum(terms)[-1]) if len(terms) else 0.0
 
 
 def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -87,16 +121,19 @@ def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.
 
     judges: points [M, 3] that stand for that surface. None if no candidate explains any of them.
     """
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # No matrix products: for so few numbers, starting threads takes longer on a busy machine than all the rest.
-    offsets = np.einsum("ij,ij->i", normals, corners[:, 0])
-    away = np.einsum("ij,kj->ik", judges, normals) - offsets
+    a, b, c = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
+    offsets = a * corners[:, 0, 0] + b * corners[:, 0, 1] + c * corners[:, 0, 2]
+    surface = np.zeros(len(corners))
     # Three points on a line have a zero normal, which explains no point.
-    explained = np.abs(away) < TOLERANCE_PER_M * np.abs(normals[:, 2])
-    surface = np.einsum("i,ij->j", judges[:, 2] ** -2, explained)
+    if use_compiled():
+        weighed = np.vstack([judges.T, np.square(1 / judges[:, 2])])
+        loops().explained(weighed, np.stack([a, b, c]), offsets, TOLERANCE_PER_M, surface)
+    else:
+        for x, y, inverse in judges:
+            away = x * a + y * b + inverse * c - offsets
+            surface += np.where(np.abs(away) < TOLERANCE_PER_M * np.abs(c), np.square(1 / inverse), 0.0)
     best = int(np.argmax(surface))
     if not surface[best]:
         return None
-    a, b, w = normals[best]
-    plane: NDArray[np.float64] = np.array([-a, -b, offsets[best]]) / w
+    plane: NDArray[np.float64] = np.array([-a[best], -b[best], offsets[best]]) / c[best]
     return plane

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from functools import cache
+from importlib import import_module
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bodyseg_data.core.kernels import use_compiled
 
 GAP_PIXELS: Final = 3
 """Greatest distance of neighbours in a row or column, pixels, so that single missing pixels divide no surface."""
@@ -31,12 +35,64 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
     Numbers start from 0, in the order of the surfaces' first pixels in reading order. focal_px: of the camera.
     """
+    range_m = np.ascontiguousarray(range_m)  # loops are compiled for this alone
+    level = jumps(range_m)
+    if not use_compiled():
+        return joined_surfaces(range_m, level, focal_px)
+    surface = np.full(range_m.shape, -1, np.int32)
+    loops().paint_surfaces(find_segments(range_m, level, focal_px)[0], surface.ravel())
+    return surface
+
+
+@cache
+def loops() -> Any:
+    """The compiled loops of this folder, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.people.loops")
+
+
+def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0.
+
+    float32 [3 + H, 3 + W + 2]: in an empty frame, `GAP_PIXELS` wide above and on the left and one less on the right, so
+    that neighbours are a fixed step apart in flat memory, and no row runs into the next.
+    """
     rows, columns = range_m.shape
-    # With an empty margin on the left and below, neighbours are a fixed step apart in flat memory, and no row runs into
-    # the next.
-    framed = np.zeros((rows + GAP_PIXELS, GAP_PIXELS + columns), np.float32)
-    framed[:rows, GAP_PIXELS:] = range_m
-    stride, level = framed.shape[1], _jumps(framed).ravel()
+    level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + GAP_PIXELS - 1), np.inf, np.float32)
+    inner = within(level)
+    limit = JUMP_M / JUMP_SHARE
+    np.divide(range_m, JUMP_M, out=inner)
+    far = range_m > limit
+    if far.any():
+        np.copyto(inner, (1 + np.log(np.maximum(range_m, limit) / limit)) / JUMP_SHARE, where=far)
+    np.copyto(inner, np.inf, where=range_m <= 0)
+    return level
+
+
+def within(framed: Floats) -> Floats:
+    """The image [H, W] in a frame like that of `jumps`, a view."""
+    return framed[GAP_PIXELS:, GAP_PIXELS : 1 - GAP_PIXELS]
+
+
+def find_segments(
+    range_m: NDArray[np.float32], level: Floats, focal_px: float
+) -> tuple[NDArray[np.int32], NDArray[np.float64], int]:
+    """Find the segments of rows, adjacent pixels of one surface, by the compiled loops.
+
+    Returns the first flat index, one after the last, and the number of the surface of each, int32 [3, N]; areas as if
+    they faced the camera, float64 [N], m²; and the number of surfaces. level: from `jumps`.
+    """
+    segments, parent = np.empty((3, range_m.size), np.int32), np.empty(range_m.size, np.int32)
+    area_m2 = np.empty(range_m.size)
+    widest = np.float32(SHADOW_M * focal_px)
+    count, surfaces = loops().find_segments(range_m, level, widest, focal_px, segments, parent, area_m2)
+    return segments[:, :count], area_m2[:count], surfaces
+
+
+def joined_surfaces(range_m: NDArray[np.float32], level: Floats, focal_px: float) -> NDArray[np.int32]:
+    """The NumPy form of `connected_surfaces`. level: from `jumps`."""
+    framed = np.zeros(level.shape, np.float32)
+    within(framed)[:] = range_m
+    stride, level = level.shape[1], level.ravel()
     measured = level < np.inf
     # Adjacent pixels of a row and surface make a run; only runs, which are few, are joined afterwards.
     begins = measured.copy()
@@ -47,17 +103,8 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
     joined = np.concatenate([_without_doubles(run[pixels]) for pixels in pairs], axis=1)
     surface = np.append(_joined(int(np.count_nonzero(begins)), joined), np.int32(-1))
     run[~measured] = -1
-    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)[:rows, GAP_PIXELS:]
-    return surfaces
-
-
-def _jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Ranges on a scale on which two of one surface differ by at most 1; inf for range 0."""
-    far = JUMP_M / JUMP_SHARE
-    with np.errstate(divide="ignore"):
-        near = np.where(range_m > 0, range_m / JUMP_M, np.inf)
-        jumps = np.where(range_m <= far, near, (1 + np.log(range_m / far)) / JUMP_SHARE)
-    return np.asarray(jumps, np.float32)
+    surfaces: NDArray[np.int32] = surface[run].reshape(-1, stride)
+    return surfaces[GAP_PIXELS:, GAP_PIXELS : 1 - GAP_PIXELS]
 
 
 def _near(level: Floats, shift: int) -> Mask:

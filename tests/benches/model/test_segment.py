@@ -1,0 +1,80 @@
+"""`bench segment`: what it counts, and what it writes and draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benches.model.segment import bench
+from benches.model.segment.bench import STAGES, WAYS, accuracy, bench_segment, cameras
+from benches.model.segment.figure import draw_segment
+from label_networks import Places
+
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.commands import segment
+from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.stability.rooms import Room
+
+
+def made(shape: tuple[int, int]) -> Room:
+    """Two blocks before a wall: person 0 with labels 3, and a thing."""
+    rows, columns = shape
+    range_m, person = np.full(shape, 4.0, np.float32), np.full(shape, -1, np.int32)
+    labels = np.full(shape, BACKGROUND, np.uint8)
+    block = slice(rows // 6, rows * 5 // 6), slice(columns // 3, columns // 2)
+    range_m[block], person[block], labels[block] = 2.0, 0, 3
+    thing = np.full(shape, -1, np.int32)
+    beside = block[0], slice(columns * 2 // 3, columns * 3 // 4)
+    range_m[beside], thing[beside] = 2.0, 0
+    return Room(range_m, person, thing, labels, 1, 1)
+
+
+class MadeRooms:
+    """Stands in for rooms with bodies, which take a second each."""
+
+    def __init__(self, source: Any, bodies: Any, camera: Camera, seed: int) -> None:
+        assert len(bodies) > 0
+        self._shape = camera.rows, camera.columns
+
+    def __call__(self, number: int) -> Room:
+        return made(self._shape)
+
+
+def test_people_found_and_labels_right_are_counted() -> None:
+    room = made((60, 80))
+    person = room.person >= 0
+    half = np.where(person & (np.arange(60)[:, None] < 30), 3, BACKGROUND).astype(np.uint8)
+    wrong = np.where(room.range_m < 3, 7, BACKGROUND).astype(np.uint8)
+    found = accuracy([room, room, room], [room.labels, half, wrong], 0.01)
+    assert (found["people"], found["found"], found["person_pixels"]) == (3, 3, 3 * person.sum())
+    assert found["right"] == 0.5 and found["thing_pixels"] == (room.thing >= 0).sum()
+    less = np.where(np.arange(60)[:, None] < 28, half, BACKGROUND).astype(np.uint8)
+    assert accuracy([room], [less], 0.01)["found"] == 0
+    assert accuracy([room], [less], 0.001)["people"] == 0, "too small to count"
+
+
+def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = Places(axis=0, step=20)
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"network": "places"}))
+    monkeypatch.setattr(bench, "Rooms", MadeRooms)
+    lens = Camera(120, 160, 131.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert [(camera.rows, camera.columns) for camera in cameras().values()] == [(480, 640), (1024, 1024)]
+    monkeypatch.setattr(bench, "cameras", lambda: {"small": lens, "again": lens})
+    steps: list[int] = []
+    figures = bench_segment(views=1, progress=lambda done, total, note="": steps.append(done))
+    assert steps == list(range(1, 2 * (1 + len(WAYS)) + 1))
+    assert figures["default"] == "default" and set(figures["sizes"]) == {"small", "again"}
+    for size in figures["sizes"].values():
+        ways = size["ways"]
+        assert set(ways) == set(WAYS)
+        for way in ways.values():
+            assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1
+        accuracies = [{key: way[key] for key in ("found", "right", "thing_pixels")} for way in ways.values()]
+        assert accuracies[0] == accuracies[1] == accuracies[3], "loops and pictures change no label"
+        assert ways["things labelled, too"]["found"] == 1 and ways["things labelled, too"]["thing_pixels"] > 0
+        assert ways["no pictures"]["bytes_a_frame"] < ways["default"]["bytes_a_frame"]
+    draw_segment(figures, tmp_path / "segment.png")
+    assert (tmp_path / "segment.png").stat().st_size > 10_000

@@ -1,0 +1,84 @@
+"""Writing beside computing, and the pictures that are written."""
+
+from __future__ import annotations
+
+import io
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.segmentation.files.picture_png import encode_picture
+from bodyseg_model.segmentation.files.write_behind import WriteBehind
+
+
+def fails(message: str) -> None:
+    raise BadConfig(message)
+
+
+def test_jobs_are_done_in_order_in_another_thread() -> None:
+    done: list[tuple[int, bool]] = []
+    with WriteBehind(most_waiting=2) as behind:
+        for number in range(9):
+            behind.add(
+                lambda number=number: done.append((number, threading.current_thread() is threading.main_thread()))
+            )
+        assert repr(behind).endswith("of at most 2 jobs wait)")
+    assert done == [(number, False) for number in range(9)]
+
+
+def test_an_error_ends_the_jobs_and_is_raised_by_the_next_call() -> None:
+    done: list[int] = []
+    reached = threading.Event()
+    with pytest.raises(BadConfig, match="^disk full$"), WriteBehind() as behind:
+        behind.add(lambda: fails("disk full"))
+        behind.add(reached.set)  # dropped
+        behind.add(lambda: done.append(1))
+    assert not done and not reached.is_set()
+    with WriteBehind() as behind:
+        behind.add(reached.set)
+        assert reached.wait(10)
+    with pytest.raises(BadConfig, match="^disk full$"), WriteBehind(most_waiting=1) as behind:
+        for _ in range(10_000):
+            behind.add(lambda: fails("disk full"))
+        pytest.fail("ten thousand jobs were taken after one had failed")
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, BadConfig])
+def test_an_interruption_or_a_bad_frame_leaves_the_jobs_before_it_done(kind: type[BaseException]) -> None:
+    done: list[int] = []
+    with pytest.raises(kind), WriteBehind() as behind:
+        for number in range(3):
+            behind.add(lambda number=number: done.append(number))
+        raise kind
+    assert done == [0, 1, 2]
+    # Of two errors the first counts, the one of an earlier frame's files; an interruption comes before both.
+    with (
+        pytest.raises(KeyboardInterrupt if kind is KeyboardInterrupt else BadConfig) as raised,
+        WriteBehind() as behind,
+    ):
+        behind.add(lambda: fails("disk full"))
+        raise kind("a later frame")
+    assert str(raised.value) == ("a later frame" if kind is KeyboardInterrupt else "disk full")
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.arange(60, dtype=np.uint8).reshape(6, 10),
+        np.arange(60, dtype=np.uint16).reshape(6, 10) * 1000,
+        np.arange(180, dtype=np.uint8).reshape(6, 10, 3),
+        np.asfortranarray(np.arange(60, dtype=np.uint8).reshape(6, 10)),
+        np.zeros((1, 1), np.uint8),
+    ],
+    ids=["labels", "frame", "overlay", "columns first", "one pixel"],
+)
+def test_pictures_are_read_as_they_were(image: Any) -> None:
+    with Image.open(io.BytesIO(encode_picture(image))) as picture:
+        picture.verify()  # checksums, too
+    with Image.open(io.BytesIO(encode_picture(image))) as picture:
+        assert picture.mode == {1: "L", 2: "I;16"}[image.dtype.itemsize] if image.ndim == 2 else "RGB"
+        np.testing.assert_array_equal(np.asarray(picture), image)

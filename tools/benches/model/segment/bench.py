@@ -1,0 +1,164 @@
+"""`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
+
+The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
+of its loops, with a label on every surface, and without pictures. docs/segment.md says how to read the results.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from benches.measuring import Progress, silent
+from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.core.kernels import VARIABLE, use_compiled
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera, load_sensor
+from bodyseg_data.core.system.machine import hardware
+from bodyseg_model.commands import segment
+from bodyseg_model.segmentation.files.picture_png import encode_picture
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES
+from bodyseg_model.stability.rooms import Room, Rooms
+
+_SQUARE: Final = 1024
+_SQUARE_FOCAL_PX: Final = 840.0
+"""Of the larger camera: it sees 63 degrees, up and across, and so about as much of a person as a Kinect v1."""
+
+_BODIES: Final = 6  # of each source: to label one takes a second
+
+STAGES: Final = ("read", "background", "resample", "network", "back", "people", "write")
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to call the command. loops: for BODYSEG_KERNELS. options: of the command, besides its frames."""
+
+    loops: str = "auto"
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+WAYS: Final = {
+    "default": Way(),
+    "NumPy": Way(loops="numpy"),
+    "things labelled, too": Way(options={"keep_things": True}),
+    "no pictures": Way(options={"no_overlay": True}),
+}
+"""Name -> way, the default first."""
+
+
+def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any]:
+    """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024."""
+    chosen = cameras()
+    done, total = 0, len(chosen) * (views + len(WAYS))
+    sizes: dict[str, Any] = {}
+    for name, camera in chosen.items():
+        with TemporaryDirectory() as folder:
+            frames = Path(folder) / "frames"
+            frames.mkdir()
+            rooms = []
+            for number, room in enumerate(_rooms(camera, views)):
+                millimetres = np.rint(1000 * room.range_m).astype(np.uint16)
+                (frames / f"{number}.png").write_bytes(encode_picture(millimetres))
+                rooms.append(room)
+                done += 1
+                progress(done, total)
+            ways = {}
+            for way, facts in WAYS.items():
+                ways[way] = _measured(facts, frames, Path(folder) / way, camera, rooms)
+                done += 1
+                progress(done, total)
+        sizes[name] = {"focal_px": camera.focal_px, "ways": ways}
+    return {
+        "default": next(iter(WAYS)),
+        "rooms": views,
+        "sources": list(TEST_SOURCES),
+        "seed": TEST_SEED,
+        "threads": torch.get_num_threads(),
+        "hardware": hardware(),
+        "sizes": sizes,
+    }
+
+
+def cameras() -> dict[str, Camera]:
+    """Size -> camera: a Kinect v1, and a larger one."""
+    known, middle = load_sensor("kinect_v1").camera, _SQUARE / 2
+    square = replace(known, rows=_SQUARE, columns=_SQUARE, focal_px=_SQUARE_FOCAL_PX, centre_px=(middle, middle))
+    return {"640 x 480": known, "1024 x 1024": square}
+
+
+def _rooms(camera: Camera, count: int) -> Iterator[Room]:
+    """Rooms with bodies that no network was fitted to, in turn by source."""
+    makers = []
+    for source in TEST_SOURCES:
+        opened = open_source(source)
+        bodies = [body for body in opened.bodies() if body.split == "test"]
+        makers.append(Rooms(opened, bodies[:: max(1, len(bodies) // _BODIES)][:_BODIES], camera, TEST_SEED))
+    for number in range(count):
+        yield makers[number % len(makers)](number)
+
+
+def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Room]) -> dict[str, Any]:
+    """Times of every stage, frames a second, and accuracy of one call of the command."""
+    options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
+    with _loops(way.loops), contextlib.redirect_stderr(io.StringIO()):
+        segment.run(options)
+    summary = json.loads((out / "summary.json").read_text())
+    labels = []
+    for number in range(len(rooms)):
+        with Image.open(out / "labels" / f"{number}.png") as picture:
+            labels.append(np.asarray(picture).copy())
+    times = summary["ms"]
+    return {
+        "ms": {stage: times[stage] for stage in (*STAGES, "frame")},
+        "frames_per_second": summary["frames_per_second"],
+        "bytes_a_frame": round(sum(file.stat().st_size for file in out.rglob("*.png")) / len(rooms)),
+        **accuracy(rooms, labels, 1 / camera.focal_px),
+    }
+
+
+@contextlib.contextmanager
+def _loops(choice: str) -> Iterator[None]:
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = choice
+    use_compiled.cache_clear()
+    try:
+        yield
+    finally:
+        os.environ.pop(VARIABLE)
+        if before is not None:
+            os.environ[VARIABLE] = before
+        use_compiled.cache_clear()
+
+
+def accuracy(rooms: Sequence[Room], labels: Sequence[NDArray[np.uint8]], pixel_m: float) -> dict[str, Any]:
+    """Compare label images uint8 [H, W] with rooms.
+
+    pixel_m: side of a pixel at 1 m, metres. people: that show at least `LEAST_SEEN_M2`; found: of them, half of the
+    pixels have a label. right: share of all pixels of people with the right label. thing_pixels: labelled pixels that
+    show no person.
+    """
+    people = found = pixels = right = thing_pixels = 0
+    for room, image in zip(rooms, labels, strict=True):
+        named, person = image != BACKGROUND, room.person >= 0
+        for number in range(room.people):
+            seen = room.person == number
+            if ((pixel_m * room.range_m[seen]) ** 2).sum() >= LEAST_SEEN_M2:
+                people += 1
+                found += bool(named[seen].mean() >= 0.5)
+        pixels += int(person.sum())
+        right += int((person & named & (image == room.labels)).sum())
+        thing_pixels += int((named & ~person).sum())
+    share = round(right / pixels, 4) if pixels else None
+    return {"people": people, "found": found, "person_pixels": pixels, "right": share, "thing_pixels": thing_pixels}
