@@ -15,8 +15,8 @@ from bodyseg_model.viewing.space import Device, Points
 class Drawing:
     """Points, devices, a picture of panels, sRGB uint8 [H, W, 3], and facts in lines of plain text.
 
-    gap_m: distance of neighbouring points, metres, which their size on the page follows. legend: of the colours of the
-    points.
+    gap_m: distance of neighbouring points, metres, which their size on the page follows. bodies: number of the first
+    points, which are of bodies, and to which a window is turned. legend: of the colours of the points.
     """
 
     points: Points
@@ -24,4 +24,5 @@ class Drawing:
     picture: NDArray[np.uint8] = field(repr=False)
     facts: tuple[str, ...]
     gap_m: float
+    bodies: int
     legend: Legend = field(repr=False)

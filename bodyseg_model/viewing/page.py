@@ -83,12 +83,13 @@ class Page:
         self._devices_shown = True
 
     def add_view_controls(self) -> None:
-        """Add the controls of the points' size and of the devices, and the button that saves a picture."""
+        """Add the controls of the viewpoint and of what is drawn, and the button that saves a picture."""
         gui = self.server.gui
-        size = gui.add_slider("point size", 0.4, 4.0, 0.1, self.point_scale)
-        devices = gui.add_checkbox("camera, projector", True)
-        look = gui.add_button_group("look at", VIEWPOINTS)
-        save = gui.add_button("Save picture")
+        with gui.add_folder("View"):
+            look = gui.add_button_group("look at", VIEWPOINTS)
+            size = gui.add_slider("point size", 0.4, 4.0, 0.1, self.point_scale)
+            devices = gui.add_checkbox("camera, projector", True)
+            save = gui.add_button("Save picture")
 
         @size.on_update
         def _(_: object) -> None:
@@ -153,7 +154,7 @@ class Page:
 
     def _aim(self, drawing: Drawing) -> None:
         """Put the first view before the points."""
-        place, at = viewpoint(drawing.points, drawing.devices, "points", _FOV_RAD, _ASPECT)
+        place, at = viewpoint(aimed_at(drawing), drawing.devices, "points", _FOV_RAD, _ASPECT)
         camera = self.server.initial_camera
         camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
 
@@ -163,7 +164,7 @@ class Page:
         if drawing is None:
             return
         camera = client.camera
-        place, at = viewpoint(drawing.points, drawing.devices, chosen, camera.fov, camera.aspect)
+        place, at = viewpoint(aimed_at(drawing), drawing.devices, chosen, camera.fov, camera.aspect)
         with client.atomic():
             camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place, at
 
@@ -209,6 +210,11 @@ class Page:
             client.add_notification("Saved", str(path), auto_close_seconds=6)
         except (BodysegError, OSError, RuntimeError) as error:
             self.warn(f"no picture was saved: {error}")
+
+
+def aimed_at(drawing: Drawing) -> NDArray[np.float32]:
+    """Points that a window is turned to, float32 [N, 3]: those of bodies, or all if there is no body."""
+    return drawing.points.xyz[: drawing.bodies or None]
 
 
 def picture_file(drawing: Drawing, view: NDArray[np.uint8]) -> tuple[str, bytes]:

@@ -33,7 +33,7 @@ class RecordingPage:
         with gui.add_folder("Image"):
             colouring = gui.add_dropdown("colour by", FRAME_COLOURINGS, initial_value=self.shown.colouring)
             room = gui.add_checkbox("room", self.shown.room)
-            page.add_view_controls()
+        page.add_view_controls()
 
         @self._number.on_update
         def _(_: object) -> None:

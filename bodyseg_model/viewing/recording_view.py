@@ -127,6 +127,7 @@ class RecordingView:
             self._picture(frame, changes),
             self._facts(shown.number, frame, before),
             float(np.median(seen)) / frame.camera.focal_px if len(seen) else _GAP_M,
+            len(points[0]),
             legend,
         )
 
@@ -171,7 +172,7 @@ class RecordingView:
         body = np.zeros(frame.range_m.size, np.bool_)
         body[frame.bodies] = True
         sure = found.mean_confidence
-        people = f"{len(bodies)} people, {len(found.things)} things"
+        people = _counted(found)
         confidences = share_image(layout.reduced(frame.confidence), layout.reduced(body.reshape(shape)))
         note = "nobody" if sure is None else f"mean {sure:.0%}"
         return layout.draw(
@@ -189,7 +190,7 @@ class RecordingView:
         stages = ", ".join(f"{stage} {time:.0f}" for stage, time in found.milliseconds.items())
         facts = [
             file.name,
-            f"frame {number + 1} of {len(self)}: {len(found.bodies)} people, {len(found.things)} things",
+            f"frame {number + 1} of {len(self)}: {_counted(found)}",
             f"{frame.milliseconds:.0f} ms when it was labelled: {stages}",
         ]
         if found.mean_confidence is not None:
@@ -218,6 +219,11 @@ def changes_of(frame: Labelled, before: Labelled | None) -> NDArray[np.uint8]:
     found[shared & (old != labels) & ~still] = 1
     found[shared & (old != labels) & still] = 2
     return found
+
+
+def _counted(found: Segmentation) -> str:
+    people, things = len(found.bodies), len(found.things)
+    return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
 
 
 def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -36,6 +36,7 @@ class SetPage:
             self._add_sample_controls()
         with gui.add_folder("Image"):
             self._add_image_controls()
+        page.add_view_controls()
         with gui.add_folder("Sensor: strengths of its artifacts"):
             self._add_sensor_controls()
         page.start(self.draw)
@@ -126,7 +127,6 @@ class SetPage:
         colouring = gui.add_dropdown("colour by", colourings, initial_value=self.shown.colouring)
         epoch = gui.add_slider("draws of epoch", 0, 99, 1, self.shown.epoch)
         network = gui.add_checkbox("ask the network", self.shown.network, visible=self.view.trained is not None)
-        self.page.add_view_controls()
 
         @variant.on_update
         def _(_: object) -> None:
@@ -149,8 +149,8 @@ class SetPage:
     def _add_sensor_controls(self) -> None:
         gui = self.page.server.gui
         sensor = gui.add_dropdown("model", tuple(self._sensors), initial_value=self.shown.sensor.name)
-        again = gui.add_button("Strengths of the model again")
-        controls = SensorControls(self.page, self.shown.sensor, self._changed_sensor)
+        again = gui.add_button("Reset strengths")
+        self._sensor = controls = SensorControls(self.page, self.shown.sensor, self._changed_sensor)
 
         def put(_: object) -> None:
             model = self._sensors[sensor.value]

@@ -139,6 +139,7 @@ class SetView:
             self._layout.draw(self._panels(sample, made, shown, layers, milliseconds)),
             self._facts(sample, image, shown, layers),
             float(np.median(metres.ravel()[seen])) / self.rig.camera.focal_px if len(seen) else _GAP_M,
+            len(seen),
             self._legend(shown.colouring, layers),
         )
 
@@ -192,10 +193,10 @@ class SetView:
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
             Panel("projector's view", colour_range(reduced(projector), *_span(projector)), "what casts shadows"),
-            Panel(f"labels in {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
+            Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
         ]
         if layers.kinds is not None:
-            note = f"in {shown.variant}, {milliseconds:.0f} ms"
+            note = f"{shown.variant}, {milliseconds:.0f} ms"
             stored += [
                 Panel("network's answer", self._colours("network", small), note),
                 Panel("mistakes", self._colours("mistakes", small), f"{_share_right(layers.kinds):.1%} right"),

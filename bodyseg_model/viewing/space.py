@@ -82,16 +82,17 @@ def device(name: str, placed: PlacedCamera) -> Device:
 
 
 def viewpoint(
-    points: Points, devices: Sequence[Device], kind: Viewpoint, fov_rad: float, aspect: float
+    xyz: NDArray[np.float32], devices: Sequence[Device], kind: Viewpoint, fov_rad: float, aspect: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A place to look from and a point to look at, metres, float64 [3] each, that take in what `kind` says.
 
-    fov_rad: vertical field of view of the window; aspect: its width over its height. "points": before them, a little
-    beside and above the sensor's camera. "sensor": from the side, the points and all devices. "camera": the sensor's.
+    xyz: of the points, float32 [N, 3]. fov_rad: vertical field of view of the window; aspect: its width over its
+    height. "points": before them, a little beside and above the sensor's camera. "sensor": from the side, the points
+    and all devices. "camera": the sensor's.
     """
     low, high = np.full(3, -1.0), np.full(3, 1.0)
-    if len(points.xyz):
-        low, high = np.quantile(points.xyz, (0.01, 0.99), axis=0).astype(np.float64)
+    if len(xyz):
+        low, high = np.quantile(xyz, (0.01, 0.99), axis=0).astype(np.float64)
     middle = (low + high) / 2
     if kind == "camera" and devices:
         place = np.asarray(devices[0].position_m)
