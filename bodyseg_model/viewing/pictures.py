@@ -36,8 +36,8 @@ WIDTH: Final = 1040
 """Width of a picture, pixels: twice that of its place on the page, for screens of high density."""
 
 _GAP: Final = 8
-_HEAD: Final = 30
-_NOTE: Final = 26
+_HEAD: Final = 26
+_NOTE: Final = 30
 _MOST_ROWS: Final = 420
 
 
@@ -73,17 +73,23 @@ class Layout:
 
     def draw(self, lines: Sequence[Sequence[Panel]]) -> NDArray[np.uint8]:
         """All panels in one picture, sRGB uint8 [H, W, 3]; their images are of the size of `reduced`."""
-        cell = (WIDTH - _GAP) // self.columns
-        height = _HEAD + self.rows + _NOTE
-        sheet = Image.new("RGB", (WIDTH, height * len(lines) + _GAP), PAPER)
+        sheet = Image.new("RGB", (WIDTH, self._line * len(lines) + _GAP), PAPER)
         pen = ImageDraw.Draw(sheet)
         for number, line in enumerate(lines):
-            for column, panel in enumerate(line):
-                left, top = _GAP + column * cell, _GAP + number * height
-                pen.text((left, top), panel.name, INK, font=font(19))
-                sheet.paste(Image.fromarray(panel.image), (left, top + _HEAD - 4))
-                pen.text((left, top + _HEAD + self.rows - 2), panel.note, FAINT, font=font(16))
+            for panel, (left, top, _, _) in zip(line, self.boxes(number), strict=False):
+                pen.text((left, top - _HEAD), panel.name, INK, font=font(19))
+                sheet.paste(Image.fromarray(panel.image), (left, top))
+                pen.text((left, top + self.rows + 2), panel.note, FAINT, font=font(16))
         return np.asarray(sheet)
+
+    def boxes(self, line: int) -> list[tuple[int, int, int, int]]:
+        """Left, top, width and height of the images of a line in the picture."""
+        cell, top = (WIDTH - _GAP) // self.columns, _GAP + line * self._line + _HEAD
+        return [(_GAP + column * cell, top, self.width, self.rows) for column in range(self.columns)]
+
+    @property
+    def _line(self) -> int:
+        return _HEAD + self.rows + _NOTE
 
 
 def label_image(labels: NDArray[np.uint8], measured: NDArray[np.bool_], label_map: LabelMap) -> NDArray[np.uint8]:

@@ -45,7 +45,7 @@ def view_of(folder: Path, *images: np.ndarray) -> RecordingView:
         (folder / f"{number}.png").write_bytes(png(image))
     frames = find_frames([folder])
     cameras = FrameCameras(frames, [None] * len(frames), lambda shape, where: FrameCamera(CAMERA, "given"))
-    trained = Trained(Places(0, 2), {"rig": SMALL.to_json()})
+    trained = Trained(Places(1, 2), {"rig": SMALL.to_json()})
     return RecordingView(frames, cameras, Segmenters(trained, Background("limits")), 1e-3, PARTS33)
 
 
@@ -85,12 +85,12 @@ def test_changes_are_told_from_movement() -> None:
 
 
 def test_flicker_has_its_colours_and_its_share(tmp_path: Path) -> None:
-    """Labels follow rows from the body's uppermost one, which is higher in the second frame."""
-    taller = frame(10)
-    taller[2:10, 10:30] = 1500
-    view = view_of(tmp_path, frame(10), taller)
+    """Labels follow columns from the body's left edge, which is farther left in the second frame."""
+    wider = frame(10)
+    wider[10:50, 0:10] = 1500
+    view = view_of(tmp_path, frame(10), wider)
     changes = changes_of(view.labelled(1), view.labelled(0))
-    assert (changes[2:10, 10:30] == 3).all() and (changes == 2).any()
+    assert (changes[10:50, 0:10] == 3).all() and (changes == 2).any()
     drawing = view.draw(ShownFrame(1, "flicker", room=False))
     colours = np.array([colour for _, colour in FLICKER_LEGEND])
     np.testing.assert_array_equal(drawing.points.colours, colours[changes[changes != 255]])

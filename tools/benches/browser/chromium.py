@@ -33,6 +33,7 @@ _OPTIONS: Final = (
     "--hide-scrollbars",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",  # WebGL without a graphics card
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # as without a network
     "--remote-debugging-port=0",
 )
 _START_S: Final = 60.0

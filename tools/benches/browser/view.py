@@ -1,0 +1,221 @@
+"""`make test-browser`: the page of a set in a real browser, over a proxy's path, without a network.
+
+Opens the page, moves a slider with the mouse, and compares what the window shows; screenshots are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from benches.browser.chromium import Tab, chromium, open_tab
+from bodyseg_data.artifacts.variants import VARIANTS
+from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_model.commands import cli
+from bodyseg_model.viewing.pictures import WIDTH, Layout
+from bodyseg_model.viewing.server import LOOPBACK
+
+WINDOW: Final = (1400, 900)
+PREFIX: Final = "/lab/view"
+_WAIT_S: Final = 120.0
+_SETTLED_S: Final = 1.5
+
+
+class Proxy:
+    """A proxy on loopback that serves one server's pages below a path, as lab machines do: it takes the path off."""
+
+    def __init__(self, prefix: str, port: int) -> None:
+        self._prefix, self._server = prefix.encode(), port
+        self._socket = socket.create_server((LOOPBACK, 0))
+        self.port: int = self._socket.getsockname()[1]
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def close(self) -> None:
+        """Accept no more connections."""
+        self._socket.close()
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):  # it is closed
+            while True:
+                client, _ = self._socket.accept()
+                threading.Thread(target=self._forward, args=(client,), daemon=True).start()
+
+    def _forward(self, client: socket.socket) -> None:
+        head = b""
+        while b"\r\n" not in head:
+            data = client.recv(65536)
+            if not data:
+                return
+            head += data
+        method, path, rest = head.split(b" ", 2)
+        if not path.startswith(self._prefix):
+            client.sendall(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+            client.close()
+            return
+        server = socket.create_connection((LOOPBACK, self._server))
+        server.sendall(b" ".join([method, path[len(self._prefix) :] or b"/", rest]))
+        threading.Thread(target=_pump, args=(server, client), daemon=True).start()
+        _pump(client, server)
+
+
+def _pump(source: socket.socket, sink: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # one side went away
+        while data := source.recv(65536):
+            sink.sendall(data)
+    for each in (source, sink):
+        with contextlib.suppress(OSError):
+            each.shutdown(socket.SHUT_RDWR)
+
+
+def settled(tab: Tab, timeout_s: float = _WAIT_S) -> NDArray[np.uint8]:
+    """A screenshot of a window that no longer changes. Raises TimeoutError."""
+    end, before = time.monotonic() + timeout_s, tab.screenshot()
+    while time.monotonic() < end:
+        time.sleep(_SETTLED_S)
+        now = tab.screenshot()
+        if np.array_equal(before, now):
+            return now
+        before = now
+    raise TimeoutError(f"the window still changed after {timeout_s:g} s")
+
+
+def slider(tab: Tab, label: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Scroll to the slider with a label; returns the middle of its thumb and the end of its track, pixels."""
+    script = """(() => {
+        const named = [...document.querySelectorAll('*')].filter(
+            (each) => !each.children.length && each.textContent.trim() === %s);
+        let row = named[0];
+        while (!row.querySelector('[role=slider]')) row = row.parentElement;
+        row.scrollIntoView({block: 'center'});
+        const thumb = row.querySelector('[role=slider]');
+        const [a, b] = [thumb.getBoundingClientRect(), thumb.parentElement.getBoundingClientRect()];
+        return [a.x + a.width / 2, a.y + a.height / 2, b.x + b.width];
+    })()"""
+    x, y, end = tab.evaluate(script % json.dumps(label))
+    return (x, y), (end, y)
+
+
+def picture_box(tab: Tab) -> tuple[float, float, float]:
+    """Left and top of the panels' picture in the window, and its scale."""
+    script = """(() => {
+        const images = [...document.querySelectorAll('img')].filter((each) => each.naturalWidth === %d);
+        const box = images[0].getBoundingClientRect();
+        return [box.x, box.y, box.width / images[0].naturalWidth];
+    })()"""
+    left, top, scale = tab.evaluate(script % WIDTH)
+    return left, top, scale
+
+
+def changed_panels(tab: Tab, before: NDArray[np.uint8], after: NDArray[np.uint8], layout: Layout) -> dict[str, float]:
+    """Share of the pixels of each variant's panel that differ by more than an eighth of the scale."""
+    left, top, scale = picture_box(tab)
+    different = (np.abs(before.astype(int) - after) > 32).any(-1)
+    found = {}
+    for name, (column, row, width, height) in zip(VARIANTS, layout.boxes(1), strict=False):
+        inside = 4
+        rows = slice(round(top + scale * row) + inside, round(top + scale * (row + height)) - inside)
+        columns = slice(round(left + scale * column) + inside, round(left + scale * (column + width)) - inside)
+        found[name] = float(different[rows, columns].mean())
+    return found
+
+
+def points_shown(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The part of a window between its panels, sRGB uint8 [H, W, 3]."""
+    return image[200:, 560:1040]
+
+
+def check(condition: bool, what: str) -> None:
+    """Print what holds. Raises SystemExit for what does not."""
+    sys.stdout.write(f"{'holds' if condition else 'DOES NOT HOLD'}: {what}\n")
+    sys.stdout.flush()
+    if not condition:
+        raise SystemExit(1)
+
+
+def run(folder: Path, out: Path) -> None:
+    """All checks on the page of a set, with screenshots in a folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "bodyseg_model", "view", str(folder), "--port", "0", "--variant", "noise"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible) as program:
+        try:
+            if program.stderr is None:
+                raise RuntimeError("the program has no standard error")
+            address = program.stderr.readline().split()[1]
+            _look(address, folder, out)
+            program.send_signal(signal.SIGINT)
+            said = program.stderr.read()
+            status = program.wait(_WAIT_S)
+            check((status, said) == (130, "bodyseg view: interrupted\n"), "Ctrl-C ends it in one line, status 130")
+        finally:
+            program.kill()
+
+
+def _interruptible() -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _look(address: str, folder: Path, out: Path) -> None:
+    camera = read_manifest(folder).rig.camera
+    layout = Layout.of(len(VARIANTS), (camera.rows, camera.columns))
+    with contextlib.closing(Proxy(PREFIX, int(address.rpartition(":")[2]))) as proxy, open_tab(*WINDOW) as tab:
+        page = f"http://{LOOPBACK}:{proxy.port}{PREFIX}/"
+        tab.open(page)
+        tab.wait_for("[...document.querySelectorAll('img')].some((each) => each.naturalWidth === %d)" % WIDTH, _WAIT_S)
+        close = "document.querySelector('.mantine-Notification-closeButton')"
+        tab.evaluate(f"{close} === null || {close}.click()")  # the browser draws without a graphics card
+        before = settled(tab)
+        Image.fromarray(before).save(out / "before.png")
+        check(len(np.unique(points_shown(before).reshape(-1, 3), axis=0)) > 20, "the page comes over a proxy's path")
+        strange = [each for each in tab.requested if not each.startswith((page, "data:", "blob:"))]
+        check(not strange, f"the page asks nothing of other servers {strange or ''}")
+        tab.drag(*slider(tab, "high, mm"))
+        after = settled(tab)
+        Image.fromarray(after).save(out / "after.png")
+        shares = changed_panels(tab, before, after, layout)
+        listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
+        noisy, others = {"noise", "all"}, {"none", "occ", "md"}
+        check(
+            min(shares[name] for name in noisy) > 0.02 and not any(shares[name] for name in others),
+            f"the slider of the noise changes the variants that have noise, and no other: {listed}",
+        )
+        moved = (np.abs(points_shown(before).astype(int) - points_shown(after)) > 32).any(-1).mean()
+        check(moved > 0.02, f"the slider moves points: {moved:.1%} of their part of the window")
+        check(not tab.errors, f"no script fails {tab.errors or ''}")
+
+
+def main() -> int:
+    """Run the checks; 0 if all hold, and where there is no browser."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--set", type=Path, help="folder of a set (default: a small one is packed)")
+    parser.add_argument("--out", type=Path, default=Path("browser"), help="folder for screenshots")
+    given = parser.parse_args()
+    if chromium() is None:
+        sys.stdout.write("not checked: the page in a browser, which needs apt-get install chromium\n")
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        chosen = given.set
+        if chosen is None:
+            chosen = Path(folder) / "shards"
+            words = ["shard", "--source", "open", "--meshes", "1", "--views", "2", "--out", str(chosen)]
+            if status := cli.main(words):
+                return status
+        run(chosen, given.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
