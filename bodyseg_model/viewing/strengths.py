@@ -156,9 +156,15 @@ def _number(artifact: Artifact, name: str, item: int | None, value: float, whole
 
 
 def _reference(artifact: Artifact, name: str, value: float) -> float:
-    """A strength, or its default if that is larger; where both are 0, the artifact's largest number in its unit."""
+    """A strength, or its default if that is larger; where both are 0, the artifact's largest number in its unit.
+
+    Of a tuple of strengths, the largest.
+    """
     default: Any = next(each.default for each in fields(artifact) if each.name == name)
     own = max(abs(value), abs(default) if _is_number(default) else 0.0)
+    held = getattr(artifact, name)
+    if isinstance(held, tuple):
+        return float(max(map(abs, held)))
     unit = name.rpartition("_")[2]
     alike = (getattr(artifact, each.name) for each in fields(artifact) if each.name.rpartition("_")[2] == unit)
     return own or max((abs(each) for each in alike if _is_number(each)), default=0.0)

@@ -45,7 +45,7 @@ def view_of(folder: Path, *images: np.ndarray) -> RecordingView:
         (folder / f"{number}.png").write_bytes(png(image))
     frames = find_frames([folder])
     cameras = FrameCameras(frames, [None] * len(frames), lambda shape, where: FrameCamera(CAMERA, "given"))
-    trained = Trained(Places(1, 2), {"rig": SMALL.to_json()})
+    trained = Trained(Places(1, 8), {"rig": SMALL.to_json()})
     return RecordingView(frames, cameras, Segmenters(trained, Background("limits")), 1e-3, PARTS33)
 
 

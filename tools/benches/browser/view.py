@@ -109,6 +109,14 @@ def slider(tab: Tab, label: str) -> tuple[tuple[float, float], tuple[float, floa
     return (x, y), (end, y)
 
 
+def press(tab: Tab, label: str) -> None:
+    """Press the button with a label."""
+    named = (
+        f"[...document.querySelectorAll('button')].filter((each) => each.textContent.trim() === {json.dumps(label)})"
+    )
+    tab.evaluate(f"{named}[0].click()")
+
+
 def picture_box(tab: Tab) -> tuple[float, float, float]:
     """Left and top of the panels' picture in the window, and its scale."""
     script = """(() => {
@@ -149,13 +157,15 @@ def check(condition: bool, what: str) -> None:
 def run(folder: Path, out: Path) -> None:
     """All checks on the page of a set, with screenshots in a folder."""
     out.mkdir(parents=True, exist_ok=True)
+    saves = Path(tempfile.mkdtemp(dir=out))
     command = [sys.executable, "-m", "bodyseg_model", "view", str(folder), "--port", "0", "--variant", "noise"]
+    command += ["--save", str(saves)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible) as program:
         try:
             if program.stderr is None:
                 raise RuntimeError("the program has no standard error")
             address = program.stderr.readline().split()[1]
-            _look(address, folder, out)
+            _look(address, folder, out, saves)
             program.send_signal(signal.SIGINT)
             said = program.stderr.read()
             status = program.wait(_WAIT_S)
@@ -168,13 +178,13 @@ def _interruptible() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _look(address: str, folder: Path, out: Path) -> None:
+def _look(address: str, folder: Path, out: Path, saves: Path) -> None:
     camera = read_manifest(folder).rig.camera
     layout = Layout.of(len(VARIANTS), (camera.rows, camera.columns))
     with contextlib.closing(Proxy(PREFIX, int(address.rpartition(":")[2]))) as proxy, open_tab(*WINDOW) as tab:
         page = f"http://{LOOPBACK}:{proxy.port}{PREFIX}/"
         tab.open(page)
-        tab.wait_for("[...document.querySelectorAll('img')].some((each) => each.naturalWidth === %d)" % WIDTH, _WAIT_S)
+        tab.wait_for(f"[...document.querySelectorAll('img')].some((each) => each.naturalWidth === {WIDTH})", _WAIT_S)
         close = "document.querySelector('.mantine-Notification-closeButton')"
         tab.evaluate(f"{close} === null || {close}.click()")  # the browser draws without a graphics card
         before = settled(tab)
@@ -194,6 +204,16 @@ def _look(address: str, folder: Path, out: Path) -> None:
         )
         moved = (np.abs(points_shown(before).astype(int) - points_shown(after)) > 32).any(-1).mean()
         check(moved > 0.02, f"the slider moves points: {moved:.1%} of their part of the window")
+        press(tab, "sensor")
+        beside = settled(tab)
+        Image.fromarray(beside).save(out / "sensor.png")
+        check((points_shown(beside) != points_shown(after)).any(), "a button looks at the sensor from beside")
+        press(tab, "Save picture")
+        end = time.monotonic() + _WAIT_S
+        while not (saved := [*saves.iterdir()]) and time.monotonic() < end:
+            time.sleep(_SETTLED_S)
+        colours = [len(np.unique(np.asarray(Image.open(each))[:, WIDTH:].reshape(-1, 3), axis=0)) for each in saved]
+        check(len(saved) == 1 and colours[0] > 20, f"a button saves panels and points as PNG: {len(saved)} file")
         check(not tab.errors, f"no script fails {tab.errors or ''}")
 
 
