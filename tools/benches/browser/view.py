@@ -42,34 +42,43 @@ class Proxy:
         self._prefix, self._server = prefix.encode(), port
         self._socket = socket.create_server((LOOPBACK, 0))
         self.port: int = self._socket.getsockname()[1]
-        threading.Thread(target=self._run, daemon=True).start()
+        self._threads: list[threading.Thread] = []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
-        """Accept no more connections."""
-        self._socket.close()
+        """Accept no more connections, and wait for the end of those that there are."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        for thread in self._threads:
+            thread.join()
 
     def _run(self) -> None:
-        with contextlib.suppress(OSError):  # it is closed
+        with self._socket, contextlib.suppress(OSError):  # it is closed
             while True:
                 client, _ = self._socket.accept()
-                threading.Thread(target=self._forward, args=(client,), daemon=True).start()
+                self._threads.append(threading.Thread(target=self._forward, args=(client,), daemon=True))
+                self._threads[-1].start()
 
     def _forward(self, client: socket.socket) -> None:
-        head = b""
-        while b"\r\n" not in head:
-            data = client.recv(65536)
-            if not data:
+        with client:
+            head = b""
+            while b"\r\n" not in head:
+                data = client.recv(65536)
+                if not data:
+                    return
+                head += data
+            method, path, rest = head.split(b" ", 2)
+            if not path.startswith(self._prefix):
+                client.sendall(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
                 return
-            head += data
-        method, path, rest = head.split(b" ", 2)
-        if not path.startswith(self._prefix):
-            client.sendall(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
-            client.close()
-            return
-        server = socket.create_connection((LOOPBACK, self._server))
-        server.sendall(b" ".join([method, path[len(self._prefix) :] or b"/", rest]))
-        threading.Thread(target=_pump, args=(server, client), daemon=True).start()
-        _pump(client, server)
+            with socket.create_connection((LOOPBACK, self._server)) as server:
+                server.sendall(b" ".join([method, path[len(self._prefix) :] or b"/", rest]))
+                back = threading.Thread(target=_pump, args=(server, client), daemon=True)
+                back.start()
+                _pump(client, server)
+                back.join()
 
 
 def _pump(source: socket.socket, sink: socket.socket) -> None:
@@ -131,8 +140,8 @@ def picture_box(tab: Tab) -> tuple[float, float, float]:
 def changed_panels(tab: Tab, before: NDArray[np.uint8], after: NDArray[np.uint8], layout: Layout) -> dict[str, float]:
     """Share of the pixels of each variant's panel that differ by more than an eighth of the scale."""
     left, top, scale = picture_box(tab)
-    different = (np.abs(before.astype(int) - after) > 32).any(-1)
-    found = {}
+    different: NDArray[np.bool_] = np.any(np.abs(before.astype(int) - after) > 32, axis=-1)
+    found: dict[str, float] = {}
     for name, (column, row, width, height) in zip(VARIANTS, layout.boxes(1), strict=False):
         inside = 4
         rows = slice(round(top + scale * row) + inside, round(top + scale * (row + height)) - inside)
