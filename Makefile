@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test check page lock clean
+.PHONY: install demo test test-browser check page lock clean
 
 install: $(VENV)/.installed
 
@@ -30,6 +30,10 @@ check: install
 	$(BIN)/mypy
 	$(BIN)/pytest -q tests/test_structure.py
 
+# Pages in a headless Chromium (apt-get install chromium): what they show, and what a slider changes.
+test-browser: install
+	PYTHONPATH=tools $(BIN)/python -m benches.browser.view --out browser
+
 # Charts and page of results from the JSON in docs/results.
 page: install
 	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md
@@ -44,4 +48,4 @@ lock:
 	mv tools/requirements.new tools/requirements.lock
 
 clean:
-	rm -rf $(VENV) demo build *.egg-info
+	rm -rf $(VENV) browser demo build *.egg-info

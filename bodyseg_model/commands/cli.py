@@ -19,6 +19,7 @@ COMMANDS: Final[cli.Commands] = {
     "sensor fit": ("bodyseg_model.commands.sensor_fit", "measure which artifacts a sensor has from its own frames"),
     "sensor list": ("bodyseg_model.commands.sensor_list", "list the sensor models that ship with the package"),
     "sensor show": ("bodyseg_model.commands.sensor_show", "print a sensor model as TOML"),
+    "view": ("bodyseg_model.commands.view", "show a set or a recording in the browser"),
     "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts, motion, arithmetic"),
 }
 

@@ -1,0 +1,154 @@
+"""`bodyseg view`: a set or a recording in the browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model
+from bodyseg_data.artifacts.variants import VariantName
+from bodyseg_data.commands.options import WHERE_HELP, option
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33
+from bodyseg_data.core.rig import rig_names
+from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
+from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.segmentation.foreground import Background, BackgroundMode
+from bodyseg_model.segmentation.frames import find_frames, metres_a_step
+from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.training.distributed import find_device
+from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.recording_page import RecordingPage
+from bodyseg_model.viewing.recording_view import RecordingView, ShownFrame
+from bodyseg_model.viewing.server import LOOPBACK
+from bodyseg_model.viewing.set_page import SetPage
+from bodyseg_model.viewing.set_view import SetView, Shown
+
+EXAMPLE = "bodyseg view shards"
+
+_OF_SETS: Final = ("split", "val_share", "where", "only", "variant", "sensor", "seed")
+_OF_RECORDINGS: Final = ("units", "rig", "focal", "centre", "mirrored", "background", "keep_things", "confidence")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `bodyseg view`."""
+
+    source: tuple[str, ...] = option(
+        "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
+    )
+    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    host: str = option("serve on this address; any but loopback lets other machines in, without a password", LOOPBACK)
+    port: int = option("serve on this port, or the next free one", 8080)
+    save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
+    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    split: ReadSplit | None = option("sets: only this split (default: train and test)", None)
+    val_share: float = option("sets: share of train that is the split val, and not train", 0.0)
+    where: tuple[str, ...] = option(f"sets: {WHERE_HELP}", ())
+    only: tuple[str, ...] = option("sets: patterns of keys, of which a sample's must match one, like 'open-A-*'", ())
+    variant: VariantName = option("sets: the variant to begin with", "all")
+    sensor: str = option("sets: the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    seed: int = option("sets: seed of the artifacts' random draws", 0)
+    units: str = option("frames: size of one step of a frame: mm, 0.1mm, cm ...", "mm")
+    rig: str | None = option(f"frames: their camera: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
+    centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
+    mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
+    background: BackgroundMode = option("frames: as for `segment`", "people")
+    keep_things: bool = option("frames: label things of a body's size like people", False)
+    confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
+
+
+def run(options: Options) -> int:
+    """Serve the page until Ctrl-C."""
+    kind = "set" if is_set(options.source) else "recording"
+    check_options(options, kind)
+    if options.save is not None and not options.save.is_dir():
+        raise BadConfig(f"--save must be a folder that is there, found {options.save}")
+    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained.network.to(find_device(options.device))
+    view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
+    sensor = load_sensor_model(options.sensor)
+    page, recording = Page(options.host, options.port, "bodyseg view", options.save), None
+    try:
+        if isinstance(view, SetView):
+            SetPage(page, view, Shown(variant=options.variant, sensor=sensor))
+        else:
+            recording = RecordingPage(page, view, ShownFrame())
+        sys.stderr.write(f"{welcome(page.address, options.host, page.port)}\n")
+        sys.stderr.flush()
+        threading.Event().wait()
+    finally:
+        if recording is not None:
+            recording.close()
+        page.close()
+    return 0
+
+
+def welcome(address: str, host: str, port: int) -> str:
+    """The line that says where the page is, and who can reach it."""
+    if host in ("localhost", "::1") or host.startswith("127."):
+        return f"open {address} in a browser; Ctrl-C ends"
+    everyone = f"everyone who reaches port {port} of this machine sees the page and saves pictures, without a password"
+    return f"open {address} in a browser; {everyone}; Ctrl-C ends"
+
+
+def is_set(source: Sequence[str]) -> bool:
+    """True for the address of a set, a folder with a manifest, or shards of one.
+
+    Raises BadConfig for several sets, of which one page shows one.
+    """
+    found = [
+        "://" in each
+        or (Path(each) / MANIFEST_NAME).is_file()
+        or (not Path(each).is_dir() and Path(each).with_name(MANIFEST_NAME).is_file())
+        for each in source
+    ]
+    if any(found) and len(source) > 1:
+        raise BadConfig(f"view shows one set, or one or several recordings, found {' '.join(source)}")
+    return any(found)
+
+
+def check_options(options: Options, kind: str) -> None:
+    """Raise BadConfig for an option that a set or a recording does not have, so that none is given in vain."""
+    usual = Options(("",))
+    for name in _OF_RECORDINGS if kind == "set" else _OF_SETS:
+        if getattr(options, name) != getattr(usual, name):
+            other = "frames" if kind == "set" else "sets"
+            raise BadConfig(f"--{name.replace('_', '-')} is for {other}, found it with a {kind}")
+
+
+def _set_view(options: Options, trained: Trained) -> SetView:
+    return SetView(
+        options.source[0],
+        trained,
+        options.split,
+        options.only,
+        options.where,
+        options.val_share,
+        options.seed,
+    )
+
+
+def _recording_view(options: Options, trained: Trained) -> RecordingView:
+    frames = find_frames([Path(each) for each in options.source])
+    given = options.rig is not None or options.focal is not None or bool(options.centre)
+    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
+
+    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
+        return frame_camera(shape, where, options.rig, options.focal, options.centre, trained.rig)
+
+    # Of other classes than the 33 parts, things are told by their shape alone.
+    score = None if options.keep_things else shipped_score("parts" if trained.label_map == PARTS33 else "shape")
+    segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
+    return RecordingView(
+        frames, FrameCameras(frames, beside, choose), segmenters, metres_a_step(options.units), trained.label_map
+    )

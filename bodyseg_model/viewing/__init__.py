@@ -1,0 +1,1 @@
+"""Sets and recordings in a browser: what is drawn, and the page that shows it."""

@@ -1,0 +1,231 @@
+"""What the page of a recording draws: a frame with the labels that the network gives its people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import LabelMap
+from bodyseg_data.core.parts import BACKGROUND, colour_labels
+from bodyseg_data.core.rig import Camera
+from bodyseg_data.drawing.style import THING
+from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_model.segmentation.files.camera_files import FrameCameras
+from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
+from bodyseg_model.segmentation.frames import FrameFile, to_metres
+from bodyseg_model.segmentation.overlay import draw_overlay
+from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
+from bodyseg_model.viewing.drawing import Drawing
+from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
+from bodyseg_model.viewing.space import Points, camera_alone, device, points_at
+
+FrameColouring = Literal["parts", "confidence", "flicker"]
+FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)
+"""What the points of bodies are coloured by."""
+
+FLICKER_LEGEND: Final[Legend] = (
+    ("same label as in the frame before", (206, 210, 216)),
+    ("another label, the surface moved", (224, 161, 60)),
+    (f"another label, moved by less than {1000 * STILL_M:g} mm", (214, 60, 52)),
+    ("no label in the frame before", (112, 116, 124)),
+)
+"""Name and sRGB of each kind of change from the frame before."""
+
+CONFIDENCE_LEGEND: Final[Legend] = (
+    ("confidence 0 %", (196, 40, 52)),
+    ("50 %", (236, 196, 76)),
+    ("100 %", (38, 150, 96)),
+)
+"""Three of the colours of confidences."""
+
+_KEPT: Final = 32
+_ROOM_STEP: Final = 3
+_GAP_M: Final = 0.01
+
+
+@dataclass(frozen=True)
+class ShownFrame:
+    """What is to be drawn. number: of the frame. room: whether points beside bodies are shown, one of nine."""
+
+    number: int = 0
+    colouring: FrameColouring = "parts"
+    room: bool = True
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """A frame and its labels. confidence: float32 [H, W], 0 where there is no body. camera: without lens distortion.
+
+    milliseconds: of reading and of each stage of the segmentation, in all.
+    """
+
+    range_m: NDArray[np.float32] = field(repr=False)
+    segmentation: Segmentation
+    confidence: NDArray[np.float32] = field(repr=False)
+    camera: Camera
+    milliseconds: float
+
+    @property
+    def bodies(self) -> NDArray[np.intp]:
+        """Flat indices of the pixels of all bodies, int64 [N]."""
+        pixels = [body.pixels for body in self.segmentation.bodies]
+        return np.concatenate(pixels) if pixels else np.zeros(0, np.intp)
+
+
+class RecordingView:
+    """Labels frames when they are first drawn, and keeps the last ones. step_m: metres in one step of a frame.
+
+    cameras, segmenters: of the frames. label_map: of the network. Raises BadConfig if there is no frame.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[FrameFile],
+        cameras: FrameCameras,
+        segmenters: Segmenters,
+        step_m: float,
+        label_map: LabelMap,
+    ) -> None:
+        if not frames:
+            raise BadConfig("a recording must hold a frame, found none")
+        self.frames, self.label_map = frames, label_map
+        self._cameras, self._segmenters, self._step_m = cameras, segmenters, step_m
+        self.labelled = lru_cache(maxsize=_KEPT)(self._labelled)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __repr__(self) -> str:
+        return f"RecordingView({len(self)} frames, {self._cameras!r})"
+
+    def draw(self, shown: ShownFrame) -> Drawing:
+        """Draw a frame. Raises BadConfig for one that cannot be read or does not fit its camera."""
+        frame, before = self.labelled(shown.number), self._before(shown.number)
+        changes = changes_of(frame, before)
+        colours, legend = self._colours(shown.colouring, frame, changes)
+        pixels, placed = frame.bodies, camera_alone(frame.camera)
+        where = np.zeros(frame.range_m.size, np.bool_)
+        where[pixels] = True
+        body_m = np.where(where.reshape(frame.range_m.shape), frame.range_m, np.float32(0))
+        points, point_colours = [points_at(body_m, placed)], [colours[body_m > 0]]
+        if shown.room:
+            room_m = np.where(body_m > 0, np.float32(0), frame.range_m)
+            thinned = np.zeros_like(room_m)
+            thinned[::_ROOM_STEP, ::_ROOM_STEP] = room_m[::_ROOM_STEP, ::_ROOM_STEP]
+            points.append(points_at(thinned, placed))
+            point_colours.append(np.broadcast_to(np.array(THING, np.uint8), points[1].shape))
+        seen = frame.range_m.ravel()[pixels] if len(pixels) else frame.range_m[frame.range_m > 0]
+        return Drawing(
+            Points(np.concatenate(points), np.concatenate(point_colours)),
+            (device("camera", placed),),
+            self._picture(frame, changes),
+            self._facts(shown.number, frame, before),
+            float(np.median(seen)) / frame.camera.focal_px if len(seen) else _GAP_M,
+            len(points[0]),
+            legend,
+        )
+
+    def _labelled(self, number: int) -> Labelled:
+        file = self.frames[number]
+        watch = Stopwatch(["read"])
+        with watch("read"):
+            pixels = file.read()
+            camera = self._cameras.of(file, (pixels.shape[0], pixels.shape[1])).camera
+            lens, segmenter = self._segmenters.of(camera)
+            range_m = to_metres(pixels if lens is None else lens(pixels), self._step_m)
+        found = segmenter(range_m)
+        confidence = np.zeros(range_m.shape, np.float32)
+        for body in found.bodies:
+            confidence.ravel()[body.pixels] = body.confidence
+        total = watch.milliseconds["read"] + sum(found.milliseconds.values())
+        return Labelled(range_m, found, confidence, segmenter.camera, total)
+
+    def _before(self, number: int) -> Labelled | None:
+        """The frame before, if it is of the same recording and size."""
+        if number == 0 or self.frames[number - 1].sequence != self.frames[number].sequence:
+            return None
+        before = self.labelled(number - 1)
+        return before if before.range_m.shape == self.labelled(number).range_m.shape else None
+
+    def _colours(
+        self, colouring: FrameColouring, frame: Labelled, changes: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.uint8], Legend]:
+        """Colours of all pixels, sRGB uint8 [H, W, 3], and their legend."""
+        seen = frame.range_m > 0
+        if colouring == "confidence":
+            return share_image(frame.confidence, seen), CONFIDENCE_LEGEND
+        if colouring == "flicker":
+            return _change_image(changes), FLICKER_LEGEND
+        return label_image(frame.segmentation.labels, seen, self.label_map), class_legend(self.label_map)
+
+    def _picture(self, frame: Labelled, changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        shape = (frame.range_m.shape[0], frame.range_m.shape[1])
+        layout, found = Layout.of(2, shape), frame.segmentation
+        bodies = [body.pixels for body in found.bodies]
+        overlay = draw_overlay(frame.range_m, found.labels, bodies, self.label_map)
+        body = np.zeros(frame.range_m.size, np.bool_)
+        body[frame.bodies] = True
+        sure = found.mean_confidence
+        people = _counted(found)
+        confidences = share_image(layout.reduced(frame.confidence), layout.reduced(body.reshape(shape)))
+        note = "nobody" if sure is None else f"mean {sure:.0%}"
+        return layout.draw(
+            [
+                [
+                    Panel("labels on the range image", layout.reduced(overlay), people),
+                    Panel("confidence", confidences, note),
+                ],
+                [Panel("flicker", _change_image(layout.reduced(changes)), "labels beside those of the frame before")],
+            ]
+        )
+
+    def _facts(self, number: int, frame: Labelled, before: Labelled | None) -> tuple[str, ...]:
+        found, file = frame.segmentation, self.frames[number]
+        stages = ", ".join(f"{stage} {time:.0f}" for stage, time in found.milliseconds.items())
+        facts = [
+            file.name,
+            f"frame {number + 1} of {len(self)}: {_counted(found)}",
+            f"{frame.milliseconds:.0f} ms when it was labelled: {stages}",
+        ]
+        if found.mean_confidence is not None:
+            facts.append(f"mean confidence {found.mean_confidence:.1%}")
+        if before is not None:
+            change: Flicker = flicker(before.segmentation.labels, found.labels, before.range_m, frame.range_m)
+            shares = change.to_json()
+            moving, still = (shares[name] for name in ("changed", "still_changed"))
+            if moving is not None:
+                facts.append(f"flicker {moving:.1%}" + ("" if still is None else f", where nothing moves {still:.1%}"))
+        return tuple(facts)
+
+
+def changes_of(frame: Labelled, before: Labelled | None) -> NDArray[np.uint8]:
+    """Change of each pixel's label from the frame before, uint8 [H, W]: number in `FLICKER_LEGEND`, 255 without one."""
+    labels = frame.segmentation.labels
+    found = np.full(labels.shape, BACKGROUND, np.uint8)
+    has_label = labels != BACKGROUND
+    found[has_label] = 3
+    if before is None:
+        return found
+    old = before.segmentation.labels
+    shared = has_label & (old != BACKGROUND)
+    still = np.abs(frame.range_m - before.range_m) < STILL_M
+    found[shared] = 0
+    found[shared & (old != labels) & ~still] = 1
+    found[shared & (old != labels) & still] = 2
+    return found
+
+
+def _counted(found: Segmentation) -> str:
+    people, things = len(found.bodies), len(found.things)
+    return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
+
+
+def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Changes in their colours, sRGB uint8 [H, W, 3]; changes: uint8 [H, W]."""
+    return colour_labels(changes, EMPTY, np.array([colour for _, colour in FLICKER_LEGEND], np.uint8))

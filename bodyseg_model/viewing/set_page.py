@@ -1,0 +1,172 @@
+"""The controls of a set's page: the choice of a sample, its variant, and the artifacts of the sensor."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_names
+from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, VariantName, check_variant
+from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.core.splits import READ_SPLITS, SPLITS, ReadSplit
+from bodyseg_model.viewing.drawing import Drawing
+from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.sensor_controls import SensorControls
+from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
+
+if TYPE_CHECKING:
+    pass
+
+_BOTH: Final = "train and test"
+
+
+class SetPage:
+    """Puts a set on a page and keeps what its controls say. first: what is shown first."""
+
+    def __init__(self, page: Page, view: SetView, first: Shown) -> None:
+        self.page, self.view, self.shown = page, view, first
+        self._lock = threading.RLock()
+        self._sensors = {name: load_sensor_model(name) for name in sensor_model_names()} | {
+            first.sensor.name: first.sensor
+        }
+        gui = page.server.gui
+        with gui.add_folder("Sample"):
+            self._add_sample_controls()
+        with gui.add_folder("Image"):
+            self._add_image_controls()
+        page.add_view_controls()
+        with gui.add_folder("Sensor: strengths of its artifacts"):
+            self._add_sensor_controls()
+        page.start(self.draw)
+
+    def __repr__(self) -> str:
+        return f"SetPage({self.page!r}, {self.view!r})"
+
+    def draw(self) -> Drawing:
+        """Draw what the controls say. Raises as `SetView.draw`."""
+        with self._lock:
+            view, shown = self.view, self.shown
+        return view.draw(shown)
+
+    def change(self, **changes: Any) -> None:
+        """Change what is shown, by the fields of `Shown`, and draw it."""
+        with self._lock:
+            self.shown = replace(self.shown, **changes)
+        self.page.request()
+
+    def choose(self, split: str, where: str, only: str) -> None:
+        """Show other samples of the set, from the first on; where it refuses, say so and keep what is shown.
+
+        split: one of `SPLITS`, or anything else for all. where, only: conditions and patterns as a shell would divide
+        them into words.
+        """
+        chosen: ReadSplit | None = next((each for each in READ_SPLITS if each == split), None)
+        try:
+            view = self.view.chosen(chosen, _words(only), _words(where))
+        except BodysegError as error:
+            self.page.warn(str(error))
+            return
+        with self._lock:
+            self.view = view
+            self._index.max = max(1, len(view) - 1)
+            self._index.value = 0
+            self._key.value = view.images.keys[0]
+        self.change(index=0)
+
+    def _add_sample_controls(self) -> None:
+        gui = self.page.server.gui
+        splits = (_BOTH, *(SPLITS if not self.view.val_share else READ_SPLITS))
+        split = gui.add_dropdown("split", splits, initial_value=self.view.images.split or _BOTH)
+        selection = self.view.images.selection
+        hint = "conditions with spaces between them, like distance_cm<=255 subject=B,C azimuth_deg=-90..90"
+        texts = " ".join(shlex.quote(condition.text) for condition in selection.where)
+        where = gui.add_text("where", texts, hint=hint)
+        only = gui.add_text("only", " ".join(selection.only), hint="patterns of keys, like open-A-*")
+        # A slider needs two ends.
+        self._index: Any = gui.add_slider("sample", 0, max(1, len(self.view) - 1), 1, self.shown.index)
+        self._key: Any = gui.add_text(
+            "key", self.view.images.keys[self.shown.index], hint="a sample's name, to go to it"
+        )
+        step = gui.add_button_group("go to", ("previous", "next"))
+
+        def choose(_: object) -> None:
+            self.choose(split.value, where.value, only.value)
+
+        for control in (split, where, only):
+            control.on_update(choose)
+
+        @self._index.on_update
+        def _(_: object) -> None:
+            self._go_to(int(self._index.value))
+
+        @step.on_click
+        def _(_: object) -> None:
+            self._index.value = (self.shown.index + (1 if step.value == "next" else -1)) % len(self.view)
+
+        @self._key.on_update
+        def _(_: object) -> None:
+            index = self.view.index_of(self._key.value)
+            if index is None:
+                self.page.warn(f"no sample of those chosen has the key {self._key.value!r}")
+            else:
+                self._index.value = index
+
+    def _go_to(self, index: int) -> None:
+        with self._lock:
+            index = min(index, len(self.view) - 1)
+            self._key.value = self.view.images.keys[index]
+        if index != self.shown.index:
+            self.change(index=index)
+
+    def _add_image_controls(self) -> None:
+        gui = self.page.server.gui
+        variant = gui.add_dropdown("variant", (*VARIANTS, *PAIRS), initial_value=self.shown.variant)
+        colourings = COLOURINGS if self.view.trained is not None else COLOURINGS[:2]
+        colouring = gui.add_dropdown("colour by", colourings, initial_value=self.shown.colouring)
+        epoch = gui.add_slider("draws of epoch", 0, 99, 1, self.shown.epoch)
+        network = gui.add_checkbox("ask the network", self.shown.network, visible=self.view.trained is not None)
+
+        @variant.on_update
+        def _(_: object) -> None:
+            name: VariantName = check_variant(variant.value)
+            self.change(variant=name)
+
+        @colouring.on_update
+        def _(_: object) -> None:
+            chosen: Colouring = next(each for each in COLOURINGS if each == colouring.value)
+            self.change(colouring=chosen)
+
+        @epoch.on_update
+        def _(_: object) -> None:
+            self.change(epoch=int(epoch.value))
+
+        @network.on_update
+        def _(_: object) -> None:
+            self.change(network=network.value)
+
+    def _add_sensor_controls(self) -> None:
+        gui = self.page.server.gui
+        sensor = gui.add_dropdown("model", tuple(self._sensors), initial_value=self.shown.sensor.name)
+        again = gui.add_button("Reset strengths")
+        self._sensor = controls = SensorControls(self.page, self.shown.sensor, self._changed_sensor)
+
+        def put(_: object) -> None:
+            model = self._sensors[sensor.value]
+            controls.put(model)
+            self._changed_sensor(model)
+
+        sensor.on_update(put)
+        again.on_click(put)
+
+    def _changed_sensor(self, model: SensorModel) -> None:
+        self.change(sensor=model)
+
+
+def _words(text: str) -> list[str]:
+    """Words of a text as a shell divides it. Raises BadConfig for a quotation mark without its other one."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise BadConfig(f"cannot divide {text!r} into words: {error}") from error

@@ -1,0 +1,246 @@
+"""What the page of a set draws: one sample with a sensor's artifacts, its variants, and a network's answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.artifact import RangeImage
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
+from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
+from bodyseg_data.core.labels.label_map import PARTS33
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.sample import Sample
+from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.drawing.contact_sheet import colour_range
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
+from bodyseg_model.evaluation.training_fit import RigFit
+from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.viewing.drawing import Drawing
+from bodyseg_model.viewing.pictures import (
+    KIND_LEGEND,
+    Layout,
+    Legend,
+    Panel,
+    class_legend,
+    kind_image,
+    label_image,
+    share_image,
+)
+from bodyseg_model.viewing.space import Points, device, points_at, rig_before
+
+Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
+COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
+"""What points are coloured by; the last three need a network."""
+
+_COLUMNS: Final = 5
+_GAP_M: Final = 0.01
+_NO_KIND: Final = 255
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is to be drawn. index: of the sample. epoch: of its draws. network: whether it is asked."""
+
+    index: int = 0
+    variant: VariantName = "all"
+    epoch: int = 0
+    colouring: Colouring = "parts"
+    sensor: SensorModel = field(default_factory=load_sensor_model)
+    network: bool = True
+
+
+@dataclass(frozen=True)
+class _Layers:
+    """Images of one size: range in steps, classes, and of the network classes, kinds (255: no class) and confidence."""
+
+    range: NDArray[np.uint16]
+    labels: NDArray[np.uint8]
+    answer: NDArray[np.uint8] | None = None
+    kinds: NDArray[np.uint8] | None = None
+    confidence: NDArray[np.float32] | None = None
+
+    def picked(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> _Layers:
+        """The layers after a choice of pixels."""
+        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in held.items()}
+        return _Layers(**picked)
+
+
+class SetView:
+    """Draws samples of a set. trained: the network to ask, or None.
+
+    path, split, only, where, val_share: as for `RangeImages`, and raises as it does. seed: of the draws.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        trained: Trained | None = None,
+        split: ReadSplit | None = None,
+        only: Sequence[str] = (),
+        where: Sequence[str] = (),
+        val_share: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.images = RangeImages(path, "none", split, seed, only=only, where=where, val_share=val_share)
+        self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
+        self.label_map = PARTS33 if trained is None else trained.label_map
+        self.rig = self.images.manifest.rig
+        self._layout = Layout.of(_COLUMNS, (self.rig.camera.rows, self.rig.camera.columns))
+        self._clean = lru_cache(maxsize=4)(self.images.clean)
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __repr__(self) -> str:
+        return f"SetView({self.images!r}, {self.trained!r})"
+
+    def chosen(self, split: ReadSplit | None, only: Sequence[str], where: Sequence[str]) -> SetView:
+        """The view of another choice of the set's samples. Raises BadConfig for one that is wrong or empty."""
+        return SetView(self.path, self.trained, split, only, where, self.val_share, self.seed)
+
+    def index_of(self, key: str) -> int | None:
+        """Index of the sample with this key; None if it is not among those chosen."""
+        keys = self.images.keys
+        return keys.index(key) if key in keys else None
+
+    @property
+    def warning(self) -> str | None:
+        """One line if the network was trained for another rig than the set's."""
+        return None if self.trained is None else RigFit(self.trained.rig, self.rig).check(str(self.path), True)
+
+    def draw(self, shown: Shown) -> Drawing:
+        """Draw a sample. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts that do not fit it."""
+        sample = self._clean(shown.index)
+        made = {variant: self._made(sample, shown, variant) for variant in dict.fromkeys((*VARIANTS, shown.variant))}
+        image = made[shown.variant]
+        layers = _Layers(image.range, self.label_map.table[image.labels])
+        milliseconds = 0.0
+        if self.trained is not None and shown.network:
+            layers, milliseconds = self._answered(self.trained, layers)
+        placed = rig_before(self.rig, sample.info.view)
+        metres, seen = self._metres(image.range), np.flatnonzero(image.range)
+        points = layers.picked(lambda each: each.ravel()[None, seen])
+        names = ("camera", *("projector", "second projector")[: len(placed) - 1])
+        return Drawing(
+            Points(points_at(metres, placed[0]), self._colours(shown.colouring, points)[0]),
+            tuple(device(name, each) for name, each in zip(names, placed, strict=True)),
+            self._layout.draw(self._panels(sample, made, shown, layers, milliseconds)),
+            self._facts(sample, image, shown, layers),
+            float(np.median(metres.ravel()[seen])) / self.rig.camera.focal_px if len(seen) else _GAP_M,
+            len(seen),
+            self._legend(shown.colouring, layers),
+        )
+
+    def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
+        return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
+
+    def _metres(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+        return steps.astype(np.float32) * np.float32(self.rig.range_step_m)
+
+    def _answered(self, trained: Trained, layers: _Layers) -> tuple[_Layers, float]:
+        """The layers with the network's, and its time, milliseconds."""
+        batch = torch.from_numpy(self._metres(layers.range))[None, None].to(device_of(trained.network))
+        start = time.perf_counter()
+        labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
+        milliseconds = 1000 * (time.perf_counter() - start)
+        kinds = np.full(labels.shape, _NO_KIND, np.uint8)
+        known = layers.labels != BACKGROUND
+        kinds[known] = kinds_of(self.label_map)[layers.labels[known], labels[known]]
+        return replace(layers, answer=labels, kinds=kinds, confidence=confidence), milliseconds
+
+    def _colours(self, colouring: Colouring, layers: _Layers) -> NDArray[np.uint8]:
+        """Colours of all pixels, sRGB uint8 [H, W, 3]; without an answer, what it would colour is coloured by parts."""
+        seen = layers.range > 0
+        if colouring == "range":
+            return colour_range(layers.range, *_span(layers.range))
+        if layers.answer is not None and colouring == "network":
+            return label_image(layers.answer, seen, self.label_map)
+        if layers.kinds is not None and colouring == "mistakes":
+            return kind_image(layers.kinds, seen)
+        if layers.confidence is not None and colouring == "confidence":
+            return share_image(layers.confidence, seen)
+        return label_image(layers.labels, seen, self.label_map)
+
+    def _legend(self, colouring: Colouring, layers: _Layers) -> Legend:
+        if layers.kinds is not None and colouring == "mistakes":
+            told = told_kinds(self.label_map)
+            return tuple(each for kind, each in zip(KINDS, KIND_LEGEND, strict=True) if kind in told)
+        return class_legend(self.label_map)
+
+    def _panels(
+        self,
+        sample: Sample,
+        made: dict[VariantName, RangeImage],
+        shown: Shown,
+        layers: _Layers,
+        milliseconds: float,
+    ) -> list[list[Panel]]:
+        """Two lines: what is stored and the network's answer; the five variants."""
+        reduced, span, projector = self._layout.reduced, _span(sample.range), sample.occluder_range()
+        small = layers.picked(reduced)
+        stored = [
+            Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
+            Panel("projector's view", colour_range(reduced(projector), *_span(projector)), "what casts shadows"),
+            Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
+        ]
+        if layers.kinds is not None:
+            note = f"{shown.variant}, {milliseconds:.0f} ms"
+            stored += [
+                Panel("network's answer", self._colours("network", small), note),
+                Panel("mistakes", self._colours("mistakes", small), f"{_share_right(layers.kinds):.1%} right"),
+            ]
+        variants = [
+            Panel(name, colour_range(reduced(made[name].range), *span), shown.sensor.caption(made[name].drawn))
+            for name in VARIANTS
+        ]
+        return [stored, variants]
+
+    def _facts(self, sample: Sample, image: RangeImage, shown: Shown, layers: _Layers) -> tuple[str, ...]:
+        info, caption = sample.info, shown.sensor.caption(image.drawn)
+        facts = [
+            sample.key,
+            f"{info.subject}, {info.pose}, {info.view.words}, split {info.split}",
+            f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {shown.variant}"
+            + (f": {caption}" if caption else ""),
+        ]
+        if layers.kinds is not None:
+            known = layers.kinds[layers.kinds != _NO_KIND]
+            shares = np.bincount(known, minlength=len(KINDS)) / max(1, len(known))
+            told = told_kinds(self.label_map)
+            named = zip(KINDS, KIND_LEGEND, shares.tolist(), strict=True)
+            wrong = ", ".join(f"{name} {share:.1%}" for kind, (name, _), share in named if kind in told - {"right"})
+            facts.append(f"network: {_share_right(layers.kinds):.1%} of pixels right; {wrong}")
+            facts += [] if self.warning is None else [self.warning]
+        return tuple(facts)
+
+    def _in_metres(self, span: tuple[int, int]) -> str:
+        near, far = (each * self.rig.range_step_m for each in span)
+        return f"{near:.2f} to {far:.2f} m"
+
+
+def _span(steps: NDArray[np.uint16]) -> tuple[int, int]:
+    """Nearest and farthest range of the foreground, steps; (0, 1) without one."""
+    seen = steps[steps > 0]
+    return (int(seen.min()), int(seen.max())) if len(seen) else (0, 1)
+
+
+def _share_right(kinds: NDArray[np.uint8]) -> float:
+    """Share of the pixels with a true class whose answer is right; kinds: uint8 [H, W]."""
+    known = kinds[kinds != _NO_KIND]
+    return float((known == 0).mean()) if len(known) else 0.0
+
+
+def _pixels(steps: NDArray[np.uint16]) -> str:
+    return f"{np.count_nonzero(steps)} pixels"

@@ -1,0 +1,110 @@
+"""What a set's page draws: arrays after each control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from label_networks import Places
+from small_rig import SMALL
+
+from bodyseg_data import RangeImages
+from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import COLOURS
+from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.viewing.pictures import KIND_LEGEND
+from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
+from bodyseg_model.viewing.space import rig_before
+
+KINDS = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
+
+
+@pytest.fixture(scope="module")
+def view(small_set: Path) -> SetView:
+    return SetView(small_set, Trained(Places(0, 5), {"rig": SMALL.to_json()}), split="train")
+
+
+def test_points_are_those_that_the_variant_measured(view: SetView) -> None:
+    for variant in ("none", "all"):
+        image = RangeImages(view.path, variant, "train").image(3, epoch=2)
+        drawing = view.draw(Shown(3, variant, epoch=2))
+        seen = image.range > 0
+        np.testing.assert_array_equal(drawing.points.colours, COLOURS[image.labels[seen]])
+        camera, _ = rig_before(view.rig, view.images.clean(3).info.view)
+        at, away = camera.project(drawing.points.xyz.astype(np.float64))
+        np.testing.assert_allclose(away, image.range[seen] * view.rig.range_step_m, atol=1e-5)
+        np.testing.assert_array_equal(np.floor(at).astype(int)[:, ::-1], np.argwhere(seen))
+        assert drawing.bodies == np.count_nonzero(seen)
+        assert [device.name for device in drawing.devices] == ["camera", "projector"]
+
+
+def test_strengths_change_their_variants_alone(view: SetView) -> None:
+    weak = Shown(0, "noise", sensor=load_sensor_model().with_artifacts(Noise(1.0, 1.0), MissingData((0.0,))))
+    strong = replace(weak, sensor=weak.sensor.with_artifacts(Noise(90.0, 90.0)))
+    before, after = view.draw(weak), view.draw(strong)
+    spread = [np.abs(each.points.xyz - view.draw(Shown(0, "none")).points.xyz).mean() for each in (before, after)]
+    assert 10 * spread[0] < spread[1]
+    assert any("noise 90 mm" in fact for fact in after.facts)
+    # The first panels of the second line are of `none` and `occ`, which have no noise.
+    width = before.picture.shape[1] // 5
+    half = before.picture.shape[0] // 2
+    changed = (before.picture != after.picture).any(-1)
+    assert not changed[half + 40 :, : 2 * width].any() and changed[half + 40 :, 2 * width : 3 * width].any()
+
+
+def test_each_colouring_shows_what_it_names(view: SetView) -> None:
+    shown = Shown(1, "none")
+    image = view.images.clean(1)
+    seen = image.range > 0
+    rows = np.broadcast_to(np.arange(160)[:, None], seen.shape)[seen]
+    found = {colouring: view.draw(replace(shown, colouring=colouring)) for colouring in COLOURINGS}
+    labels = np.clip((rows - rows.min()) // 5, 0, 32)
+    answered = found["network"].points.colours
+    # The network sees a crop whose first row is a margin above the body: its labels step down by rows.
+    assert {tuple(each) for each in answered.tolist()} <= {tuple(each) for each in COLOURS.tolist()}
+    assert len(np.unique(answered, axis=0)) >= len(np.unique(labels)) - 1
+    right = (answered == found["parts"].points.colours).all(-1)
+    np.testing.assert_array_equal((found["mistakes"].points.colours == KINDS[0]).all(-1), right)
+    share = f"{right.mean():.1%} of pixels right"
+    assert any(share in fact for fact in found["parts"].facts)
+    assert found["mistakes"].legend == KIND_LEGEND and len(found["parts"].legend) == 33
+    assert len(np.unique(found["confidence"].points.colours, axis=0)) == 1
+    assert len(np.unique(found["range"].points.colours, axis=0)) > 20
+
+
+def test_without_a_network_nothing_is_answered(view: SetView, small_set: Path) -> None:
+    alone = SetView(small_set, split="train")
+    asked = view.draw(Shown(1))
+    for drawing in (alone.draw(Shown(1, colouring="network")), view.draw(Shown(1, network=False, colouring="network"))):
+        np.testing.assert_array_equal(drawing.points.colours, asked.points.colours)
+        assert not any("network" in fact for fact in drawing.facts)
+        assert drawing.picture.shape == asked.picture.shape and (drawing.picture != asked.picture).any()
+    assert alone.warning is None and alone.index_of("nobody") is None
+
+
+def test_samples_are_chosen_by_filters(view: SetView) -> None:
+    key = view.images.keys[5]
+    one = view.chosen("train", [key], [])
+    assert len(one) == 1 and one.index_of(key) == 0 and one.trained is view.trained
+    half = view.chosen(None, [], ["azimuth_deg=0"])
+    assert 0 < len(half) < len(view.chosen(None, [], []))
+    with pytest.raises(BadConfig, match="has no sample"):
+        view.chosen("test", [key], [])
+
+
+def test_a_network_of_another_rig_is_told(small_set: Path) -> None:
+    view = SetView(small_set, Trained(Places(0, 5), {}))
+    assert view.warning is not None and view.warning in view.draw(Shown()).facts
+
+
+def test_an_image_without_points_is_drawn(view: SetView) -> None:
+    gone: Any = load_sensor_model().with_artifacts(MissingData((1.0,)))
+    for colouring in COLOURINGS:
+        drawing = view.draw(Shown(0, "md", sensor=gone, colouring=colouring))
+        assert drawing.points.xyz.shape == (0, 3) and drawing.bodies == 0

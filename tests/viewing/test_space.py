@@ -1,0 +1,94 @@
+"""Points, devices and viewpoints of a page, against the geometry that rendered the samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_rig import SMALL
+
+from bodyseg_data.core.rig import Camera, load_rig
+from bodyseg_data.core.rigs.camera import axes_at, rolled
+from bodyseg_data.core.views import View
+from bodyseg_model.viewing.space import (
+    VIEWPOINTS,
+    Viewpoint,
+    camera_alone,
+    device,
+    points_at,
+    quaternion,
+    rig_before,
+    viewpoint,
+)
+
+CAMERA = Camera(3, 4, 2.0, (2.0, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def rotation_of(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """Rotation matrix of a unit quaternion."""
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@pytest.mark.parametrize(("azimuth", "pitch", "roll"), [(0, 0, 0), (90, -20, 0), (180, 15, 30), (271, 40, -75)])
+def test_quaternions_are_their_rotations(azimuth: int, pitch: int, roll: int) -> None:
+    rotation = rolled(axes_at(azimuth, pitch), roll).T
+    found = quaternion(rotation)
+    assert found[0] >= 0
+    np.testing.assert_allclose(rotation_of(*found), rotation, atol=1e-12)
+
+
+def test_points_of_a_frame_lie_where_its_pixels_look() -> None:
+    range_m = np.zeros((3, 4), np.float32)
+    range_m[0, 0], range_m[2, 3] = 2.0, 4.0
+    # Half a pixel from the corners: 1.5 left and 1 up of the middle, at 2 pixels a unit.
+    expected = [[-1.5, 1.0, -2.0], [3.0, -2.0, -4.0]]
+    np.testing.assert_allclose(points_at(range_m, camera_alone(CAMERA)), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("azimuth", [0, 130])
+def test_the_rig_of_every_view_stands_before_the_body(azimuth: int) -> None:
+    camera, projector = rig_before(SMALL, View(255, azimuth, -10))
+    np.testing.assert_allclose(camera.position, [0, 2.55 * np.sin(np.radians(10)), 2.55 * np.cos(np.radians(10))])
+    np.testing.assert_allclose(np.linalg.norm(camera.position - projector.position), SMALL.baseline_m)
+    # Both see the body's middle in the middle of their images.
+    assert np.allclose(camera.project(np.zeros((1, 3)))[0], camera.camera.centre_px)
+
+
+def test_a_rig_of_two_projectors_has_three_devices() -> None:
+    rig = load_rig("realsense_d435")
+    assert len(rig_before(rig, View(200, 0))) == 1 + len(rig.projectors)
+
+
+def test_devices_have_the_field_of_view_of_their_camera() -> None:
+    found = device("camera", camera_alone(CAMERA))
+    assert found.fov_rad == pytest.approx(2 * np.arctan(1.5 / 2.0)) and found.aspect == pytest.approx(4 / 3)
+    np.testing.assert_allclose(rotation_of(*found.wxyz)[:, 2], [0, 0, -1], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", VIEWPOINTS)
+@pytest.mark.parametrize("aspect", [0.5, 2.0])
+def test_viewpoints_take_in_what_they_name(kind: Viewpoint, aspect: float) -> None:
+    devices = [device("camera", rig_before(SMALL, View(255, 0))[0])]
+    xyz = np.random.default_rng(0).uniform((-0.3, -0.9, -0.2), (0.3, 0.9, 0.2), (200, 3)).astype(np.float32)
+    place, at = viewpoint(xyz, devices, kind, 0.85, aspect)
+    if kind == "camera":
+        np.testing.assert_allclose(place, devices[0].position_m)
+    forward = (at - place) / np.linalg.norm(at - place)
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    seen = np.concatenate([xyz, np.array([devices[0].position_m])]) if kind == "sensor" else xyz
+    away = (seen - place) @ forward
+    down, across = ((seen - place) @ axis / away / np.tan(0.85 / 2) for axis in (np.cross(forward, right), right))
+    assert (away > 0).all()
+    assert (np.abs(down) < 1).all() and (np.abs(across) < aspect).all()
+
+
+def test_viewpoints_of_nothing_look_at_the_middle() -> None:
+    place, at = viewpoint(np.zeros((0, 3), np.float32), [], "camera", 0.7, 1.0)
+    np.testing.assert_allclose(at, 0)
+    assert place[2] > 1

@@ -1,0 +1,1 @@
+"""Pages in a headless browser: what they show, and what their controls change."""
