@@ -18,10 +18,11 @@ from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
-from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
-from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
+from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
+from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
+from bodyseg_model.recordings.intrinsics import Intrinsics
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.frames import find_frames, metres_a_step
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.training.distributed import find_device
@@ -35,7 +36,17 @@ from bodyseg_model.viewing.set_view import SetView, Shown
 EXAMPLE = "bodyseg view shards"
 
 _OF_SETS: Final = ("split", "val_share", "where", "only", "variant", "sensor", "seed")
-_OF_RECORDINGS: Final = ("units", "rig", "focal", "centre", "mirrored", "background", "keep_things", "confidence")
+_OF_RECORDINGS: Final = (
+    "topic",
+    "units",
+    "rig",
+    "focal",
+    "centre",
+    "mirrored",
+    "background",
+    "keep_things",
+    "confidence",
+)
 
 
 @dataclass(frozen=True)
@@ -57,7 +68,8 @@ class Options:
     variant: VariantName = option("sets: the variant to begin with", "all")
     sensor: str = option("sets: the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     seed: int = option("sets: seed of the artifacts' random draws", 0)
-    units: str = option("frames: size of one step of a frame: mm, 0.1mm, cm ...", "mm")
+    topic: str | None = option("frames: topic of a bag or array of an NPZ file (default: the only one of frames)", None)
+    units: str | None = option(f"frames: {UNITS_HELP}", None)
     rig: str | None = option(f"frames: their camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
     centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
@@ -139,7 +151,8 @@ def _set_view(options: Options, trained: Trained) -> SetView:
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
-    frames = find_frames([Path(each) for each in options.source])
+    step_m = None if options.units is None else metres_a_step(options.units)
+    frames = find_frames([Path(each) for each in options.source], options.topic, step_m)
     given = options.rig is not None or options.focal is not None or bool(options.centre)
     beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
 
@@ -149,6 +162,4 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if trained.label_map == PARTS33 else "shape")
     segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
-    return RecordingView(
-        frames, FrameCameras(frames, beside, choose), segmenters, metres_a_step(options.units), trained.label_map
-    )
+    return RecordingView(frames, FrameCameras(frames, beside, choose), segmenters, trained.label_map)

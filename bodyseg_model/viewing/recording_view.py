@@ -16,9 +16,10 @@ from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.drawing.style import THING
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.segmentation.files.camera_files import FrameCameras
+from bodyseg_model.recordings.camera_files import FrameCameras
+from bodyseg_model.recordings.frames import to_metres
+from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
-from bodyseg_model.segmentation.frames import FrameFile, to_metres
 from bodyseg_model.segmentation.overlay import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
 from bodyseg_model.viewing.drawing import Drawing
@@ -79,23 +80,22 @@ class Labelled:
 
 
 class RecordingView:
-    """Labels frames when they are first drawn, and keeps the last ones. step_m: metres in one step of a frame.
+    """Labels frames when they are first drawn, and keeps the last ones.
 
     cameras, segmenters: of the frames. label_map: of the network. Raises BadConfig if there is no frame.
     """
 
     def __init__(
         self,
-        frames: Sequence[FrameFile],
+        frames: Sequence[Frame],
         cameras: FrameCameras,
         segmenters: Segmenters,
-        step_m: float,
         label_map: LabelMap,
     ) -> None:
         if not frames:
             raise BadConfig("a recording must hold a frame, found none")
         self.frames, self.label_map = frames, label_map
-        self._cameras, self._segmenters, self._step_m = cameras, segmenters, step_m
+        self._cameras, self._segmenters = cameras, segmenters
         self.labelled = lru_cache(maxsize=_KEPT)(self._labelled)
 
     def __len__(self) -> int:
@@ -138,13 +138,10 @@ class RecordingView:
             pixels = file.read()
             camera = self._cameras.of(file, (pixels.shape[0], pixels.shape[1])).camera
             lens, segmenter = self._segmenters.of(camera)
-            range_m = to_metres(pixels if lens is None else lens(pixels), self._step_m)
+            range_m = to_metres(pixels if lens is None else lens(pixels), file.step_m)
         found = segmenter(range_m)
-        confidence = np.zeros(range_m.shape, np.float32)
-        for body in found.bodies:
-            confidence.ravel()[body.pixels] = body.confidence
         total = watch.milliseconds["read"] + sum(found.milliseconds.values())
-        return Labelled(range_m, found, confidence, segmenter.camera, total)
+        return Labelled(range_m, found, found.confidence, segmenter.camera, total)
 
     def _before(self, number: int) -> Labelled | None:
         """The frame before, if it is of the same recording and size."""

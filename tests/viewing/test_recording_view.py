@@ -16,10 +16,10 @@ from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import COLOURS
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.segmentation.cameras import FrameCamera
-from bodyseg_model.segmentation.files.camera_files import FrameCameras
+from bodyseg_model.recordings.camera_files import FrameCameras
+from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frames import find_frames
 from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
 from bodyseg_model.viewing.recording_view import (
     CONFIDENCE_LEGEND,
@@ -46,7 +46,7 @@ def view_of(folder: Path, *images: np.ndarray) -> RecordingView:
     frames = find_frames([folder])
     cameras = FrameCameras(frames, [None] * len(frames), lambda shape, where: FrameCamera(CAMERA, "given"))
     trained = Trained(Places(1, 8), {"rig": SMALL.to_json()})
-    return RecordingView(frames, cameras, Segmenters(trained, Background("limits")), 1e-3, PARTS33)
+    return RecordingView(frames, cameras, Segmenters(trained, Background("limits")), PARTS33)
 
 
 def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_path: Path) -> None:
@@ -128,4 +128,4 @@ def test_nobody_is_drawn_as_such(tmp_path: Path) -> None:
 def test_recordings_need_a_frame() -> None:
     nothing: Any = None
     with pytest.raises(BadConfig, match="a recording must hold a frame, found none"):
-        RecordingView([], nothing, nothing, 1e-3, PARTS33)
+        RecordingView([], nothing, nothing, PARTS33)
