@@ -7,7 +7,6 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
 project = "bodyseg"
-copyright = ""
 html_show_copyright = False
 extensions = ["myst_parser", "sphinx.ext.autodoc", "benches.site.extension"]
 exclude_patterns = ["_build", "results/index.md.in", "results/tables.md.in", "**/.ipynb_checkpoints"]

@@ -1,1 +1,1 @@
-"""Documentation as a site: `make docs`. Its pages are the Markdown files of docs; commands and modules are read from the code."""
+"""Documentation as a site, by `make docs`: Markdown of docs, and pages of commands and modules read from the code."""

@@ -50,7 +50,7 @@ def value_text(hint: Any) -> str:
 
 
 def default_text(field: dataclasses.Field[Any]) -> str:
-    """Return an option's default as it would be typed; empty where there is none, "required" where one must be given."""
+    """Return an option's default as it would be typed; "required" where there is none, empty where it is nothing."""
     if field.default is dataclasses.MISSING:
         return "required"
     if field.default is False or field.default in (None, ()):

@@ -21,7 +21,7 @@ _NAMES_MARK: Final = "<!-- every public name -->"
 _ROOMS_MARK: Final = "<!-- every room with its modules -->"
 
 
-class Notebook(MystParser):  # type: ignore[misc]
+class Notebook(MystParser):
     """Parser of notebooks, which reads them as Markdown."""
 
     supported = ("notebook",)

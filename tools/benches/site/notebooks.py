@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import nbformat
+from nbformat import v4
 
 
 def as_markdown(text: str) -> str:
     """Return the Markdown of a notebook's JSON; pictures among its outputs become data addresses."""
-    notebook = nbformat.reads(text, as_version=4)
+    notebook = v4.reads(text)
     return "\n".join(line for cell in notebook.cells for line in _cell(cell))
 
 
