@@ -32,7 +32,7 @@ check: install
 
 # Charts and page of results from the JSON in docs/results.
 page: install
-	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md
+	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md docs/results/tables.md
 
 # Documentation as a site, docs/_build/html/index.html; a minute of processor time.
 docs: install

@@ -83,6 +83,7 @@ def workplace(figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     return tmp_path
 
 
+@pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")  # torchdata calls it
 @pytest.mark.parametrize("document", [each for each in DOCUMENTS if examples(each)], ids=lambda each: each.name)
 def test_the_python_of_a_document_runs(document: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("example")
