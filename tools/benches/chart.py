@@ -28,7 +28,9 @@ class Options:
 
     in_: Path = option("folder of the benches' figures: BENCH.json, or processors/PROCESSOR/BENCH.json", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
-    page: tuple[Path, ...] = option("also fill templates PATH.in with numbers of --in, and write them to these files", ())
+    page: tuple[Path, ...] = option(
+        "also fill templates PATH.in with numbers of --in, and write them to these files", ()
+    )
 
 
 def run(options: Options) -> int:

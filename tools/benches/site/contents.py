@@ -51,4 +51,5 @@ def moved_inside(text: str) -> str:
     """Return the text of a file beside docs as a page among the generated ones, with its links bent to match."""
     for name, page in OUTSIDE.items():
         text = text.replace(f"]({name}", f"]({page}")
+    text = re.sub(r"\]\(README\.md[^)]*\)", "](../index.md)", text)
     return _SOURCE.sub(r"\1", re.sub(r"\]\(docs/", "](../", text))

@@ -28,6 +28,6 @@ def _output(output: Mapping[str, Any]) -> Iterator[str]:
     if "image/png" in data:
         yield from (f"![output](data:image/png;base64,{data['image/png'].replace(chr(10), '')})", "")
         return
-    shown = output["text"] if output["output_type"] == "stream" else data.get("text/plain", "")
-    if shown.strip():
+    shown = output["text"] if output.get("name") == "stdout" else data.get("text/plain", "")
+    if shown.strip():  # not what a command says of its progress
         yield from ("```text", shown.rstrip("\n"), "```", "")
