@@ -12,7 +12,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "benches.site.extension"]
 exclude_patterns = ["_build", "results/index.md.in", "results/tables.md.in", "**/.ipynb_checkpoints"]
 
 myst_heading_anchors = 4
-myst_enable_extensions = ["smartquotes"]
+smartquotes = False  # two hyphens begin an option
 default_role = "literal"
 
 autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
