@@ -30,15 +30,12 @@ def with_parameters(source: str, values: dict[str, Any]) -> str:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)  # where kernel and client meet, by files
     notebook = read(path)
     (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ()))
     parameters.source = with_parameters(parameters.source, {"SHARDS": str(figures_set), **SHORT})
-    over_files = Config(
-        {"KernelManager": {"transport": "ipc"}}
-    )  # the kernel warns of sockets, which others could reach
-    NotebookClient(
-        notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}, config=over_files
-    ).execute()
+    over_files = Config({"KernelManager": {"transport": "ipc"}})  # not over ports, of which it warns
+    NotebookClient(notebook, timeout=120, kernel_name="python3", config=over_files).execute()
     assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
 
 
