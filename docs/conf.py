@@ -15,7 +15,7 @@ myst_heading_anchors = 4
 smartquotes = False  # two hyphens begin an option
 default_role = "literal"
 
-autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True}
+autodoc_default_options = {"members": True, "member-order": "bysource", "show-inheritance": True, "no-value": True}
 autodoc_typehints_format = "short"
 add_module_names = False
 python_maximum_signature_line_length = 88
