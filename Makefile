@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test test-browser check page lock clean
+.PHONY: install demo test test-browser check page docs lock clean
 
 install: $(VENV)/.installed
 
@@ -36,7 +36,11 @@ test-browser: install
 
 # Charts and page of results from the JSON in docs/results.
 page: install
-	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md
+	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md docs/results/tables.md
+
+# Documentation as a site, docs/_build/html/index.html; a minute of processor time.
+docs: install
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
 
 # Newest versions that pyproject.toml allows, as the next exact list; a new PyTorch is chosen by hand in the list.
 lock:
@@ -48,4 +52,4 @@ lock:
 	mv tools/requirements.new tools/requirements.lock
 
 clean:
-	rm -rf $(VENV) browser demo build *.egg-info
+	rm -rf $(VENV) browser demo build docs/_build docs/generated *.egg-info

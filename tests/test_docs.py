@@ -14,6 +14,8 @@ import pytest
 from benches.__main__ import ALL
 from benches.__main__ import main as tools_main
 from benches.bench import BENCHES
+from benches.site.contents import OUTSIDE, sections
+from benches.site.notebooks import as_markdown
 
 from bodyseg_model.commands.cli import COMMANDS
 from bodyseg_model.commands.cli import main as bodyseg_main
@@ -21,6 +23,7 @@ from bodyseg_model.commands.cli import main as bodyseg_main
 ROOT = Path(__file__).parents[1]
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "decisions").glob("*.md")])
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 HOMES = {"bodyseg_data": ROOT, "bodyseg_model": ROOT, "benches": ROOT / "tools"}
 """Package -> the folder that holds it."""
@@ -37,6 +40,7 @@ COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)
 
 OPTION = re.compile(r"(?<=\s)--[a-z][a-z-]*")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = re.compile(r"```python\n(.*?)```", re.DOTALL)
 
@@ -88,7 +92,7 @@ def anchors(text: str) -> set[str]:
 
 def is_reached(link: str, text: str, folder: Path) -> bool:
     """Whether a link of a document in `folder` ends at a file, and at a heading of it if it names one."""
-    if "://" in link:
+    if "://" in link or link.startswith("data:"):
         return True
     name, _, anchor = link.partition("#")
     target = folder / name if name else None
@@ -130,11 +134,13 @@ def wrong_names(text: str, folder: Path) -> list[str]:
     wrong += [f"name {kind}.{name}" for kind, name in MEMBER.findall(text) if name not in members().get(kind, {name})]
     wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
     wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES and f"bench {name}" not in ALL]
-    return wrong + [f"target {link}" for link in LINK.findall(text) if not is_reached(link, text, folder)]
+    links = LINK.findall(COMMENT.sub("", text))
+    return wrong + [f"target {link}" for link in links if not is_reached(link, text, folder)]
 
 
 def test_whatever_a_document_names_exists() -> None:
-    found = {str(path.relative_to(ROOT)): wrong_names(path.read_text(), path.parent) for path in DOCUMENTS}
+    texts = {path: path.read_text() for path in DOCUMENTS} | {path: as_markdown(path.read_text()) for path in NOTEBOOKS}
+    found = {str(path.relative_to(ROOT)): wrong_names(text, path.parent) for path, text in texts.items()}
     assert not {document: wrong for document, wrong in found.items() if wrong}
 
 
@@ -171,6 +177,17 @@ def test_every_decision_is_in_the_index() -> None:
     folder = ROOT / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
     assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../architecture.md"}
+
+
+def test_the_front_page_lists_every_page_of_the_site() -> None:
+    folder = ROOT / "docs"
+    listed = [page for pages in sections((folder / "index.md").read_text()).values() for page in pages]
+    there = {*folder.glob("*.md"), *folder.glob("notebooks/*.ipynb"), *folder.glob("results/*.md")} - {
+        folder / "index.md"
+    }
+    there |= {folder / "decisions" / "README.md", *(ROOT / name for name in OUTSIDE)}
+    assert len(listed) == len(set(listed))
+    assert {(folder / page).resolve() for page in listed} == there
 
 
 def options_on_command_lines() -> dict[str, set[str]]:

@@ -70,6 +70,7 @@ PARTS: Final[tuple[Part, ...]] = (
     *_pair(29, "Lateral Malleolus", "outer ankle bone", "both"),
     *_pair(31, "Digit II", "tip of the second toe", "both"),
 )
+"""The 33 parts in the order of their labels."""
 
 PART_COUNT: Final = len(PARTS)
 LANDMARKS: Final[tuple[str, ...]] = tuple(part.landmark for part in PARTS)

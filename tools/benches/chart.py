@@ -28,7 +28,9 @@ class Options:
 
     in_: Path = option("folder of the benches' figures: BENCH.json, or processors/PROCESSOR/BENCH.json", flag="in")
     out: Path = option("folder for the charts, CHOICE.svg and CHOICE.png each, and for charts.json; made if absent")
-    page: Path | None = option("also fill the template PATH.in with numbers of --in, and write it to this file", None)
+    page: tuple[Path, ...] = option(
+        "also fill templates PATH.in with numbers of --in, and write them to these files", ()
+    )
 
 
 def run(options: Options) -> int:
@@ -64,9 +66,9 @@ def run(options: Options) -> int:
     summary = {"charts": descriptions, "left_out": sorted(left_out)}
     _write(options.out, drawn, summary)
     sys.stderr.write(f"wrote {len(drawn)} charts into {options.out}\n")
-    if options.page is not None:
-        _fill_page(options.page, options.in_, summary)
-        sys.stderr.write(f"wrote {options.page}\n")
+    for page in options.page:
+        _fill_page(page, options.in_, summary)
+        sys.stderr.write(f"wrote {page}\n")
     return 0
 
 

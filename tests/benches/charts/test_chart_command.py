@@ -114,7 +114,7 @@ def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path, monkeypa
     monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     page = tmp_path / "index.md"
     page.with_name("index.md.in").write_text("{{ codec.command }} {{ charts.left_out[0] }}")
-    assert run(Options(in_=results, out=tmp_path / "out", page=page)) == 0
+    assert run(Options(in_=results, out=tmp_path / "out", page=(page,))) == 0
     assert page.read_text() == f"{SOURCE['command']} loader"
 
 
@@ -122,4 +122,4 @@ def test_a_page_without_a_template_is_refused(results: Path, tmp_path: Path, mon
     write_figures_of(results, "codec")
     monkeypatch.setattr(chart, "draw", lambda choice, *_: Picture(b"", b""))
     with pytest.raises(BadConfig, match="--page needs a template of UTF-8 text: .*index.md.in"):
-        run(Options(in_=results, out=tmp_path / "charts", page=tmp_path / "index.md"))
+        run(Options(in_=results, out=tmp_path / "charts", page=(tmp_path / "index.md",)))

@@ -1,4 +1,4 @@
-"""The page of results that is committed: its numbers, its figures, its charts."""
+"""The pages of results that are committed: their numbers, their figures, their charts."""
 
 from __future__ import annotations
 
@@ -10,26 +10,32 @@ from benches.charts.choices import CHOICES, Choice
 from benches.charts.page import render_page, sources_of
 from benches.charts.processors import by_processor, figures_of, panels_of
 from benches.charts.report import described
+from benches.results.everything import PAGES
 from folders import ROOT
 
 RESULTS = ROOT / "docs" / "results"
-PAGE = RESULTS / "index.md"
-TEMPLATE = RESULTS / "index.md.in"
 CHARTS = RESULTS / "charts"
+EVERY_PAGE = pytest.mark.parametrize("page", PAGES)
+
+
+def text_of(name: str) -> str:
+    return (RESULTS / name).read_text(encoding="utf-8")
 
 
 def pictures() -> list[str]:
-    return re.findall(r"!\[[^\]]*\]\(([^)]+)\)", PAGE.read_text(encoding="utf-8"))
+    return re.findall(r"!\[[^\]]*\]\(([^)]+)\)", "".join(map(text_of, PAGES)))
 
 
-def test_the_numbers_of_the_page_are_those_of_the_json() -> None:
-    made = render_page(TEMPLATE.read_text(encoding="utf-8"), RESULTS)
-    assert PAGE.read_text(encoding="utf-8") == made, "make page writes it anew"
+@EVERY_PAGE
+def test_the_numbers_of_the_page_are_those_of_the_json(page: str) -> None:
+    made = render_page(text_of(f"{page}.in"), RESULTS)
+    assert text_of(page) == made, "make page writes it anew"
 
 
-def test_no_number_of_ours_is_typed_by_hand() -> None:
+@EVERY_PAGE
+def test_no_number_of_ours_is_typed_by_hand(page: str) -> None:
     """What stands in the template itself are words, the paper's numbers and sizes of things that are no results."""
-    template, place = TEMPLATE.read_text(encoding="utf-8"), r"\{\{.+?\}\}|\{%.+?%\}"
+    template, place = text_of(f"{page}.in"), r"\{\{.+?\}\}|\{%.+?%\}"
     typed = re.sub(place, "", template)
     assert not re.findall(r"\d\.\d+ ?(?:ms|%|points|times)", typed.replace("81.3 %", ""))
     assert not re.findall(r"\d\.\d", " ".join(re.findall(place, template))), "nor hidden in an expression"
@@ -50,8 +56,9 @@ def test_every_figure_has_its_json(picture: str) -> None:
         assert content["command"] and content["commit"] and content["hardware"]
 
 
-def test_every_link_leads_somewhere() -> None:
-    for link in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", PAGE.read_text(encoding="utf-8")):
+@EVERY_PAGE
+def test_every_link_leads_somewhere(page: str) -> None:
+    for link in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text_of(page)):
         assert "://" in link or (RESULTS / link).exists(), link
 
 
@@ -77,8 +84,9 @@ def test_the_readme_states_the_range_over_processors(other: str) -> None:
     assert f" {min(ratios):.1f} to {max(ratios):.1f} times " in " ".join((ROOT / "README.md").read_text().split())
 
 
-def test_the_page_reads_every_kind_of_result() -> None:
-    read = set(sources_of(TEMPLATE.read_text(encoding="utf-8")))
+def test_the_tables_read_every_kind_of_result() -> None:
+    read = set(sources_of(text_of("tables.md.in")))
+    assert set(sources_of(text_of("index.md.in"))) <= read, "the list of files, commands and commits is in the tables"
     by_now = {f"{bench}.json" for record in by_processor(RESULTS) for bench in record}
     assert "loader.json" in by_now
     assert {f"{choice.bench}.json" for choice in CHOICES} <= read | by_now | {"reduction.json", "partition.json"}

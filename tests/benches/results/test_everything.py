@@ -51,7 +51,7 @@ def test_only_benches_that_draw_are_asked_for_a_figure() -> None:
 
 def test_every_result_on_the_page_is_of_a_step_but_those_of_speed() -> None:
     made = {name for step in everything().steps.values() for _, name in step.results}
-    on_page = {*sources_of((RESULTS / "index.md.in").read_text())} - {f"{name}.json" for name in OF_SPEED}
+    on_page = {*sources_of((RESULTS / "tables.md.in").read_text())} - {f"{name}.json" for name in OF_SPEED}
     assert on_page <= made
     pictures = {path.name for path in RESULTS.glob("*.png")} & {f"{Path(name).stem}.png" for name in on_page}
     assert pictures <= made
@@ -76,7 +76,7 @@ def test_steps_read_what_their_commands_name() -> None:
     assert {"runs/variants/all-2", "runs/networks/deeplab_half-0"} <= {*architectures}
     ablation = graph.inputs(graph.steps["ablation"])
     assert {"runs/variants/all-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
-    assert graph.external(graph.steps["page"]) == ("docs/results/index.md.in",)
+    assert graph.external(graph.steps["page"]) == ("docs/results/index.md.in", "docs/results/tables.md.in")
 
 
 def test_code_is_that_of_the_command() -> None:

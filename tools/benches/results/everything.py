@@ -29,6 +29,9 @@ FAUST: Final = "data/faust"
 KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
 
+PAGES: Final = ("index.md", "tables.md")
+"""The pages of results, each with a template beside it."""
+
 _BOX: Final = "runs/box"
 _BOX_LINKS: Final[Links] = ((_BOX, SHIPPED),)
 _STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
@@ -122,7 +125,8 @@ def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), parts: tu
 
 
 def _page(results: list[str]) -> Step:
-    """Charts and the page of results, of all that is there, whether measured anew or not."""
-    page, charts = f"{RESULTS}/index.md", f"{RESULTS}/charts"
-    words = ("tools/chart", "--in", RESULTS, "--out", charts, "--page", page)
-    return Step("page", "page", words, ((charts, "charts"), (page, "index.md")), reads=(*results, f"{page}.in"))
+    """Charts and pages of results, of all that is there, whether measured anew or not."""
+    pages, charts = [f"{RESULTS}/{name}" for name in PAGES], f"{RESULTS}/charts"
+    words = ("tools/chart", "--in", RESULTS, "--out", charts, "--page", *pages)
+    products = ((charts, "charts"), *zip(pages, PAGES, strict=True))
+    return Step("page", "page", words, products, reads=(*results, *(f"{page}.in" for page in pages)))

@@ -1,0 +1,138 @@
+"""What the site adds to the documents: an order of pages, and pages of commands, modules and notebooks."""
+
+from __future__ import annotations
+
+import importlib
+import json
+
+import pytest
+from benches.site.commands import described_commands
+from benches.site.contents import linked_inside, moved_inside, sections, with_toctrees
+from benches.site.docstrings import as_rst, parameters
+from benches.site.modules import documentation, public_names, room_page, rooms
+from benches.site.notebooks import as_markdown
+
+import bodyseg_data
+from bodyseg_model.commands.cli import COMMANDS
+
+OVERVIEW = """# Title
+
+## Start
+
+- [One](one.md): the first, beside [another](two.md)
+- [Elsewhere](https://example.org/page.md)
+<!-- - [To come](three.md) -->
+
+## Notes
+
+No list.
+"""
+
+
+def test_the_lists_of_an_overview_are_the_order_of_pages() -> None:
+    assert sections(OVERVIEW) == {"Start": ["one.md"], "Notes": []}
+    filled = with_toctrees(OVERVIEW)
+    assert filled.startswith(OVERVIEW)
+    assert filled.count("```{toctree}") == 1
+    assert ":caption: Start\n\none.md\n```" in filled
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("[a](../CONTRIBUTING.md#rules)", "[a](generated/contributing.md#rules)"),
+        ("[a](../../CHANGELOG.md)", "[a](../generated/changelog.md)"),
+        ("[the rig](../bodyseg_data/core/rigs/paper.toml), [b](b.md)", "the rig, [b](b.md)"),
+    ],
+)
+def test_links_out_of_docs_lead_to_pages_of_the_site(before: str, after: str) -> None:
+    assert linked_inside(before) == after
+
+
+def test_files_beside_docs_become_pages_with_links_that_hold() -> None:
+    text = "[a](docs/rig.md), [b](CHANGELOG.md), [c](README.md#ten-lines)"
+    assert moved_inside(text) == "[a](../rig.md), [b](changelog.md), [c](../index.md)"
+
+
+def test_every_command_is_described_with_every_option_and_default() -> None:
+    text = described_commands(COMMANDS)
+    for name, (module, summary) in COMMANDS.items():
+        assert f"## bodyseg {name}\n\n{summary[0].upper()}" in text
+        assert importlib.import_module(module).EXAMPLE in text
+    assert "| `--out` | path | required | " in text
+    assert "| `--views` | whole number |  | " in text
+    assert "| `--distances` | whole number, one or several | `215 255 295` | " in text
+    assert "| `--renderer` | `raster`, `embree`, `opengl` | `raster` | " in text
+    assert "| `--resume` | switch |  | " in text
+    assert "| `FOLDER` | text | required | " in text
+
+
+def test_every_room_and_public_name_has_a_place() -> None:
+    found = rooms()
+    assert found["bodyseg_data.loading"][0] == "bodyseg_data.loading"
+    assert "bodyseg_data.loading.transforms.crop" in found["bodyseg_data.loading"]
+    assert "bodyseg_model.networks" in found and "bodyseg_data.commands" not in found
+    page = room_page("a.b", ["a.b", "a.b.c"])
+    assert page.startswith("# a.b\n") and "## c\n" in page and page.count(".. automodule:: a.b") == 2
+    table = public_names()
+    assert all(f"`{name} <bodyseg_data." in table for name in bodyseg_data.__all__)
+    assert "|  |" not in table
+
+
+def test_documentation_is_that_of_classes_functions_and_constants() -> None:
+    assert documentation("bodyseg_data.core.parts", "BACKGROUND").startswith("The label of a pixel that sees no body")
+    assert documentation("bodyseg_data.loading.loader", "loader")
+    with pytest.raises(LookupError, match=r"^bodyseg_data.core.parts does not define nothing$"):
+        documentation("bodyseg_data.core.parts", "nothing")
+
+
+def test_docstrings_keep_their_code_and_lose_no_character() -> None:
+    lines = [
+        "Scores *all* |x| of a_ `b*`; first: a number.",
+        "",
+        "    code * 2",
+        "",
+        "- a list",
+        "  goes on *",
+        "",
+        "Text",
+    ]
+    assert as_rst(lines, ["first"]) == [
+        r"Scores \*all\* \|x\| of a\_ `b*`; **first**: a number.",
+        *("", "::", "", "    code * 2", ""),
+        *("- a list", r"  goes on \*", "", "Text"),
+    ]
+    assert as_rst(["a formula:", "", "    x | y", "at once"]) == [
+        "a formula:",
+        "",
+        "::",
+        "",
+        "    x | y",
+        "",
+        "at once",
+    ]
+
+
+def test_parameters_are_those_of_the_signature() -> None:
+    assert parameters(as_rst) == ["lines", "names"]
+    assert parameters("no function") == []
+    assert parameters(dict.fromkeys) == [] or "iterable" in parameters(dict.fromkeys)
+
+
+def test_a_notebook_becomes_text_code_and_outputs() -> None:
+    outputs = [
+        {"output_type": "stream", "name": "stdout", "text": "said\n"},
+        {"output_type": "stream", "name": "stderr", "text": "progress\n"},
+        {"output_type": "execute_result", "data": {"text/plain": "7"}, "metadata": {}, "execution_count": 1},
+        {"output_type": "display_data", "data": {"image/png": "QUJD\n", "text/plain": "<Image>"}, "metadata": {}},
+    ]
+    cells = [
+        {"cell_type": "markdown", "metadata": {}, "source": "# Title"},
+        {"cell_type": "code", "metadata": {}, "source": "3 + 4", "outputs": outputs, "execution_count": 1},
+    ]
+    notebook = {"nbformat": 4, "nbformat_minor": 4, "metadata": {}, "cells": cells}
+    text = as_markdown(json.dumps(notebook))
+    assert text.startswith("# Title\n\n```python\n3 + 4\n```\n")
+    assert "```text\nsaid\n```" in text and "```text\n7\n```" in text
+    assert "(data:image/png;base64,QUJD)" in text and "<Image>" not in text
+    assert "progress" not in text

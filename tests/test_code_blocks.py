@@ -1,0 +1,159 @@
+"""Code in the documents runs as it is written, beside a small set; what does not says why not."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import pytest
+from benches.__main__ import ALL
+from benches.__main__ import COMMANDS as BENCH_COMMANDS
+from benches.model.tutorial import read_tutorial, smaller
+from folders import ROOT
+from people_on_disk import write_by_vertex, write_mesh
+
+from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.commands.options import parse
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.commands.cli import COMMANDS
+from bodyseg_model.commands.cli import main as bodyseg_main
+
+DOCUMENTS: Final = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+ELSEWHERE: Final = {
+    "how_to.md": "each example runs by itself in test_how_to.py",
+    "clothes.md": "needs the meshes of a body; tests/bodies/clothes dresses one",
+    "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
+}
+"""Documents whose Python is not run here, and why."""
+
+NOT_RUN: Final = {'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks"}
+"""Text of a block that is not run -> why."""
+
+SMALLER: Final = {
+    "range(90)": "range(2)",
+    "batches.epoch, 90": "batches.epoch, 2",
+    '"shards", "all"), 500': '"shards", "all"), 2',
+    "noise_mm=40), 500": "noise_mm=40), 2",
+    'total(["A", "B"])': 'total(["A"])',
+    '"subject=B,C", "motion=cra*", ': "",
+}
+"""Numbers and names -> others for a small set, of few people."""
+
+BEFORE: Final = {
+    "segment.md": "import numpy as np\nrange_m = np.zeros((480, 640), np.float32)\n",
+    "streaming.md": (
+        "import torch\nfrom torch.utils.data import DataLoader\n"
+        "from torchdata.stateful_dataloader import StatefulDataLoader\n"
+        "network, path = torch.nn.Linear(1, 1), 'state.pt'\n"
+    ),
+}
+"""Names that a document's text introduces, or that its reader has at hand."""
+
+PYTHON: Final = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+SHELL: Final = re.compile(r"^(?: {4})?((?:tools/|bodyseg )[a-z]+ .*)$", re.MULTILINE)
+
+
+def examples(document: Path) -> list[str]:
+    """The Python blocks of a document that run here."""
+    blocks = [] if document.name in ELSEWHERE else PYTHON.findall(document.read_text())
+    return [block for block in blocks if not any(text in block for text in NOT_RUN)]
+
+
+@pytest.fixture
+def workplace(figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with all that the documents' code reads, as the current one."""
+    for name in ("shards", "my-camera", "my-shards", "demo/shards"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).symlink_to(figures_set)
+    (tmp_path / "my_sensor.toml").write_text(load_sensor_model("kinect_v1").to_toml())
+    shutil.copy(ROOT / "bodyseg_data" / "core" / "labels" / "limbs14.toml", tmp_path / "my_classes.toml")
+    run = tmp_path / "runs" / "all-0"
+    run.mkdir(parents=True)
+    for suffix in ("json", "safetensors"):
+        (run / f"network.{suffix}").symlink_to(ROOT / "bodyseg_model" / "weights" / f"compact.{suffix}")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")  # torchdata calls it
+@pytest.mark.parametrize("document", [each for each in DOCUMENTS if examples(each)], ids=lambda each: each.name)
+def test_the_python_of_a_document_runs(document: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("example")
+    monkeypatch.setitem(sys.modules, module.__name__, module)  # where dataclasses look for their module
+    exec(BEFORE.get(document.name, ""), module.__dict__)
+    for block in examples(document):
+        for long, short in SMALLER.items():
+            block = block.replace(long, short)
+        exec(compile(block, str(document), "exec"), module.__dict__)
+
+
+def test_reasons_are_of_blocks_that_are_there() -> None:
+    texts = {document.name: "\n".join(PYTHON.findall(document.read_text())) for document in DOCUMENTS}
+    assert all(texts[name] for name in ELSEWHERE)
+    assert set(BEFORE) <= {name for name, text in texts.items() if text}
+    assert all(any(part in text for text in texts.values()) for part in (*NOT_RUN, *SMALLER))
+
+
+def command_lines(document: Path) -> Iterator[list[str]]:
+    """The words of every command line of a document's code, comments left out."""
+    for line in SHELL.findall(document.read_text().replace("\\\n", " ")):
+        yield shlex.split(line.removeprefix("tools/").removeprefix("bodyseg "), comments=True)
+
+
+TABLE: Final = {**COMMANDS, **BENCH_COMMANDS, **ALL}
+
+WALKED: Final = {
+    "start.md": ["demo"],
+    "tutorial_meshes.md": ["landmarks"],
+}
+"""Documents whose command lines run here, and commands among them that take longer and have tests of their own.
+
+test_tutorial.py runs those of tutorial.md. Those of all other documents take minutes to days and are only read, with
+every option and value, as the command itself reads them.
+"""
+
+SIZES: Final = {"shard --views": "1", "shard --distances": "255", "shard --workers": "1", "gallery --views": "2"}
+"""Options that make the commands short."""
+
+
+def read(words: list[str]) -> Any:
+    """The options that a command reads from its words. Raises BadConfig."""
+    name = " ".join(words[:2]) if " ".join(words[:2]) in TABLE else words[0]
+    module, summary = TABLE[name]
+    command = importlib.import_module(module)
+    return parse(command.Options, words[len(name.split()) :], name, summary, command.EXAMPLE)
+
+
+def test_commands_read_every_command_line() -> None:
+    lines = [words for document in DOCUMENTS for words in command_lines(document)]
+    assert len(lines) > 60
+    assert all(read(words) is not None for words in lines)
+    with pytest.raises(BadConfig, match="--views"):
+        read(["shard", "--source", "open", "--views", "many"])
+
+
+def write_two_people(folder: Path) -> None:
+    for place in ("train/anna", "test/ben"):
+        write_mesh(folder / place / "standing.ply")
+        write_by_vertex(folder / place / "landmarks.json")
+
+
+@pytest.mark.parametrize("name", WALKED)
+def test_the_commands_of_a_tutorial_run(name: str, workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document = ROOT / "docs" / name
+    (workplace / "my-shards").unlink()
+    write_two_people(workplace / "meshes")
+    if name == "start.md":
+        exec(compile(PYTHON.findall(document.read_text())[-1], name, "exec"), {})  # writes the frames
+    commands = [command for command in read_tutorial(document).commands if command[0] not in WALKED[name]]
+    assert commands
+    for command in commands:
+        assert bodyseg_main(smaller(command, SIZES)) == 0, (command, capfd.readouterr().err)

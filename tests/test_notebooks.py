@@ -1,0 +1,50 @@
+"""The notebooks run from their first cell to their last on a small set, and are kept with their outputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from folders import ROOT
+from nbclient import NotebookClient
+from nbformat import v4
+from traitlets.config import Config
+
+NOTEBOOKS: Final = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+SHORT: Final = {"STEPS": 2, "BATCH_SIZE": 2, "TEST_IMAGES": 2}
+"""Parameters that make a training short."""
+
+
+def read(path: Path) -> Any:
+    return v4.reads(path.read_text(encoding="utf-8"))
+
+
+def with_parameters(source: str, values: dict[str, Any]) -> str:
+    """A cell of parameters with other values for those that it has."""
+    names = [line.partition(" = ")[0] for line in source.splitlines()]
+    return "\n".join(f"{name} = {values[name]!r}" for name in names)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(path: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)  # where kernel and client meet, by files
+    notebook = read(path)
+    (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ()))
+    parameters.source = with_parameters(parameters.source, {"SHARDS": str(figures_set), **SHORT})
+    over_files = Config({"KernelManager": {"transport": "ipc"}})  # not over ports, of which it warns
+    NotebookClient(notebook, timeout=120, kernel_name="python3", config=over_files).execute()
+    assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_kept_as_it_ran(path: Path) -> None:
+    cells = [cell for cell in read(path).cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert not any(output.output_type == "error" for output in outputs)
+    assert path.stat().st_size < 200_000
+    assert "/tmp/" not in path.read_text()

@@ -1,0 +1,1 @@
+"""Documentation as a site, by `make docs`: Markdown of docs, and pages of commands and modules read from the code."""

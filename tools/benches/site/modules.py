@@ -1,0 +1,72 @@
+"""Pages of modules: one a room, with what the docstrings of its modules say, and a table of the public names."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pkgutil
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Final
+
+import bodyseg_data
+import bodyseg_model
+
+PACKAGES: Final = (bodyseg_data, bodyseg_model)
+
+_COMMANDS: Final = "commands"
+"""The room that the page of commands describes."""
+
+
+def rooms() -> dict[str, list[str]]:
+    """Return room -> the names of its modules, the room itself first."""
+    return {
+        f"{package.__name__}.{room.name}": [*_modules(package, room.name)]
+        for package in PACKAGES
+        for room in pkgutil.iter_modules(package.__path__)
+        if room.ispkg and room.name != _COMMANDS
+    }
+
+
+def _modules(package: ModuleType, room: str) -> Iterator[str]:
+    name = f"{package.__name__}.{room}"
+    yield name
+    for module in pkgutil.walk_packages([f"{folder}/{room}" for folder in package.__path__], f"{name}."):
+        yield module.name
+
+
+def room_page(room: str, modules: Sequence[str]) -> str:
+    """Return the Markdown page of a room: what each of its modules documents, under the module's name."""
+    lines = [f"# {room}", ""]
+    for module in modules:
+        lines += [f"## {module.removeprefix(f'{room}.')}", ""] if module != room else []
+        lines += ["```{eval-rst}", f".. automodule:: {module}", "```", ""]
+    return "\n".join(lines)
+
+
+def public_names() -> str:
+    """Return a table of the names that `bodyseg_data` offers, each with the first sentence that documents it."""
+    homes = {
+        alias.name: node.module
+        for node in ast.walk(ast.parse(inspect.getsource(bodyseg_data)))
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+    lines = ["| name | meaning |", "| --- | --- |"]
+    for name in bodyseg_data.__all__:
+        text = " ".join(documentation(homes[name], name).split())
+        lines.append(f"| {{py:obj}}`{name} <{homes[name]}.{name}>` | {text.partition('. ')[0].rstrip('.')} |")
+    return "\n".join(lines)
+
+
+def documentation(module: str, name: str) -> str:
+    """Return the docstring of what a module defines by this name, also that of a constant, which stands below it."""
+    statements = ast.parse(inspect.getsource(__import__(module, fromlist=[name]))).body
+    for node, after in zip(statements, [*statements[1:], None], strict=True):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
+            return ast.get_docstring(node) or ""
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == name for target in targets):
+            below = after.value if isinstance(after, ast.Expr) else None
+            return str(below.value) if isinstance(below, ast.Constant) else ""
+    raise LookupError(f"{module} does not define {name}")
