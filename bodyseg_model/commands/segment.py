@@ -34,6 +34,7 @@ from bodyseg_model.segmentation.overlay import Preview, draw_overlay, draw_parts
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
@@ -62,6 +63,7 @@ class Options:
         "them, as one body; keep: keep all that was measured, as one body",
         "people",
     )
+    video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
     keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
@@ -80,7 +82,8 @@ def run(options: Options) -> int:
     cameras = _cameras(options, frames, trained)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
-    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
+    video = CarriedLabels() if options.video else None
+    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score, video)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
     out = OutputFolder(options.out, options.frames, frames, IMAGES if cameras.bent else IMAGES[:2])
     out.begin()
@@ -88,6 +91,8 @@ def run(options: Options) -> int:
     summary, shadows = SequenceSummary(), ShadowFrames(len(frames), _SHADOW_FRAMES)
     with Progress("segmenting", "frames") as progress:
         for number, frame in enumerate(frames):
+            if video is not None and number and frame.sequence != frames[number - 1].sequence:
+                video.restart()
             range_m, bodies = _segment(frame, cameras, step_m, segmenters, out, summary, preview, label_map)
             if not cameras.is_own(frame):
                 shadows.add(number, frame.name, range_m, bodies)
@@ -108,6 +113,7 @@ def run(options: Options) -> int:
             "rule": "each body is scaled so that its median range gets the pixel size of that camera at that distance",
         },
         "least_confidence": options.confidence,
+        "video": None if video is None else video.carrying.to_json(),
         "preview": {"frames": len(preview), "frames_per_second": round(preview.frames_per_second, 2)},
         "hardware": hardware(),
         "device": str(device_of(trained.network)),

@@ -357,6 +357,8 @@ def test_fresh_artifacts_are_what_a_still_body_flickers_by() -> None:
     assert by_range["all"]["vc"] < 0.5 and by_range["all"]["tc"] < 0.5
     assert (always["all"]["tc"], always["all"]["vc"]) == (1, 1)
     assert 0 < always["all"]["vc_right"] < 0.5
+    assert by_range["all, carried"]["vc"] > by_range["all"]["vc"], "evidence of earlier frames"
+    assert always["all, carried"] == always["all"], "nothing contends with a label that never changes"
     assert always["all"] == always["none"], "all variants are counted at the same places"
     assert done == [(count, 15) for count in (1, 2, 3, 6, 9, 12, 15)]
 
