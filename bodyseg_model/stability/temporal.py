@@ -150,8 +150,8 @@ def temporal(
     source: of the bodies that move, the open source by default; rig: the paper's by default. Each shot is rendered
     once. Every network labels every frame alone, as it would come from a sensor, in every variant; artifacts are drawn
     anew in every frame. Scores of the same labels carried along (`CarriedLabels`) are beside them, with `CARRIED`
-    behind the variant's name. All variants are counted at the same points, those measured in each of them. "truth" has the
-    scores of the true labels: their distance from 1 is due to pixels and the partition.
+    behind the variant's name. All variants are counted at the same points, those measured in each of them. "truth"
+    has the scores of the true labels: their distance from 1 is due to pixels and the partition.
     progress: called with frames done and frames in all; rendering a frame counts as one, as does labelling it.
 
     Raises BadConfig for counts that are too small, a window longer than a shot or no variant; otherwise as
