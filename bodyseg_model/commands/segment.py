@@ -38,6 +38,7 @@ from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import find_device
 
@@ -69,6 +70,7 @@ class Options:
         "them, as one body; keep: keep all that was measured, as one body",
         "people",
     )
+    video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
     keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
@@ -90,7 +92,8 @@ def run(options: Options) -> int:
     cameras = _cameras(options, frames, trained, skipping)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
-    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score)
+    video = CarriedLabels() if options.video else None
+    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score, video)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
     written = [_LABELS, *([] if options.no_overlay else [_OVERLAY]), *([_UNDISTORTED] if cameras.bent else [])]
     out = OutputFolder(options.out, options.frames, frames, written)
@@ -102,6 +105,8 @@ def run(options: Options) -> int:
         start = time.perf_counter()
         with Progress("segmenting", "frames") as progress, WriteBehind() as behind:
             for number, file in enumerate(frames):
+                if video is not None and number and file.sequence != frames[number - 1].sequence:
+                    video.restart()
                 frame = _label(file, cameras, skipping, segmenters)
                 done = partial(progress.update, number + 1, len(frames))
                 if frame is None:
@@ -133,6 +138,7 @@ def run(options: Options) -> int:
             "rule": "each body is scaled so that its median range gets the pixel size of that camera at that distance",
         },
         "least_confidence": options.confidence,
+        "video": None if video is None else video.carrying.to_json(),
         "preview": None if preview is None else preview.to_json(),
         "frames_per_second": round(labelled / seconds, 2),
         "hardware": hardware(),

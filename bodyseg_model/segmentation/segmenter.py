@@ -21,11 +21,12 @@ from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.resampling import view_body
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.undistortion import Undistortion
 
 _KEPT: Final = 4
 
-STAGES: Final = ("background", "resample", "network", "back", "people")
+STAGES: Final = ("background", "resample", "network", "back", "people", "video")
 
 
 @dataclass(frozen=True)
@@ -78,15 +79,16 @@ class Segmentation:
 
 
 class Segmenter:
-    """Labels the frames of one camera, each independently.
+    """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
     network: in evaluation mode; frames are moved to its device. camera: that took the frames, which must be without
     lens distortion (`Undistortion`). background: rule for
     removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
     drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
     paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
-    "people" (`shipped_score`); None to label all of them. Raises BadConfig for a confidence outside 0 to 1, or a camera
-    with distortion.
+    "people" (`shipped_score`); None to label all of them. video: carries evidence from frame to frame of a recording,
+    whose frames must then come in order (`CarriedLabels`); None to label each alone. Raises BadConfig for a confidence
+    outside 0 to 1, or a camera with distortion.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Segmenter:
         least_confidence: float = 0.0,
         rig: Rig | None = None,
         people: PersonScore | None = None,
+        video: CarriedLabels | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -108,6 +111,7 @@ class Segmenter:
         self.rig = rig or load_rig()
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
+        self.video = video
         self._network = network
 
     def __repr__(self) -> str:
@@ -144,7 +148,13 @@ class Segmenter:
                 (bodies if is_person else things).append(body)
             if is_person:
                 with watch("back"):
-                    labels.ravel()[pixels] = np.where(confidence >= self.least_confidence, named, BACKGROUND)
+                    labels.ravel()[pixels] = named
+        if self.video is not None:
+            with watch("video"):
+                seen = [(body.pixels, body.confidence) for body in bodies]
+                labels = self.video(range_m, labels, seen, self.camera)
+        for body in bodies:
+            labels.ravel()[body.pixels[body.confidence < self.least_confidence]] = BACKGROUND
         return Segmentation(labels, tuple(bodies), watch.milliseconds, tuple(things))
 
     def stream(self, frames: Iterable[NDArray[np.float32]]) -> Iterator[Segmentation]:
@@ -186,8 +196,9 @@ class Segmenters:
         mirrored: bool = False,
         least_confidence: float = 0.0,
         people: PersonScore | None = None,
+        video: CarriedLabels | None = None,
     ) -> None:
-        self._trained, self._people = trained, people
+        self._trained, self._people, self._video = trained, people, video
         self._options = background, mirrored, least_confidence
         self.of = lru_cache(maxsize=_KEPT)(self._new)
 
@@ -198,4 +209,6 @@ class Segmenters:
         """Undistortion, where the camera needs one, and segmenter of its frames. Raises BadConfig as `Segmenter`."""
         lens = None if camera.distortion is None else Undistortion(camera)
         ideal = camera if lens is None else lens.camera
-        return lens, Segmenter(self._trained.network, ideal, *self._options, self._trained.rig, self._people)
+        return lens, Segmenter(
+            self._trained.network, ideal, *self._options, self._trained.rig, self._people, self._video
+        )

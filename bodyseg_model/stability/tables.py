@@ -106,7 +106,9 @@ def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
         "TC, %": _percent(row["tc"]),
         "VC₈ constant, %": _percent(row["vc"]),
         "VC₈ constant and right, %": _percent(row["vc_right"]),
+        "where the truth stays, %": _percent(row["vc_right_where_truth_stays"]),
         "accuracy, %": _percent(row["accuracy"]),
+        "pixels right, %": _percent(row["pixel_accuracy"]),
     }
 
 

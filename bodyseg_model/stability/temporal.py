@@ -28,6 +28,7 @@ from bodyseg_data.loading.image_set import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.stability.correspondence import NOT_SEEN, RenderedBody, follow
 from bodyseg_model.stability.motion_frames import Frame, choose_shots, render_shot
 
@@ -36,6 +37,9 @@ FRAMES: Final = 16
 WINDOW: Final = 8
 WITH_AND_WITHOUT: Final[tuple[VariantName, ...]] = ("all", "none")
 """Variants by default: new artifacts in every frame, and none for comparison."""
+
+CARRIED: Final = ", carried"
+"""What follows a variant's name where labels of earlier frames are carried along."""
 
 Labels = NDArray[np.uint8]
 
@@ -120,6 +124,7 @@ class TemporalConsistency:
             "vc_where_truth_stays": _share(stays_constant, stays),
             "vc_right_where_truth_stays": _share(stays_right, stays),
             "accuracy": _share(self.truth.average_per_class_accuracy()),
+            "pixel_accuracy": _share(self.truth.pixel_accuracy()),
         }
 
 
@@ -144,8 +149,9 @@ def temporal(
 
     source: of the bodies that move, the open source by default; rig: the paper's by default. Each shot is rendered
     once. Every network labels every frame alone, as it would come from a sensor, in every variant; artifacts are drawn
-    anew in every frame. All variants are counted at the same points, those measured in each of them. "truth" has the
-    scores of the true labels: their distance from 1 is due to pixels and the partition.
+    anew in every frame. Scores of the same labels carried along (`CarriedLabels`) are beside them, with `CARRIED`
+    behind the variant's name. All variants are counted at the same points, those measured in each of them. "truth"
+    has the scores of the true labels: their distance from 1 is due to pixels and the partition.
     progress: called with frames done and frames in all; rendering a frame counts as one, as does labelling it.
 
     Raises BadConfig for counts that are too small, a window longer than a shot or no variant; otherwise as
@@ -160,7 +166,8 @@ def temporal(
     source, rig = open_source("open") if source is None else source, load_rig() if rig is None else rig
     augmentations = {variant: Augmentation(rig, variant, seed) for variant in variants}
     chosen = choose_shots(source, shots, frames)
-    tallies = {name: {variant: TemporalConsistency() for variant in variants} for name in networks}
+    ways = [way for variant in variants for way in (variant, f"{variant}{CARRIED}")]
+    tallies = {name: {way: TemporalConsistency() for way in ways} for name in networks}
     truth, rendered_points = TemporalConsistency(), 0
     done, total = 0, shots * frames * (1 + len(variants) * len(networks))
 
@@ -187,7 +194,9 @@ def temporal(
         truth.add(labels, labels, kept)
         for variant, made in images.items():
             for name, network in networks.items():
-                tallies[name][variant].add(_labels(network, made, rig.range_step_m), labels, kept)
+                alone, carried = _labels(network, made, rig)
+                tallies[name][variant].add(alone, labels, kept)
+                tallies[name][f"{variant}{CARRIED}"].add(carried, labels, kept)
                 advance(frames)
     points = int(truth.points[0, 0])
     return {
@@ -202,18 +211,22 @@ def temporal(
         "measured_throughout": _share(points, rendered_points),
         "truth_stays": _share(int(truth.points[1, 0]), points),
         "truth": truth.to_json(),
-        "networks": {
-            name: {variant: tally.to_json() for variant, tally in by_variant.items()}
-            for name, by_variant in tallies.items()
-        },
+        "networks": {name: {way: tally.to_json() for way, tally in by_way.items()} for name, by_way in tallies.items()},
     }
 
 
-def _labels(network: Network, images: Sequence[RangeImage], step_m: float) -> Labels:
-    """Predict frames one by one; returns label images, uint8 [frames, H, W]."""
-    device = device_of(network)
-    ranges = (torch.from_numpy(metres(image.range, step_m))[None, None].to(device) for image in images)
-    return np.stack([predict(network, range_m).labels[0].cpu().numpy() for range_m in ranges])
+def _labels(network: Network, images: Sequence[RangeImage], rig: Rig) -> tuple[Labels, Labels]:
+    """Predict frames one by one; returns label images, uint8 [frames, H, W], of each alone and carried along."""
+    device, video = device_of(network), CarriedLabels()
+    alone, carried = [], []
+    for image in images:
+        range_m = metres(image.range, rig.range_step_m)
+        prediction = predict(network, torch.from_numpy(range_m)[None, None].to(device))
+        labels, confidence = (each[0].cpu().numpy() for each in prediction)
+        pixels = np.flatnonzero(range_m)
+        alone.append(labels)
+        carried.append(video(range_m, labels, [(pixels, confidence.ravel()[pixels])], rig.camera))
+    return np.stack(alone), np.stack(carried)
 
 
 def _share(part: float, whole: float = 1) -> float | None:

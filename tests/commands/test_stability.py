@@ -198,7 +198,8 @@ def test_other_parts_are_sections(
 
     def motion(networks: Any, **options: Any) -> dict[str, Any]:
         asked_for.append(sorted(networks))
-        scores = {"tc": 0.5, "vc": 0.4, "vc_right": None, "accuracy": 0.3}
+        scores = {"tc": 0.5, "vc": 0.4, "vc_right": None, "vc_right_where_truth_stays": 0.4, "accuracy": 0.3}
+        scores["pixel_accuracy"] = 0.6
         return {"networks": {name: {"all": scores} for name in networks}}
 
     def arithmetic(network: Any, images: RangeImages, count: int) -> dict[str, Any]:

@@ -143,6 +143,22 @@ def test_a_tar_and_single_files_give_the_same_labels(recording: Path, tmp_path: 
     assert order == [["7", "8", "9", "10", "11"]] * 3
 
 
+def test_a_video_is_carried_along_within_each_recording(recording: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    shutil.copytree(recording, again)
+    assert run(recording, again, "--focal", "100", "--video", "--out", tmp_path / "out") == 0
+    facts = report(tmp_path / "out")
+    assert facts["video"]["motion"] == "parts" and facts["ms"]["video"]["mean"] > 0
+    first, second = (
+        [pixels(file) for file in sorted((tmp_path / "out/labels").glob(f"{folder.name}/*.png"))]
+        for folder in (recording, again)
+    )
+    assert len(first) == len(second) == 5
+    np.testing.assert_array_equal(first, second, "the second recording starts anew")
+    assert run(recording, "--focal", "100", "--out", tmp_path / "alone") == 0
+    assert report(tmp_path / "alone")["video"] is None
+
+
 def test_a_unit_and_a_rig_may_be_given(tmp_path: Path, network: Places) -> None:
     frame = np.zeros((640, 329), np.uint16)
     frame[100:400, 114:215] = 25000

@@ -70,6 +70,7 @@ def test_a_strength_has_no_spread_where_a_seed_never_falls() -> None:
 
 def test_motion_has_a_row_for_each_kind_of_frames() -> None:
     scores = {"tc": over_seeds(0.9), "vc": over_seeds(0.8, 0.8), "vc_right": over_seeds(0.7), "accuracy": None}
+    scores |= {"vc_right_where_truth_stays": over_seeds(0.75), "pixel_accuracy": over_seeds(0.85)}
     assert tables({"temporal": {"groups": {"all": {"none": scores}}}})["motion"] == [
         {
             "network": "all",
@@ -77,7 +78,9 @@ def test_motion_has_a_row_for_each_kind_of_frames() -> None:
             "TC, %": "90.0",
             "VC₈ constant, %": "80.0 ± 1.0",
             "VC₈ constant and right, %": "70.0",
+            "where the truth stays, %": "75.0",
             "accuracy, %": "–",
+            "pixels right, %": "85.0",
         }
     ]
 

@@ -197,6 +197,7 @@ def test_scores_counted_by_hand() -> None:
     assert (scores["vc_where_truth_stays"], scores["vc_right_where_truth_stays"]) == (1.0, 1.0)
     # Part 1: 4 of 4; 2: 2 of 4; 9: 3 of 4.
     assert scores["accuracy"] == pytest.approx((1 + 0.5 + 0.75) / 3, abs=1e-5)
+    assert scores["pixel_accuracy"] == 9 / 12
     wrong = TemporalConsistency()
     wrong.add(np.full_like(predicted, 5), truth, Tracks(pairs, windows))
     assert wrong.to_json() | {"accuracy": 0.0} == {
@@ -206,6 +207,7 @@ def test_scores_counted_by_hand() -> None:
         "vc_where_truth_stays": 1.0,
         "vc_right_where_truth_stays": 0.0,
         "accuracy": 0.0,
+        "pixel_accuracy": 0.0,
     }, "a label that never changes is steady, and wrong"
 
 
@@ -357,6 +359,8 @@ def test_fresh_artifacts_are_what_a_still_body_flickers_by() -> None:
     assert by_range["all"]["vc"] < 0.5 and by_range["all"]["tc"] < 0.5
     assert (always["all"]["tc"], always["all"]["vc"]) == (1, 1)
     assert 0 < always["all"]["vc_right"] < 0.5
+    assert by_range["all, carried"]["vc"] > by_range["all"]["vc"], "evidence of earlier frames"
+    assert always["all, carried"] == always["all"], "nothing contends with a label that never changes"
     assert always["all"] == always["none"], "all variants are counted at the same places"
     assert done == [(count, 15) for count in (1, 2, 3, 6, 9, 12, 15)]
 

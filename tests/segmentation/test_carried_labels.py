@@ -1,0 +1,214 @@
+"""Evidence that moves with bodies: still, shifted, turned and bending ones, and where it starts anew."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
+from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT
+
+LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+OTHER = Camera(120, 160, 190.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+Image = NDArray[np.float32]
+Labels = NDArray[np.uint8]
+
+
+def pillar(x_m: float = 0.0, z_m: float = 2.0, turn: float = 0.0, arm: float | None = None) -> tuple[Image, Labels]:
+    """An oval pillar 0.8 m high, half axes 0.25 and 0.12 m, before the camera, with labels 0 to 7 by the angle round
+    its axis; turn: radians. arm: height of a bar, label 20, that stands out to the right, metres; None for no bar.
+    """
+    rays = LENS.pixel_rays()
+    across, down = rays[..., 0], rays[..., 1]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    # In the pillar's own frame a ray is origin + range * way; the oval is (u / 0.25)^2 + (w / 0.12)^2 = 1.
+    origin = np.array([cosine * -x_m + sine * -z_m, -sine * -x_m + cosine * -z_m])
+    way = np.stack([cosine * across + sine, -sine * across + cosine], axis=-1)
+    scaled_origin, scaled_way = origin / (0.25, 0.12), way / (0.25, 0.12)
+    a, b = (scaled_way**2).sum(axis=-1), (scaled_way * scaled_origin).sum(axis=-1)
+    inside = b**2 - a * ((scaled_origin**2).sum() - 1)
+    depth = (-b - np.sqrt(np.maximum(inside, 0))) / a
+    hit = (inside > 0) & (np.abs(down * depth) < 0.4)
+    place = origin + depth[..., None] * way
+    angle = np.arctan2(place[..., 0] / 0.25, -place[..., 1] / 0.12)
+    range_m = np.where(hit, depth, 0).astype(np.float32)
+    labels = np.where(hit, np.floor(angle / (np.pi / 4)) % 8, BACKGROUND).astype(np.uint8)
+    if arm is not None:
+        bar = (across * 2 > 0.24) & (across * 2 < 0.6) & (np.abs(down * 2 - arm) < 0.06)
+        range_m[bar], labels[bar] = 2.0, 20
+    return range_m, labels
+
+
+def call(carried: CarriedLabels, range_m: Image, labels: Labels, sure: float = 1.0, camera: Camera = LENS) -> Labels:
+    pixels = np.flatnonzero(range_m)
+    return carried(range_m, labels, [(pixels, np.full(len(pixels), sure, np.float32))], camera)
+
+
+def repeated(labels: Labels, share: float, seed: int) -> Labels:
+    """Labels of which a share is 30, at places drawn anew for each seed."""
+    wrong = np.random.default_rng(seed).random(labels.shape) < share
+    return np.where(wrong & (labels != BACKGROUND), np.uint8(30), labels)
+
+
+def test_the_first_frame_is_the_networks_own() -> None:
+    range_m, labels = pillar()
+    carried = CarriedLabels()
+    np.testing.assert_array_equal(call(carried, range_m, labels), labels)
+    assert repr(carried).startswith("CarriedLabels(Carrying(motion='parts', keep=0.9")
+
+
+def test_flicker_of_a_still_body_goes() -> None:
+    range_m, labels = pillar()
+    carried = CarriedLabels()
+    shown = [call(carried, range_m, repeated(labels, 0.2, seed)) for seed in range(8)]
+    body = range_m > 0
+    alone = (repeated(labels, 0.2, 6) != repeated(labels, 0.2, 7))[body].mean()
+    assert alone > 0.25 and (shown[-1] != shown[-2])[body].mean() < 0.05
+    assert (shown[-1] != labels)[body].mean() < 0.05
+    assert (shown[-1][~body] == BACKGROUND).all()
+
+
+@pytest.mark.parametrize(
+    "at",
+    [
+        lambda frame: {"x_m": 0.02 * frame},
+        lambda frame: {"z_m": 2 + 0.03 * frame},
+        lambda frame: {"turn": 0.05 * frame},
+    ],
+    ids=["aside", "away", "turning"],
+)
+def test_labels_stay_on_the_surface_of_a_body_that_moves(at: Callable[[int], dict[str, float]]) -> None:
+    carried, still = CarriedLabels(Carrying(margin=0)), CarriedLabels(Carrying(motion="still", margin=0))
+    for frame in range(7):
+        range_m, labels = pillar(**at(frame))
+        # The network is right, then no longer sure of anything.
+        answer, sure = (labels, 1.0) if frame < 2 else (np.where(range_m > 0, np.uint8(30), np.uint8(BACKGROUND)), 0.02)
+        shown, behind = call(carried, range_m, answer, sure), call(still, range_m, answer, sure)
+    body = (range_m > 0) & (shown != 30)
+    assert body.sum() > 0.75 * (range_m > 0).sum()
+    assert (shown == labels)[body].mean() > 0.9
+    assert (behind == labels)[body].mean() < (shown == labels)[body].mean() - 0.05
+
+
+def test_a_part_that_moves_by_itself_takes_its_label_along() -> None:
+    shown = {}
+    for motion in ("rigid", "parts"):
+        carried = CarriedLabels(Carrying(motion=motion))  # type: ignore[arg-type]
+        for frame in range(5):
+            range_m, labels = pillar(arm=-0.2 + 0.1 * frame)
+            unsure = (labels == 20) & (repeated(labels, 0.3, frame) == 30) & (frame > 0)
+            answer = np.where(unsure, np.uint8(21), labels)
+            shown[motion] = call(carried, range_m, answer, 0.4 if frame else 1.0)
+    arm = labels == 20
+    wrong = {motion: (image != 20)[arm].mean() for motion, image in shown.items()}
+    assert wrong["parts"] < 0.8 * wrong["rigid"]
+
+
+def test_evidence_starts_anew_for_restarts_cameras_and_bodies() -> None:
+    range_m, labels = pillar()
+    other = np.where(labels == BACKGROUND, labels, np.uint8(9))
+    beside = pillar(x_m=0.6)[0]  # further than a body comes in a frame
+    for change in ("none", "restart", "camera", "body"):
+        carried = CarriedLabels()
+        call(carried, range_m, labels)
+        if change == "restart":
+            carried.restart()
+        frame = beside if change == "body" else range_m
+        answer = np.where(frame > 0, np.uint8(9), np.uint8(BACKGROUND))
+        shown = call(carried, frame, answer, 0.1, OTHER if change == "camera" else LENS)
+        np.testing.assert_array_equal(shown, labels if change == "none" else answer, change)
+    assert (other[range_m > 0] == 9).all()
+
+
+def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
+    (left, left_labels), (right, right_labels) = pillar(x_m=-0.4), pillar(x_m=0.4)
+    right_labels = np.where(right_labels == BACKGROUND, right_labels, right_labels + np.uint8(10))
+    range_m, labels = left + right, np.minimum(left_labels, right_labels)
+    bodies = [(np.flatnonzero(each), np.ones(np.count_nonzero(each), np.float32)) for each in (left, right)]
+    carried = CarriedLabels()
+    assert (carried(np.zeros_like(range_m), labels, [], LENS) == BACKGROUND).all()
+    first = carried(range_m, labels, bodies, LENS)
+    weak = [(pixels, confidence * np.float32(0.1)) for pixels, confidence in bodies[::-1]]
+    second = carried(range_m, np.where(range_m > 0, np.uint8(30), labels), weak, LENS)
+    np.testing.assert_array_equal(first, labels)
+    np.testing.assert_array_equal(second, labels)
+    assert (carried(np.zeros_like(range_m), labels, [], LENS) == BACKGROUND).all()
+    anew = carried(range_m, np.where(range_m > 0, np.uint8(30), labels), weak, LENS)
+    assert (anew[range_m > 0] == 30).all(), "nobody was seen in the frame between"
+
+
+def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[list[int]]:
+    """Labels shown of pixels that stay in place, by the rule as docs/steady.md states it, in whole numbers."""
+    keep, margin = round(1024 * rule.keep), round(rule.margin * UNIT)
+    slots: list[list[list[int]]] = []
+    shown = []
+    for labels, confidence in frames:
+        if not slots:
+            slots = [[] for _ in labels]
+        for has, label, sure in zip(slots, labels.tolist(), confidence.tolist(), strict=True):
+            weight = int(np.float32(sure) * np.float32(UNIT) + np.float32(0.5))
+            for slot in has:
+                slot[0] = slot[0] * keep >> 10
+            has[1:] = sorted(has[1:], key=lambda slot: -slot[0])
+            known = [slot for slot in has if slot[1] == label]
+            if known:
+                known[0][0] += weight
+            elif len(has) < SLOTS:
+                has.append([weight, label])
+            elif weight >= has[-1][0]:
+                has[-1] = [weight, label]
+            has[1:] = sorted(has[1:], key=lambda slot: -slot[0])
+            if len(has) > 1 and has[1][0] > has[0][0] + margin:
+                has[0], has[1] = has[1], has[0]
+        shown.append([has[0][1] for has in slots])
+    return shown
+
+
+def test_evidence_is_that_of_a_plain_count() -> None:
+    range_m = np.zeros((120, 160), np.float32)
+    range_m[20:100, 60:100] = 2.0
+    pixels, draws = np.flatnonzero(range_m), np.random.default_rng(3)
+    rule = Carrying(motion="still")
+    frames = [
+        (draws.integers(0, 5, len(pixels)).astype(np.uint8), draws.random(len(pixels)).astype(np.float32))
+        for _ in range(9)
+    ]
+    carried, found = CarriedLabels(rule), []
+    for labels, confidence in frames:
+        image = np.full(range_m.shape, BACKGROUND, np.uint8)
+        image.ravel()[pixels] = labels
+        found.append(carried(range_m, image, [(pixels, confidence)], LENS).ravel()[pixels].tolist())
+    assert found == counted(frames, rule)
+    assert any(shown != labels.tolist() for shown, (labels, _) in zip(found, frames, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"keep": 1.0}, "the share of evidence that is kept must be 0 to less than 1, found 1"),
+        ({"slow": -1.0}, "slow of carried labels must be at least 0, found -1"),
+        ({"margin": float("nan")}, "margin of carried labels must be at least 0, found nan"),
+        ({"reach": -1}, "the reach of carried labels must be a whole number of at least 0, found -1"),
+        ({"cell_m": 0.0}, "the cells of carried labels must be larger than 0 m, found 0"),
+    ],
+)
+def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        Carrying(**options)
+
+
+def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("cell_loops", "motion", "motion_loops", "evidence_loops"):
+        monkeypatch.delitem(sys.modules, f"bodyseg_model.segmentation.temporal.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):
+        CarriedLabels()
