@@ -23,8 +23,17 @@ from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.registry import device_of
+from bodyseg_model.runtimes.backends import (
+    BACKEND_HELP,
+    PRECISION_HELP,
+    BackendName,
+    backend_of,
+    load_on_backend,
+    to_device,
+)
+from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.cameras import FrameCamera, frame_camera
 from bodyseg_model.segmentation.files.camera_files import FrameCameras, Intrinsics, cameras_beside
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
@@ -35,7 +44,6 @@ from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import STAGES, SequenceSummary
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
-from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
@@ -51,7 +59,9 @@ class Options:
 
     frames: tuple[Path, ...] = option("16-bit grey PNGs, folders of them or tars (.tar) of them", positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
-    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
+    backend: BackendName | None = option(BACKEND_HELP, None)
+    precision: Precision | None = option(PRECISION_HELP, None)
     units: str = option("size of one step of a frame: mm, 0.1mm, cm ...", "mm")
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
@@ -74,9 +84,9 @@ def run(options: Options) -> int:
     """Label every frame, then write the summary."""
     step_m, background = metres_a_step(options.units), _background(options)
     frames = find_frames(options.frames)
-    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained = load_on_backend(options.run, options.backend, options.precision)
     label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
-    trained.network.to(find_device(options.device))
+    to_device(trained.network, options.device)
     cameras = _cameras(options, frames, trained)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
@@ -111,6 +121,7 @@ def run(options: Options) -> int:
         "preview": {"frames": len(preview), "frames_per_second": round(preview.frames_per_second, 2)},
         "hardware": hardware(),
         "device": str(device_of(trained.network)),
+        "runtime": backend_of(trained.network),
         "peak_mb": peak_mb(),
     }
     out.finish({**facts, **summary.to_json()})

@@ -58,12 +58,8 @@ class _Answer(nn.Module):
         full = full[:, :, : window.shape[2], : window.shape[3]]
         best, label = full.max(1)
         share = 1 / (full - best[:, None]).exp().sum(1)
-        sides = (
-            columns[0],
-            range_m.shape[3] - 1 - columns[-1],
-            rows[0],
-            range_m.shape[2] - 1 - rows[-1],
-        )
+        height, width = range_m.shape[2:]
+        sides = columns[0], width - 1 - columns[-1], rows[0], height - 1 - rows[-1]
         placed = [F.pad(image, sides) for image in (label.float(), share)]  # type: ignore[arg-type]  # traced numbers
         labels = torch.where(measured, placed[0], torch.tensor(float(BACKGROUND))).to(torch.uint8)
         return labels, torch.where(measured, placed[1], torch.tensor(0.0)), window, scores
@@ -75,7 +71,8 @@ def _window(seen: torch.Tensor, network: Network) -> torch.Tensor:
     flags = seen.to(torch.int32)
     first = (flags.argmax() - network.margin).clamp(min=0) // network.crop_multiple * network.crop_multiple
     beyond = flags.flip(0).argmax() - network.margin  # rows or columns behind the last one of the window
-    return torch.arange(first, size - beyond.clamp(min=0))  # type: ignore[arg-type]  # traced numbers
+    indices: torch.Tensor = torch.arange(first, size - beyond.clamp(min=0))  # type: ignore[call-overload]  # traced numbers
+    return indices
 
 
 def answer_graph(network: Network) -> Any:
@@ -98,7 +95,7 @@ def answer_graph(network: Network) -> Any:
             torch.onnx.export(
                 _Answer(network).eval(),
                 (example,),
-                buffer,
+                buffer,  # type: ignore[arg-type]  # the exporter by tracing writes into it
                 input_names=[RANGE],
                 output_names=names,
                 dynamic_axes=_AXES,
