@@ -25,13 +25,14 @@ from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
-from bodyseg_model.networks.checkpoints import CheckpointName, Trained
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, shipped_network
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
     PRECISION_HELP,
     BackendName,
     backend_of,
-    load_on_backend,
+    load_run,
+    put_on_backend,
     to_device,
 )
 from bodyseg_model.runtimes.onnx_files import Precision
@@ -80,7 +81,8 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = load_on_backend(options.run, options.backend, options.precision, options.checkpoint)
+    trained = shipped_network() if options.run is None else load_run(options.run, options.checkpoint)
+    trained = put_on_backend(trained, options.backend, options.precision)
     _say_step(trained)
     to_device(trained.network, options.device)
     label_map = trained.label_map if options.labels is None else load_label_map(options.labels)

@@ -23,14 +23,15 @@ from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
     PRECISION_HELP,
     BackendName,
     backend_of,
-    load_on_backend,
+    load_run,
+    put_on_backend,
     to_device,
 )
 from bodyseg_model.runtimes.onnx_files import Precision
@@ -84,7 +85,8 @@ def run(options: Options) -> int:
     """Label every frame, then write the summary."""
     step_m, background = metres_a_step(options.units), _background(options)
     frames = find_frames(options.frames)
-    trained = load_on_backend(options.run, options.backend, options.precision)
+    trained = shipped_network() if options.run is None else load_run(options.run)
+    trained = put_on_backend(trained, options.backend, options.precision)
     label_map, preview = trained.label_map, Preview(options.fps, trained.label_map)
     to_device(trained.network, options.device)
     cameras = _cameras(options, frames, trained)

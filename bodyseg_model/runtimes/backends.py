@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import torch
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, shipped_network
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.runtimes.onnx_files import SUFFIX, Precision, read_onnx, to_onnx
-from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork
+from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork, check_precision
 from bodyseg_model.runtimes.torch_bfloat16 import Bfloat16
 from bodyseg_model.training.distributed import find_device
 
@@ -35,52 +35,51 @@ else:
     BackendName = Literal[(TORCH, *RUNTIMES)]
 
 
-def on_backend(network: Network, backend: BackendName = TORCH, precision: Precision = "float32") -> Network:
+def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
     """A network, in evaluation mode, whose scores a backend computes in a precision; as it is for torch in float32.
 
-    A `RuntimeNetwork` is given to another runtime with its graph. Raises BadConfig for an unknown backend, a precision
-    that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming the extra.
+    None: torch and float32; of a `RuntimeNetwork`, its runtime and its graph's precision. Raises BadConfig for an
+    unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
+    the extra.
     """
-    if backend == TORCH:
-        if isinstance(network, RuntimeNetwork):
-            raise BadConfig(f"an ONNX file is computed by {' or '.join(RUNTIMES)}, found the backend {backend}")
-        if precision == "int8":
+    if isinstance(network, RuntimeNetwork):
+        name: str = backend or network.identity["backend"]
+        if name == TORCH:
+            raise BadConfig(f"an ONNX file is computed by {' or '.join(RUNTIMES)}, found the backend {name}")
+        return RuntimeNetwork(network.model, name, _runtime(name), precision or network.model.facts.precision)
+    name, chosen = backend or TORCH, precision or "float32"
+    if name == TORCH:
+        if chosen == "int8":
             raise BadConfig("torch computes in float32 or bfloat16, found int8")
-        return Bfloat16(network) if precision == "bfloat16" else network
-    runtime = _runtime(backend)
-    if precision not in runtime.precisions:  # before the graph is made
-        raise BadConfig(f"{backend} computes in {' or '.join(runtime.precisions)}, found {precision}")
+        return Bfloat16(network) if chosen == "bfloat16" else network
+    runtime = _runtime(name)
+    if chosen == "int8" or chosen not in runtime.precisions:  # before the graph is made
+        check_precision(name, runtime, "float32", chosen)
     runtime.version()
-    model = network.model if isinstance(network, RuntimeNetwork) else to_onnx(network)
-    return RuntimeNetwork(model, backend, runtime, precision)
+    return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
 
 
-def load_on_backend(
-    run: Path | None,
-    backend: BackendName | None = None,
-    precision: Precision | None = None,
-    checkpoint: CheckpointName | None = None,
-) -> Trained:
-    """Load a run's folder, a .safetensors or an .onnx file, or for None the network that ships, onto a backend.
+def put_on_backend(trained: Trained, backend: BackendName | None, precision: Precision | None) -> Trained:
+    """A trained network with its card on a backend; see `on_backend`."""
+    return Trained(on_backend(trained.network, backend, precision), trained.card)
 
-    backend: by default torch, for an .onnx file `OF_FILES`. precision: by default float32, for an .onnx file its own.
-    checkpoint: as for `load_network`. Raises BadConfig and MissingLibrary as `load_network`, `read_onnx`, `on_backend`.
+
+def load_run(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
+    """Load a run's folder or a .safetensors file (`load_network`), or an .onnx file, for the runtime `OF_FILES`.
+
+    Raises BadConfig and MissingLibrary, naming the file, as `load_network` and `read_onnx`.
     """
-    if run is None or run.suffix != SUFFIX or run.is_dir():
-        trained = shipped_network() if run is None else load_network(run, checkpoint)
-        return Trained(on_backend(trained.network, backend or TORCH, precision or "float32"), trained.card)
+    if path.suffix != SUFFIX or path.is_dir():
+        return load_network(path, checkpoint)
     if checkpoint is not None:
-        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {run}")
-    if backend == TORCH:
-        raise BadConfig(f"an ONNX file is computed by {' or '.join(RUNTIMES)}, found the backend {backend}: {run}")
-    model, name = read_onnx(run), backend or OF_FILES
-    network = RuntimeNetwork(model, name, _runtime(name), precision or model.facts.precision)
-    trained = Trained(network, model.card)
+        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
+    model = read_onnx(path)
+    trained = Trained(RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), model.facts.precision), model.card)
     try:  # here, where the file is known
-        check_label_map(network, trained.label_map)
+        check_label_map(trained.network, trained.label_map)
         _ = trained.rig
     except BadConfig as error:
-        raise BadConfig(f"{run}: {error}") from error
+        raise BadConfig(f"{path}: {error}") from error
     return trained
 
 

@@ -47,13 +47,7 @@ class RuntimeNetwork(Network):
 
     def __init__(self, model: OnnxModel, name: str, runtime: type[Runtime], precision: Precision) -> None:
         super().__init__({}, model.facts.classes)
-        if precision not in runtime.precisions:
-            raise BadConfig(f"{name} computes in {' or '.join(runtime.precisions)}, found {precision}")
-        if (precision == "int8") != (model.facts.precision == "int8"):
-            raise BadConfig(
-                f"a network of {model.facts.precision} cannot compute in {precision}: int8 needs a file that "
-                "`bodyseg export --onnx FILE --precision int8 --calibrate SET` wrote, and such a file int8"
-            )
+        check_precision(name, runtime, model.facts.precision, precision)
         facts = model.facts
         self.output_stride, self.margin, self.crop_multiple = facts.output_stride, facts.margin, facts.crop_multiple
         self.model = model
@@ -73,3 +67,14 @@ class RuntimeNetwork(Network):
             self._sessions[threads] = self._runtime(self._graph, self._precision, threads)
         found = self._sessions[threads].scores(range_m.detach().cpu().float().contiguous().numpy())
         return torch.from_numpy(found).permute(0, 3, 1, 2)
+
+
+def check_precision(name: str, runtime: type[Runtime], graph: Precision, precision: Precision) -> None:
+    """Raise BadConfig unless a runtime computes a graph of the precision `graph` in `precision`."""
+    if precision not in runtime.precisions:
+        raise BadConfig(f"{name} computes in {' or '.join(runtime.precisions)}, found {precision}")
+    if (precision == "int8") != (graph == "int8"):
+        raise BadConfig(
+            f"a network of {graph} cannot compute in {precision}: int8 needs a file that "
+            "`bodyseg export --onnx FILE --precision int8 --calibrate SET` wrote, and such a file int8"
+        )

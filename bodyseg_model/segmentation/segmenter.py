@@ -79,7 +79,7 @@ class Segmenter:
     drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
     paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
     "people" (`shipped_score`); None to label all of them. backend, precision: what computes the network
-    (`on_backend`), None to take it as it is. Raises BadConfig for a confidence outside 0 to 1, a camera with
+    (`on_backend`). Raises BadConfig for a confidence outside 0 to 1, a camera with
     distortion, or as `on_backend`.
     """
 
@@ -93,7 +93,7 @@ class Segmenter:
         rig: Rig | None = None,
         people: PersonScore | None = None,
         backend: BackendName | None = None,
-        precision: Precision = "float32",
+        precision: Precision | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -104,7 +104,7 @@ class Segmenter:
         self.rig = rig or load_rig()
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
-        self._network = network if backend is None else on_backend(network, backend, precision)
+        self._network = on_backend(network, backend, precision)
 
     def __repr__(self) -> str:
         camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"
