@@ -21,6 +21,7 @@ from bodyseg_data import loader
 from bodyseg_data.core.errors import BadConfig, Diverged, check_int
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.system.memory import peak_mb
+from bodyseg_data.core.system.signals import signals_held
 from bodyseg_data.loading.image_set import Batch, ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
@@ -29,7 +30,7 @@ from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Ch
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
-from bodyseg_model.training.loss import NetworkWithLoss, part_weights
+from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import training_plan
@@ -37,7 +38,6 @@ from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.run_folder import Best, RunFolder
 from bodyseg_model.training.validation import Validation
 
-_SAMPLES_FOR_WEIGHTS: Final = 128
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
 
@@ -113,6 +113,8 @@ class Training:
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
+        A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
+
         report: called with metrics every `log_every` steps and after each validation, in the first process only. Raises
         BadConfig for a folder of another plan, Diverged for a loss that is not finite, and as the loader.
         """
@@ -127,31 +129,45 @@ class Training:
         self.network.train()
         window = MetricsWindow(self.processes, self.network.classes)
         batches = _endless(data_loader)
-        while self.step < self.recipe.steps and not self._ended:
-            set_learning_rate(self.optimiser, self.recipe.learning_rate_at(self.step))
-            torch.manual_seed(
-                int(generator(self.seed, self.step, "", f"dropout {self.processes.rank}").integers(2**62))
-            )
-            self._one_step(objective, batches, window)
-            self.step += 1
-            last = self.step == self.recipe.steps
-            if self.step == 1 and self.processes.first:
-                self.folder.start(self.plan())  # not earlier: a first try that fails leaves the folder usable
-            due = self.validation is not None and self.validation.due(self.step, self.recipe.steps)
-            if self.step % self.run_options.log_every == 0 or last or due:
-                metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
-                if due:
-                    metrics = self._validated(metrics, facts)
-                if self.processes.first:
-                    peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
-                    self.folder.log({**metrics.to_json(), "peak_mb": peaks})
-                    report(metrics)
-                window = MetricsWindow(self.processes, self.network.classes)
-            last = last or self._ended
-            if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
+        whole = True
+        try:
+            while self.step < self.recipe.steps and not self._ended:
+                with self._signals_held():
+                    whole = False
+                    self._one_step(objective, batches, window)
+                    window = self._logged(window, data_loader, report, facts)
+                    last = self.step == self.recipe.steps or self._ended
+                    if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
+                        self.folder.keep(self._checkpoint(data_loader))
+                    whole = True
+        except KeyboardInterrupt:
+            if whole and self.step and self.processes.first:
                 self.folder.keep(self._checkpoint(data_loader))
+            raise
         if self.processes.first:
             self._save(facts)
+
+    def _signals_held(self) -> contextlib.AbstractContextManager[None]:
+        """Context of one step, which a first Ctrl-C does not break; processes that wait for each other have none."""
+        return signals_held(only_first=True) if self.processes.world_size == 1 else contextlib.nullcontext()
+
+    def _logged(
+        self, window: MetricsWindow, data_loader: Loader, report: Report, facts: dict[str, Any]
+    ) -> MetricsWindow:
+        """Validate and log after a step for which that is due; returns the window of the next step."""
+        if self.step == 1 and self.processes.first:
+            self.folder.start(self.plan())  # not earlier: a first try that fails leaves the folder usable
+        due = self.validation is not None and self.validation.due(self.step, self.recipe.steps)
+        if self.step % self.run_options.log_every and self.step < self.recipe.steps and not due:
+            return window
+        metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
+        if due:
+            metrics = self._validated(metrics, facts)
+        if self.processes.first:
+            peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
+            self.folder.log({**metrics.to_json(), "peak_mb": peaks})
+            report(metrics)
+        return MetricsWindow(self.processes, self.network.classes)
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         """Open the folder and restore its last checkpoint; returns the loader's state, None at the beginning."""
@@ -229,7 +245,7 @@ class Training:
     def _objective(self) -> nn.Module:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
-            weights = part_weights(_class_pixels(self.images), self.recipe.balance)
+            weights = part_weights(class_pixels(self.images), self.recipe.balance)
         objective: nn.Module = NetworkWithLoss(
             self.network, weights, self.recipe.loss_stride, self.run_options.compile
         ).to(self.processes.device)
@@ -241,6 +257,8 @@ class Training:
 
     def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
+        set_learning_rate(self.optimiser, recipe.learning_rate_at(self.step))
+        torch.manual_seed(int(generator(self.seed, self.step, "", f"dropout {self.processes.rank}").integers(2**62)))
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
             with window.waiting():
@@ -273,6 +291,7 @@ class Training:
         self.optimiser.step()
         if self.averaged is not None:
             self.averaged.update(self.network, self.step)
+        self.step += 1
 
     def _gradient_sync(self, objective: nn.Module, index: int) -> contextlib.AbstractContextManager[None]:
         """Context in which gradients are exchanged between processes in the last batch of a step only."""
@@ -286,12 +305,3 @@ def _endless(data_loader: Loader) -> Iterator[Batch]:
     """Batches, epoch after epoch."""
     while True:
         yield from data_loader
-
-
-def _class_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
-    label_map = images.label_map
-    counts = np.zeros(len(label_map), np.int64)
-    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
-        counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
-    return counts

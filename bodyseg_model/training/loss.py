@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
@@ -10,7 +10,10 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_model.networks.network import Network
+
+_SAMPLES_FOR_WEIGHTS: Final = 128
 
 
 class LossAndCounts(NamedTuple):
@@ -102,3 +105,12 @@ def part_weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: fl
     shares /= shares.sum()
     weights = shares**-balance
     return torch.from_numpy((weights / (weights * shares).sum()).astype(np.float32))
+
+
+def class_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
+    label_map = images.label_map
+    counts = np.zeros(len(label_map), np.int64)
+    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
+        counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
+    return counts

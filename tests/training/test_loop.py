@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,10 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training import loop as training
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.loss import class_pixels
 from bodyseg_model.training.metrics import Metrics
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
@@ -53,6 +55,7 @@ def train(
     recipe: Recipe = SGD,
     resume: bool = False,
     run_options: RunOptions | None = None,
+    report: Callable[[Metrics], None] | None = None,
     **options: Any,
 ) -> list[Metrics]:
     torch.manual_seed(3)
@@ -69,7 +72,7 @@ def train(
         run_options=run_options or RunOptions(2, 2, 0),
         **options,
     )
-    made.run(resume, said.append, {"commit": "none"})
+    made.run(resume, report or said.append, {"commit": "none"})
     assert repr(made) == f"Training('compact', {RunFolder(out)!r}, step {recipe.steps} of {recipe.steps})"
     return said
 
@@ -134,6 +137,33 @@ def test_a_training_carries_on_with_the_same_bits(small_set: Path, tmp_path: Pat
     assert files(cut) == files(tmp_path / "whole")
     steps = [json.loads(line)["step"] for line in (cut / "log.jsonl").read_text().splitlines()]
     assert steps == [2, 4, 5]
+
+
+@pytest.mark.parametrize(("signals", "kept"), [((signal.SIGINT,), 3), ((signal.SIGTERM, signal.SIGINT), 2)])
+def test_a_signal_ends_a_training_after_the_step_with_a_checkpoint_and_a_second_one_at_once(
+    small_set: Path, tmp_path: Path, signals: tuple[signal.Signals, ...], kept: int
+) -> None:
+    """A stopped training loses no step, and carries on to the same bits."""
+
+    def stop(figures: Metrics) -> None:
+        if figures.step == 3:
+            for number in signals:
+                signal.raise_signal(number)
+
+    def cut() -> None:
+        before = {number: signal.signal(number, signal.default_int_handler) for number in signals}
+        try:
+            train(small_set, tmp_path / "cut", report=stop, run_options=RunOptions(1, 2, 0))
+        finally:
+            for number, action in before.items():
+                signal.signal(number, action)
+
+    train(small_set, tmp_path / "whole", run_options=RunOptions(1, 2, 0))
+    with pytest.raises(KeyboardInterrupt):
+        cut()
+    assert json.loads((tmp_path / "cut" / "checkpoint.json").read_text())["step"] == kept
+    train(small_set, tmp_path / "cut", resume=True, run_options=RunOptions(1, 2, 0))
+    assert files(tmp_path / "cut") == files(tmp_path / "whole")
 
 
 def test_dropout_carries_on_too(small_set: Path, tmp_path: Path) -> None:
@@ -223,7 +253,7 @@ def test_a_batch_larger_than_the_set_is_refused(small_set: Path, tmp_path: Path)
 
 def test_weights_of_parts_come_from_clean_samples(small_set: Path) -> None:
     images = RangeImages(small_set, "all", "train")
-    counts = training._class_pixels(images)
+    counts = class_pixels(images)
     assert counts.sum() == sum((images.clean(index).labels < 33).sum() for index in range(len(images)))
 
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.signals import signals_held
 from bodyseg_data.packing.engines.engine import Engine
 
 
@@ -43,30 +44,12 @@ class _Workers(ProcessPoolExecutor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
         # came between starting one and initialising it would leave it behind, with a traceback of its own.
-        with _signals_held():
+        with signals_held():
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 return super().submit(fn, *args, **kwargs)
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Put off the handling of SIGINT and SIGTERM until the context ends."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, action in before.items():
-            signal.signal(number, action)
-        for late in came:
-            signal.raise_signal(late)
 
 
 def _end_with_parent() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from benches.__main__ import main
+from benches.bench import BENCHES
 from benches.bench import Options as BenchOptions
 from benches.chart import Options as ChartOptions
 from benches.charts.outdated import landmarks_digest, outdated
@@ -41,6 +42,11 @@ def test_every_declared_command_can_be_read() -> None:
     for step in everything().steps.values():
         words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
         assert parse(options_of(step), words, step.name, "", "") is not None, step.command
+
+
+def test_only_benches_that_draw_are_asked_for_a_figure() -> None:
+    asked = {step.words[1] for step in everything().steps.values() if "--figure" in step.words}
+    assert asked and not {name for name in asked if BENCHES[name].figure is None}
 
 
 def test_every_result_on_the_page_is_of_a_step_but_those_of_speed() -> None:

@@ -53,7 +53,10 @@ def _bench(name: str, *words: str, to: str = "", drawn: bool = False, more: tupl
 
 def _landmarks() -> Iterator[Step]:
     """Landmarks, labels and bodies, before any network."""
-    yield _bench("proposal", "--mit", MIT, drawn=True)
+    yield _bench("proposal", "--mit", MIT)
+    words = ("bodyseg", "landmarks", "--source", "open", "--meshes", "C-march-060")
+    files = ("--propose", "results/march.json", "--out", "results/proposal.png")
+    yield Step("proposal_picture", "results", (*words, *files), (("results/proposal.png", "proposal.png"),))
     yield _bench("borders", "--views", "12", drawn=True)
     yield _bench("clothes", "--mit", MIT)
     yield _bench("interpenetration", "--views", "5")
