@@ -25,8 +25,18 @@ from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
-from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, shipped_network
-from bodyseg_model.training.distributed import find_device, use_threads
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, shipped_network
+from bodyseg_model.runtimes.backends import (
+    BACKEND_HELP,
+    PRECISION_HELP,
+    BackendName,
+    backend_of,
+    load_run,
+    put_on_backend,
+    to_device,
+)
+from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
 
@@ -39,7 +49,9 @@ class Options:
 
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
-    run: Path | None = option("folder of a training run, or a .safetensors file (default: the network shipped)", None)
+    run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
+    backend: BackendName | None = option(BACKEND_HELP, None)
+    precision: Precision | None = option(PRECISION_HELP, None)
     checkpoint: CheckpointName | None = option(
         "of a run: its best or last one (default: what the training ended with)", None
     )
@@ -69,9 +81,10 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = shipped_network() if options.run is None else load_network(options.run, options.checkpoint)
+    trained = shipped_network() if options.run is None else load_run(options.run, options.checkpoint)
+    trained = put_on_backend(trained, options.backend, options.precision)
     _say_step(trained)
-    trained.network.to(find_device(options.device))
+    to_device(trained.network, options.device)
     label_map = trained.label_map if options.labels is None else load_label_map(options.labels)
     sets = _open(options, label_map)
     _check_fit(options, trained, sets)
@@ -206,6 +219,7 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
     facts: dict[str, Any] = {"format": _FORMAT, **provenance(command_line("bodyseg evaluate", options))}
     facts["run"] = None if options.run is None else options.run.name
     facts["card"] = trained.card
+    facts["runtime"] = backend_of(trained.network)
     return facts | {
         "variant": options.variant,
         "split": options.split,

@@ -1,21 +1,28 @@
-"""`bodyseg export`: write a trained network as two small files, weights and card."""
+"""`bodyseg export`: write a trained network as two small files, weights and card, or as one ONNX file."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import (
     WEIGHTS_SHA256,
+    Trained,
     confusion_file,
     load_network,
     read_json,
     save_network,
+    shipped_network,
     write_json,
 )
+from bodyseg_model.runtimes.graphs import OPSET
+from bodyseg_model.runtimes.onnx_files import SUFFIX, OnnxModel, export_trained, write_onnx
+from bodyseg_model.runtimes.quantisation import IMAGES, calibrated
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
@@ -26,25 +33,51 @@ _OF_THE_FILE = ("format", "network", "settings", WEIGHTS_SHA256)
 class Options:
     """Options of `bodyseg export`."""
 
-    run: Path = option("a training's folder, or a .safetensors file")
-    out: Path = option("the .safetensors file to write; its card goes beside it as .json")
+    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    out: Path | None = option("the .safetensors file to write; its card goes beside it as .json", None)
+    onnx: Path | None = option("the .onnx file to write: range images -> labels and confidences", None)
     scores: Path | None = option(
         "figures of `bodyseg evaluate` to put on the card, their confusion matrix in a file beside it", None
     )
+    precision: Literal["float32", "int8"] = option("arithmetic of the .onnx file", "float32")
+    calibrate: str | None = option("set of shards on whose train split int8 is calibrated", None, address=True)
+    images: int = option("how many images of it", IMAGES)
 
 
 def run(options: Options) -> int:
-    """Write the network, its filters in 16 bits, and the card."""
-    if options.out.suffix != ".safetensors":
-        raise BadConfig(f"--out must be a .safetensors file, found {options.out}")
-    trained = load_network(options.run)
-    facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
-    confusion = None
-    if options.scores is not None:
-        facts["scores"] = read_json(options.scores)
-        confusion = facts["scores"].pop("confusion", None)
-    save_network(options.out, trained.network, trained.card["network"], facts, half=True)
-    if confusion is not None:
-        write_json(confusion_file(options.out), {"confusion": confusion})
-    sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
+    """Write the network, its filters in 16 bits, and the card; and the ONNX file."""
+    _check(options)
+    trained = shipped_network() if options.run is None else load_network(options.run)
+    scores = {} if options.scores is None else {"scores": read_json(options.scores)}
+    confusion = scores.get("scores", {}).pop("confusion", None)
+    if options.onnx is not None:
+        model = _model(options, Trained(trained.network, {**trained.card, **scores}))
+        size = write_onnx(options.onnx, model)
+        sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}, {options.precision}\n")
+    if options.out is not None:
+        facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
+        save_network(options.out, trained.network, trained.card["network"], {**facts, **scores}, half=True)
+        if confusion is not None:
+            write_json(confusion_file(options.out), {"confusion": confusion})
+        sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
     return 0
+
+
+def _check(options: Options) -> None:
+    if options.out is None and options.onnx is None:
+        raise BadConfig("give the file to write: --out FILE.safetensors or --onnx FILE.onnx")
+    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, SUFFIX)):
+        if path is not None and path.suffix != suffix:
+            raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
+    if (options.precision == "int8") != (options.calibrate is not None):
+        raise BadConfig("--precision int8 and --calibrate SET go together")
+    if options.precision == "int8" and options.onnx is None:
+        raise BadConfig("--precision is that of an .onnx file: give --onnx")
+
+
+def _model(options: Options, trained: Trained) -> OnnxModel:
+    model = export_trained(trained)
+    if options.calibrate is None:
+        return model
+    images = RangeImages(options.calibrate, trained.card.get("variant", "all"), "train", sensor=trained.sensor)
+    return calibrated(model, images, options.images)

@@ -21,7 +21,7 @@ from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
+from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
 from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
@@ -30,6 +30,16 @@ from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_fr
 from bodyseg_model.recordings.intrinsics import Intrinsics
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.recordings.skipping import Skipping
+from bodyseg_model.runtimes.backends import (
+    BACKEND_HELP,
+    PRECISION_HELP,
+    BackendName,
+    backend_of,
+    load_run,
+    put_on_backend,
+    to_device,
+)
+from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.files.frame_results import FrameResults, LabelledFrame
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
@@ -40,7 +50,6 @@ from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
-from bodyseg_model.training.distributed import find_device
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
@@ -58,7 +67,9 @@ class Options:
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file or new bag", None)
-    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
+    backend: BackendName | None = option(BACKEND_HELP, None)
+    precision: Precision | None = option(PRECISION_HELP, None)
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
@@ -85,10 +96,11 @@ def run(options: Options) -> int:
     """Label every frame, then write the summary."""
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
-    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained = shipped_network() if options.run is None else load_run(options.run)
+    trained = put_on_backend(trained, options.backend, options.precision)
     label_map = trained.label_map
     preview = None if options.no_overlay else Preview(options.fps, label_map)
-    trained.network.to(find_device(options.device))
+    to_device(trained.network, options.device)
     cameras = _cameras(options, frames, trained, skipping)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
@@ -143,6 +155,7 @@ def run(options: Options) -> int:
         "frames_per_second": round(labelled / seconds, 2),
         "hardware": hardware(),
         "device": str(device_of(trained.network)),
+        "runtime": backend_of(trained.network),
         "peak_mb": peak_mb(),
     }
     out.finish({**facts, **summary.to_json()})

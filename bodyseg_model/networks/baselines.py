@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -30,7 +30,7 @@ class Baseline(Network):
     input. Raises BadConfig for a shrink that is not 1, 2 or 4.
     """
 
-    output_stride: ClassVar[int] = 4
+    output_stride: int = 4
 
     def __init__(
         self, network: nn.Module, apart: int, shrink: int, settings: Mapping[str, Any], classes: int = PART_COUNT
@@ -50,7 +50,7 @@ class Baseline(Network):
         scores: torch.Tensor = self.network(shrunk(relief, self._shrink) if self._shrink > 1 else relief).logits
         if self._cell != stride:
             scores = F.interpolate(scores, scale_factor=self._cell // stride, mode="bilinear", align_corners=False)
-        return scores[:, :, : -(-rows // stride), : -(-columns // stride)]
+        return scores[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]
 
 
 class Segformer(Baseline):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -61,9 +61,9 @@ class Compact(Network):
     was measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
     """
 
-    output_stride: ClassVar[int] = 4
-    margin: ClassVar[int] = 64
-    crop_multiple: ClassVar[int] = 64
+    output_stride: int = 4
+    margin: int = 64
+    crop_multiple: int = 64
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()
@@ -118,7 +118,7 @@ class Compact(Network):
         stride = self.output_stride
         if self._cell < stride:
             x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
-        return x[:, :, : -(-rows // stride), : -(-columns // stride)]
+        return x[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]
 
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:

@@ -108,7 +108,7 @@ class FcnAlexnet(Network):
             F.conv_transpose1d(torch.eye(count).to(filter_down)[:, None], filter_down[None, None], stride=STRIDE)[:, 0]
             for count in x.shape[2:]
         )
-        return down[:, _CROP + rows].mT @ x @ across[:, _CROP + columns]
+        return down[:, _CROP + rows].transpose(0, 1) @ x @ across[:, _CROP + columns]
 
 
 def bilinear_filters(channels: int, stride: int) -> torch.Tensor:

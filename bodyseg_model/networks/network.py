@@ -27,13 +27,13 @@ class Network(nn.Module, ABC):
     classes: their number C; it is among the settings unless it is 33. Raises BadConfig unless it is 1 to 255.
     """
 
-    output_stride: ClassVar[int] = 1
+    output_stride: int = 1
     """Pixels of the image along each side between two neighbouring scores of `scores`."""
 
-    margin: ClassVar[int] = 1 << 16
+    margin: int = 1 << 16
     """Empty pixels around a body beyond which more of them hardly change the scores; the default keeps whole images."""
 
-    crop_multiple: ClassVar[int] = 1
+    crop_multiple: int = 1
     """Crops begin at multiples of so many pixels, so that cells lie in a crop as they lie in the whole image."""
 
     default_recipe: ClassVar[str] = "compact"

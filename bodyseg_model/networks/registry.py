@@ -14,6 +14,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
 from bodyseg_model.networks.batch_transforms import body_window
+from bodyseg_model.networks.labelling import label_pixels
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
 
@@ -95,12 +96,30 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     if window is None:
         return Prediction(labels, confidence)
     rows, columns = window
+    scores = network.scores(range_m[:, :, rows, columns]).float()
+    if network.output_stride > 1 and scores.device.type == "cpu" and bool(torch.isfinite(scores).all()):
+        by_point = scores.permute(0, 2, 3, 1).contiguous().numpy()
+        arrays = range_m[:, 0].float().contiguous().numpy(), labels.numpy(), confidence.numpy()
+        corner, threads = (rows.start, columns.start), torch.get_num_threads()
+        for image, (metres, best, share) in zip(by_point, zip(*arrays, strict=True), strict=True):
+            label_pixels(image, metres, corner, network.output_stride, best, share, threads)
+        return Prediction(labels, confidence)
+    return _label_on_device(network, scores, measured, window, Prediction(labels, confidence))
+
+
+def _label_on_device(
+    network: Network, scores: torch.Tensor, measured: torch.Tensor, window: tuple[slice, slice], empty: Prediction
+) -> Prediction:
+    """Label with torch: on another device, where every pixel has scores, or where some are not finite; confidences are
+    then not, either.
+    """
+    rows, columns = window
     seen = measured[:, rows, columns]
-    scores = network.scores(range_m[:, :, rows, columns]).float().contiguous(memory_format=torch.channels_last)
+    scores = scores.contiguous(memory_format=torch.channels_last)
     if network.output_stride > 1:
         scores = F.interpolate(scores, scale_factor=network.output_stride, mode="bilinear", align_corners=False)
     scores = scores.permute(0, 2, 3, 1)[:, : seen.shape[1], : seen.shape[2]][seen]
     best, label = scores.max(1)
-    labels[:, rows, columns][seen] = label.to(torch.uint8)
-    confidence[:, rows, columns][seen] = 1 / (scores - best[:, None]).exp_().sum(1)
-    return Prediction(labels, confidence)
+    empty.labels[:, rows, columns][seen] = label.to(torch.uint8)
+    empty.confidence[:, rows, columns][seen] = 1 / (scores - best[:, None]).exp_().sum(1)
+    return empty

@@ -18,6 +18,8 @@ from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.runtimes.backends import BackendName, on_backend
+from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.resampling import view_body
@@ -87,8 +89,9 @@ class Segmenter:
     drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
     paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
     "people" (`shipped_score`); None to label all of them. video: carries evidence from frame to frame of a recording,
-    whose frames must then come in order (`CarriedLabels`); None to label each alone. Raises BadConfig for a confidence
-    outside 0 to 1, or a camera with distortion.
+    whose frames must then come in order (`CarriedLabels`); None to label each alone. backend, precision: what computes
+    the network (`on_backend`). Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, or as
+    `on_backend`.
     """
 
     def __init__(
@@ -101,6 +104,8 @@ class Segmenter:
         rig: Rig | None = None,
         people: PersonScore | None = None,
         video: CarriedLabels | None = None,
+        backend: BackendName | None = None,
+        precision: Precision | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -112,7 +117,7 @@ class Segmenter:
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
         self.video = video
-        self._network = network
+        self._network = on_backend(network, backend, precision)
 
     def __repr__(self) -> str:
         camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"

@@ -23,7 +23,7 @@ from bodyseg_model.evaluation.frame_times import time_frames
 from bodyseg_model.evaluation.mistakes import KINDS
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.evaluation.samples import SamplePicture
-from bodyseg_model.networks.checkpoints import save_network
+from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict
 
@@ -446,6 +446,6 @@ def test_an_interrupted_evaluation_leaves_no_file(
 def test_without_a_run_the_network_that_ships_is_judged(
     figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command, "shipped_network", lambda: command.load_network(run_folder))
+    monkeypatch.setattr(command, "shipped_network", lambda: load_network(run_folder))
     assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None

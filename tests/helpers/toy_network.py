@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import nn
@@ -14,9 +12,9 @@ from bodyseg_model.networks.range_input import check_range_images, relief_of
 
 
 class Toy(Network):
-    output_stride: ClassVar[int] = 8
-    margin: ClassVar[int] = 16
-    crop_multiple: ClassVar[int] = 8
+    output_stride: int = 8
+    margin: int = 16
+    crop_multiple: int = 8
 
     def __init__(self, width: int = 4, classes: int = PART_COUNT) -> None:
         super().__init__({"width": width}, classes)

@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 import torch
+from onnx_answers import check_answer, frames
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.networks import baselines as rivals
 from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.runtimes.onnx_files import to_onnx
 
 
 def figure(rows: int, columns: int) -> torch.Tensor:
@@ -61,3 +63,11 @@ def test_without_the_package_there_is_one_line(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(__import__("sys").modules, "transformers", None)
     with pytest.raises(MissingLibrary, match="segformer needs the package 'transformers'"):
         build("segformer")
+
+
+@pytest.mark.parametrize("name", ["segformer", "deeplab"])
+def test_their_onnx_graphs_answer_as_torch(name: str) -> None:
+    for package in ("transformers", "onnx", "onnxruntime"):
+        pytest.importorskip(package)
+    network = build(name, {"shrink": 4}, seed=3).eval()
+    check_answer(network, to_onnx(network), frames(1))

@@ -63,6 +63,13 @@ BENCHES: Final = {
         "model.variants.bench", "figure", required=("data", "runs"), optional=("seeds", "steps", "images", "alone")
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
+    "runtimes": Bench(
+        "model.networks.runtimes",
+        "runtimes_figure",
+        "typical frames, 3",
+        required=("data",),
+        optional=("runs", "images"),
+    ),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "things": Bench("model.things.bench", None, "made rooms to fit to, 300", optional=("runs",)),
     "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
@@ -118,7 +125,7 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, sensors, things, people, real and failures: runs",
+        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
@@ -126,7 +133,7 @@ class Options:
         "for variants: steps of each training (default: that of the runs that exist, else the recipe's)", None
     )
     images: int | None = option(
-        "number of test images (default: variants 500, architectures and ablation 200, failures 1000)", None
+        "number of test images (default: variants 500, architectures, runtimes and ablation 200, failures 1000)", None
     )
     hard: str | None = option(
         f"for {_takers('hard')}: folder or address of a set of the source `hard`, to test on as well",

@@ -1,0 +1,112 @@
+"""Backends of networks by name: torch, and the runtimes of ONNX graphs."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import torch
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network
+from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.runtimes.onnx_files import SUFFIX, Precision, read_onnx, to_onnx
+from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork, check_precision
+from bodyseg_model.runtimes.torch_bfloat16 import Bfloat16
+from bodyseg_model.training.distributed import find_device
+
+TORCH: Final = "torch"
+OF_FILES: Final = "onnxruntime"
+"""The backend of an ONNX file for which none is named."""
+
+RUNTIMES: Final[dict[str, str]] = {
+    "onnxruntime": "onnx_runtime.OnnxRuntime",
+    "openvino": "openvino_runtime.OpenVino",
+}
+"""Name -> "module.Class" of this folder, imported when it is used."""
+
+BACKEND_HELP: Final = "what computes the network (default: torch; of an .onnx file, onnxruntime)"
+PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
+
+if TYPE_CHECKING:
+    BackendName = str
+else:
+    BackendName = Literal[(TORCH, *RUNTIMES)]
+
+
+def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
+    """A network, in evaluation mode, whose scores a backend computes in a precision; as it is for torch in float32.
+
+    None: torch and float32; of a `RuntimeNetwork`, its runtime and its graph's precision. Raises BadConfig for an
+    unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
+    the extra.
+    """
+    if isinstance(network, RuntimeNetwork):
+        name: str = backend or network.identity["backend"]
+        if name == TORCH:
+            raise BadConfig(f"an ONNX file is computed by {' or '.join(RUNTIMES)}, found the backend {name}")
+        return RuntimeNetwork(network.model, name, _runtime(name), precision or network.model.facts.precision)
+    name, chosen = backend or TORCH, precision or "float32"
+    if name == TORCH:
+        if chosen == "int8":
+            raise BadConfig("torch computes in float32 or bfloat16, found int8")
+        return Bfloat16(network) if chosen == "bfloat16" else network
+    runtime = _runtime(name)
+    if chosen == "int8" or chosen not in runtime.precisions:  # before the graph is made
+        check_precision(name, runtime, "float32", chosen)
+    runtime.version()
+    return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
+
+
+def put_on_backend(trained: Trained, backend: BackendName | None, precision: Precision | None) -> Trained:
+    """A trained network with its card on a backend; see `on_backend`."""
+    return Trained(on_backend(trained.network, backend, precision), trained.card)
+
+
+def load_run(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
+    """Load a run's folder or a .safetensors file (`load_network`), or an .onnx file, for the runtime `OF_FILES`.
+
+    Raises BadConfig and MissingLibrary, naming the file, as `load_network` and `read_onnx`.
+    """
+    if path.suffix != SUFFIX or path.is_dir():
+        return load_network(path, checkpoint)
+    if checkpoint is not None:
+        raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
+    model = read_onnx(path)
+    trained = Trained(RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), model.facts.precision), model.card)
+    try:  # here, where the file is known
+        check_label_map(trained.network, trained.label_map)
+        _ = trained.rig
+    except BadConfig as error:
+        raise BadConfig(f"{path}: {error}") from error
+    return trained
+
+
+def backend_of(network: Network) -> dict[str, Any]:
+    """Name and version of the backend that computes a network, and its precision, as plain JSON."""
+    if isinstance(network, RuntimeNetwork):
+        return dict(network.identity)
+    precision = "bfloat16" if isinstance(network, Bfloat16) else "float32"
+    return {"backend": TORCH, "version": torch.__version__, "precision": precision}
+
+
+def to_device(network: Network, device: str | None) -> None:
+    """Move a network to a device, by default a GPU if there is one; the runtimes' networks stay on the processor.
+
+    Raises BadConfig for a device that is not there, or another one than the processor for a runtime.
+    """
+    if isinstance(network, RuntimeNetwork):
+        if device not in (None, "cpu"):
+            raise BadConfig(f"{network.identity['backend']} computes on the processor, found the device {device}")
+        return
+    network.to(find_device(device))
+
+
+def _runtime(backend: str) -> type[Runtime]:
+    """The class of a runtime. Raises BadConfig for an unknown name."""
+    if backend not in RUNTIMES:
+        raise BadConfig(f"the backend must be one of {', '.join([TORCH, *RUNTIMES])}, found {backend!r}")
+    module, kind = RUNTIMES[backend].split(".")
+    found: type[Runtime] = getattr(import_module(f"{__package__}.{module}"), kind)
+    return found

@@ -1,0 +1,24 @@
+"""Torch in bfloat16: convolutions in 16 bits, sums in 32, as torch's autocast divides them."""
+
+from __future__ import annotations
+
+import torch
+
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import device_of
+
+
+class Bfloat16(Network):
+    """A network in evaluation mode, computed in bfloat16 on its device."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__(network.settings, network.classes)
+        self.output_stride, self.margin = network.output_stride, network.margin
+        self.crop_multiple = network.crop_multiple
+        self.network = network
+        self.train(network.training)
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores; see `Network.scores`."""
+        with torch.autocast(device_of(self.network).type, torch.bfloat16):
+            return self.network.scores(range_m)

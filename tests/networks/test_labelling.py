@@ -1,0 +1,81 @@
+"""Labels and confidences from coarse scores: both forms give the same bits, and those labels that torch gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F  # noqa: N812
+from numpy.typing import NDArray
+from toy_network import Toy
+
+from bodyseg_data.core import kernels
+from bodyseg_model.networks.labelling import label_pixels, powers_of_two
+from bodyseg_model.networks.registry import predict
+
+Answer = tuple[NDArray[np.uint8], NDArray[np.float32]]
+
+
+def made(height: int, width: int, classes: int, spread: float) -> NDArray[np.float32]:
+    """Scores of neighbouring points are alike, as a network's are."""
+    draws = np.random.default_rng(4).normal(size=(1, classes, height // 3 + 2, width // 3 + 2)).astype(np.float32)
+    smooth = F.interpolate(torch.from_numpy(draws * np.float32(spread)), (height, width), mode="bicubic")
+    return smooth[0].permute(1, 2, 0).contiguous().numpy()
+
+
+def frame(rows: int, columns: int) -> NDArray[np.float32]:
+    draws = np.random.default_rng(5).random((rows, columns))
+    return np.where(draws < 0.7, 2 + draws, 0).astype(np.float32)
+
+
+def labelled(form: str, scores: NDArray[np.float32], range_m: NDArray[np.float32], stride: int, threads: int) -> Answer:
+    labels, confidence = np.full(range_m.shape, 255, np.uint8), np.zeros(range_m.shape, np.float32)
+    kernels.use_compiled.cache_clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(kernels.VARIABLE, form)
+        label_pixels(scores, range_m, (3, 5), stride, labels, confidence, threads)
+    kernels.use_compiled.cache_clear()
+    return labels, confidence
+
+
+@pytest.mark.parametrize("stride", [2, 3, 4, 8])
+@pytest.mark.parametrize("spread", [1.0, 60.0])
+def test_both_forms_give_the_same_bits_and_torchs_labels(stride: int, spread: float) -> None:
+    pytest.importorskip("numba")
+    scores, range_m = made(19, 14, 7, spread), frame(3 + 19 * stride - 1, 5 + 14 * stride + 6)  # cut, and with a rest
+    slow, fast = (labelled(form, scores, range_m, stride, 1) for form in ("numpy", "compiled"))
+    assert np.array_equal(slow[0], fast[0])
+    assert np.array_equal(slow[1].view(np.uint32), fast[1].view(np.uint32))
+
+    asked = torch.from_numpy(scores).permute(2, 0, 1)[None]
+    full = F.interpolate(asked, scale_factor=stride, mode="bilinear", align_corners=False)[0].softmax(0)
+    window = np.s_[3 : 3 + 19 * stride, 5 : 5 + 14 * stride]
+    seen = range_m[window] > 0
+    expected, best = (found.numpy()[: seen.shape[0], : seen.shape[1]] for found in (full.argmax(0), full.amax(0)))
+    assert np.mean(fast[0][window][seen] != expected[seen]) <= 1e-3  # ties, rounded differently
+    np.testing.assert_allclose(fast[1][window][seen], best[seen], atol=2e-4)
+    outside = np.ones(range_m.shape, np.bool_)
+    outside[window] = ~seen
+    assert (fast[0][outside] == 255).all() and not fast[1][outside].any()
+
+
+def test_threads_change_no_bits() -> None:
+    pytest.importorskip("numba")
+    scores, range_m = made(60, 50, 33, 3.0), frame(243, 205)
+    one, three = (labelled("compiled", scores, range_m, 4, threads) for threads in (1, 3))
+    assert np.array_equal(one[0], three[0]) and np.array_equal(one[1], three[1])
+    assert (one[0] != 255).sum() == (range_m[3:, 5:] > 0).sum()
+
+
+def test_powers_of_two() -> None:
+    powers = np.linspace(-120, 0, 5001, dtype=np.float32)
+    np.testing.assert_allclose(powers_of_two(powers), np.exp2(powers.astype(np.float64)), rtol=4e-6)
+    assert powers_of_two(np.float32([0, -1, -120])).tolist() == [1, 0.5, 2.0**-120]
+
+
+def test_scores_that_are_not_finite_show_in_confidences() -> None:
+    network, range_m = Toy().eval(), torch.full((1, 1, 40, 40), 2.0)
+    assert torch.isfinite(predict(network, range_m).confidence).all()
+    with torch.no_grad():
+        network.layers[2].get_parameter("bias")[3] = float("nan")
+    assert torch.isnan(predict(network, range_m).confidence).any()

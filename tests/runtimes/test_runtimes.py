@@ -1,0 +1,245 @@
+"""Networks as ONNX files and on other runtimes: the labels of torch, and one line for what cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from onnx_answers import ask, check_answer, frames
+from toy_network import Toy
+
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.commands.cli import main
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network, save_network, shipped_network
+from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.runtimes.backends import backend_of, load_run, on_backend, to_device
+from bodyseg_model.runtimes.graphs import answer_graph, import_onnx, scores_part
+from bodyseg_model.runtimes.onnx_files import GraphFacts, OnnxModel, export_trained, read_onnx, to_onnx, write_onnx
+from bodyseg_model.runtimes.quantisation import quantised
+from bodyseg_model.runtimes.runtime import RuntimeNetwork
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.segmenter import Segmenter
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "fcn_alexnet": {"width": 1 / 16},
+    "compact": {"patch": 8, "widths": [6, 8], "blocks": [0, 1], "shrink": 2},
+}
+TINY = {"patch": 16, "widths": [8, 12], "blocks": [1, 1]}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    save_network(folder / "network.safetensors", build("compact", TINY, seed=0), "compact", {"variant": "all"})
+    return folder
+
+
+@pytest.mark.parametrize("name", SETTINGS)  # the baselines' tests have the others, where their package is loaded
+def test_the_graph_of_a_network_answers_as_torch(name: str) -> None:
+    network = build(name, SETTINGS[name], seed=3).eval()
+    model = to_onnx(network)
+    check_answer(network, model, frames())
+    check_answer(network, model, torch.zeros(1, 1, 70, 45))
+    assert not network.training
+
+
+def test_the_graph_of_the_network_that_ships() -> None:
+    trained = shipped_network()
+    check_answer(trained.network, export_trained(trained), frames(1))
+
+
+@pytest.mark.parametrize(("backend", "precision"), [("onnxruntime", "float32"), ("openvino", "float32")])
+def test_runtimes_give_torchs_labels(backend: str, precision: Any) -> None:
+    pytest.importorskip(backend)
+    network, range_m = build("compact", TINY, seed=3).eval(), frames()
+    expected, found = predict(network, range_m), predict(on_backend(network, backend, precision), range_m)
+    assert (found.labels != expected.labels).float().mean() < 1e-4
+    torch.testing.assert_close(found.confidence, expected.confidence, atol=2e-4, rtol=0)
+
+
+def test_bfloat16_is_near() -> None:
+    network, range_m = shipped_network().network, frames(1)
+    expected = predict(network, range_m)
+    kinds = ["torch", *(["openvino"] if _installed("openvino") else [])]
+    for backend in kinds:
+        moved = on_backend(network, backend, "bfloat16")
+        assert backend_of(moved)["precision"] == "bfloat16"
+        differ = (predict(moved, range_m).labels != expected.labels).sum() / (expected.labels != 255).sum()
+        assert 0 < differ < 0.1
+
+
+def test_int8_is_near_and_says_what_it_was_calibrated_on(tmp_path: Path) -> None:
+    trained = shipped_network()
+    model = quantised(export_trained(trained), [frame[None].numpy() for frame in frames(3)], {"set": "made"})
+    assert write_onnx(tmp_path / "int8.onnx", model) < 0.8 * SHIPPED.stat().st_size  # whose filters have 16 bits
+    loaded = load_run(tmp_path / "int8.onnx")
+    expected = predict(trained.network, frames(1))
+    for backend in ["onnxruntime", *(["openvino"] if _installed("openvino") else [])]:
+        moved = on_backend(loaded.network, backend)
+        assert backend_of(moved) == {
+            "backend": backend,
+            "version": backend_of(moved)["version"],
+            "precision": "int8",
+            "calibration": {"set": "made"},
+        }
+        differ = (predict(moved, frames(1)).labels != expected.labels).sum() / (expected.labels != 255).sum()
+        assert 0 < differ < 0.15
+    with pytest.raises(BadConfig, match="quantised from float32, found int8"):
+        quantised(model, [], {})
+    with pytest.raises(BadConfig, match="a network of int8 cannot compute in float32"):
+        on_backend(loaded.network, "onnxruntime", "float32")
+
+
+def _installed(name: str) -> bool:
+    try:
+        __import__(name)
+    except ImportError:
+        return False
+    return True
+
+
+def test_a_segmenter_takes_a_backend() -> None:
+    network, camera = build("compact", TINY, seed=3).eval(), Camera(60, 80, 60.0, (40, 30), (0, 0, 0), (0, 0, 1))
+    frame = np.zeros((60, 80), np.float32)
+    frame[10:50, 30:42] = 2.0
+    labels = [
+        Segmenter(network, camera, Background("keep"), backend=backend)(frame).labels
+        for backend in ("torch", "onnxruntime")
+    ]
+    assert np.array_equal(*labels) and (labels[0] != 255).any()
+
+
+def test_sessions_compute_in_as_many_threads_as_torch() -> None:
+    network = on_backend(build("compact", TINY, seed=3).eval(), "onnxruntime")
+    before = torch.get_num_threads()
+    try:
+        answers = []
+        for threads in (1, 2, 1):
+            torch.set_num_threads(threads)
+            answers.append(predict(network, frames(1)).labels)
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(answers[0], answers[2]) and (answers[0] != answers[1]).float().mean() < 1e-3
+
+
+def test_the_command_writes_a_file_that_segment_and_evaluate_take(
+    run: Path, small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, int8 = tmp_path / "tiny.onnx", tmp_path / "tiny-int8.onnx"
+    assert main(["export", "--run", str(run), "--onnx", str(out)]) == 0
+    assert "opset 18, float32" in capsys.readouterr().err
+    calibrate = ["--precision", "int8", "--calibrate", str(small_set), "--images", "3"]
+    assert main(["export", "--run", str(run), "--onnx", str(int8), *calibrate]) == 0
+    card, texts = load_network(run).card, {entry.key: entry.value for entry in onnx.load(out).metadata_props}
+    assert texts["weights_sha256"] == card["weights_sha256"]
+    assert {name: json.loads(texts["card"])[name] for name in card} == card
+    assert {"labels", "rig"} <= json.loads(texts["card"]).keys()
+
+    words = ["--data", str(small_set), "--frames", "0", "--num-workers", "0", "--other-rig", "--json"]
+    found = {}
+    for name, options in {
+        "torch": ["--run", str(run)],
+        "file": ["--run", str(out)],
+        "runtime": ["--run", str(run), "--backend", "onnxruntime"],
+        "int8": ["--run", str(int8)],
+    }.items():
+        assert main(["evaluate", *options, *words, str(tmp_path / f"{name}.json")]) == 0
+        found[name] = json.loads((tmp_path / f"{name}.json").read_text())
+    assert {name: (each["runtime"]["backend"], each["runtime"]["precision"]) for name, each in found.items()} == {
+        "torch": ("torch", "float32"),
+        "file": ("onnxruntime", "float32"),
+        "runtime": ("onnxruntime", "float32"),
+        "int8": ("onnxruntime", "int8"),
+    }
+    assert found["int8"]["runtime"]["calibration"]["images"] == 3
+    accuracies = {name: each["pixel_accuracy"] for name, each in found.items()}
+    assert accuracies["torch"] == pytest.approx(accuracies["file"], abs=1e-3)
+    assert accuracies["runtime"] == accuracies["file"]
+
+
+def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.onnx").write_bytes(b"no graph")
+    model = to_onnx(Toy().eval())
+    write_onnx(tmp_path / "toy.onnx", OnnxModel(model.graph, model.facts, {"rig": 3}))
+    bare = onnx.ModelProto()
+    bare.CopyFrom(model.graph)
+    (tmp_path / "bare.onnx").write_bytes(bare.SerializeToString())
+    onnx.helper.set_model_props(bare, {"format": "bodyseg onnx 1", "graph": "{}", "card": "{}"})
+    (tmp_path / "odd.onnx").write_bytes(bare.SerializeToString())
+    to = ["--json", str(tmp_path / "x.json"), "--data", str(tmp_path)]
+    for words, message in (
+        (["export"], "give the file to write"),
+        (["export", "--onnx", "x.pb"], "--onnx must be a .onnx file"),
+        (["export", "--onnx", "x.onnx", "--precision", "int8"], "--precision int8 and --calibrate SET go together"),
+        (["export", "--out", "x.safetensors", "--precision", "int8", "--calibrate", "s"], "give --onnx"),
+        (["export", "--run", str(run), "--onnx", str(tmp_path / "absent" / "x.onnx")], "cannot write"),
+        (["evaluate", "--run", str(tmp_path / "bad.onnx"), *to], "is not a whole ONNX file"),
+        (["evaluate", "--run", str(tmp_path / "bare.onnx"), *to], "the format must be 'bodyseg onnx 1', found None"),
+        (["evaluate", "--run", str(tmp_path / "odd.onnx"), *to], "its metadata must describe the graph"),
+        (["evaluate", "--run", str(tmp_path / "toy.onnx"), *to], "toy.onnx: "),
+        (["evaluate", "--run", str(tmp_path / "toy.onnx"), "--checkpoint", "last", *to], "is one of a run's folder"),
+        (["evaluate", "--run", str(run), "--backend", "tvm", *to], "--backend"),
+        (["evaluate", "--run", str(run), "--precision", "int8", *to], "torch computes in float32 or bfloat16"),
+        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "bfloat16", *to], "found bfloat16"),
+        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "int8", *to], "--calibrate SET"),
+        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--device", "cuda", *to], "found the device cuda"),
+    ):
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
+
+
+def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BadConfig, match="in evaluation mode"):
+        answer_graph(Toy().train())
+    with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'tvm'"):
+        on_backend(Toy().eval(), "tvm")
+
+    class Odd(Toy):
+        def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+            return torch.linalg.pinv(super().scores(range_m))
+
+    with pytest.raises(BadConfig, match="Odd cannot be written as ONNX: "):
+        answer_graph(Odd().eval())
+    graph = answer_graph(Toy().eval())
+    with pytest.raises(BadConfig, match="must compute 'scores' from 'window'"):
+        scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
+    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", _runtime(), "float32")
+    with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
+        on_backend(moved, "torch")
+    to_device(moved, "cpu")
+    for package, needs in (("onnx", import_onnx), ("onnxruntime", lambda: on_backend(Toy().eval(), "onnxruntime"))):
+        with monkeypatch.context() as patch:
+            patch.setitem(__import__("sys").modules, package, None)
+            with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[onnx\]'"):
+                needs()
+    with monkeypatch.context() as patch:
+        patch.setitem(__import__("sys").modules, "openvino", None)
+        with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[openvino\]'"):
+            on_backend(Toy().eval(), "openvino")
+        patch.setitem(__import__("sys").modules, "onnxruntime.quantization", None)
+        with pytest.raises(MissingLibrary, match="quantising needs the package 'onnxruntime'"):
+            quantised(OnnxModel(graph, GraphFacts.of(Toy())), [], {})
+
+
+def _runtime() -> Any:
+    from bodyseg_model.runtimes.onnx_runtime import OnnxRuntime
+
+    return OnnxRuntime
+
+
+def test_a_file_is_what_was_written(tmp_path: Path) -> None:
+    model = to_onnx(Toy().eval(), {"seed": 4})
+    write_onnx(tmp_path / "toy.onnx", model)
+    read = read_onnx(tmp_path / "toy.onnx")
+    assert read.facts == model.facts and read.card == {"seed": 4}
+    assert [*map(np.sum, ask(read, frames()))] == [*map(np.sum, ask(model, frames()))]

@@ -1,0 +1,165 @@
+"""`bench runtimes`: one network on every backend in every precision, time beside accuracy, measured in one run.
+
+docs/runtimes.md says how to read the results.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from benches.measuring import Progress, silent
+from benches.model.networks.network_frames import as_batch, stretched, typical_frames
+from bodyseg_data.core.errors import MissingLibrary, check_int
+from bodyseg_data.core.system.machine import processors
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.evaluation.evaluation import evaluate, open_images
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.runtimes.backends import TORCH, on_backend
+from bodyseg_model.runtimes.onnx_files import Precision, export_trained
+from bodyseg_model.runtimes.onnx_runtime import OnnxRuntime
+from bodyseg_model.runtimes.quantisation import IMAGES, calibrated
+from bodyseg_model.runtimes.runtime import RuntimeNetwork
+from bodyseg_model.training.distributed import threads
+
+REFERENCE: Final = "torch float32"
+PAPERS: Final = "fcn_alexnet torch float32"
+"""The paper's network at full width with new weights, for times alone."""
+
+ROUNDS: Final = 15
+_WAYS: Final[tuple[tuple[str, Precision], ...]] = (
+    ("torch", "float32"),
+    ("torch", "bfloat16"),
+    ("onnxruntime", "float32"),
+    ("onnxruntime", "int8"),
+    ("openvino", "float32"),
+    ("openvino", "bfloat16"),
+    ("openvino", "int8"),
+)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    name: str
+    images: list[torch.Tensor]
+
+
+def bench_runtimes(
+    data: str,
+    views: int = 3,
+    images: int = 200,
+    runs: Sequence[Path] = (),
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision.
+
+    data: set on whose train split int8 is calibrated, and on whose test images of `all` accuracy is measured, `images`
+    of them. views: typical frames to take turns with. runs: the network is in the first of them; without, it is the one
+    that ships. Each is timed with one thread and with as many as there are processors, one image at a time, warm, in
+    turns. Runtimes that are not installed are left out. Raises BadConfig for wrong numbers or no network,
+    MissingLibrary without Anny or onnxruntime.
+    """
+    check_int("the number of test images", images, 1)
+    trained = load_network(runs[0] if runs else SHIPPED)
+    networks, left_out = _networks(trained.network), list[str]()
+    model = calibrated(export_trained(trained), RangeImages(data, "all", "train"), IMAGES)
+    int8 = RuntimeNetwork(model, "onnxruntime", OnnxRuntime, "int8")
+    for backend, precision in _WAYS:
+        try:
+            source: Network = int8 if precision == "int8" else trained.network
+            networks[f"{backend} {precision}"] = on_backend(source, backend, precision)
+        except MissingLibrary as error:
+            left_out.append(f"{backend} {precision}")
+            sys.stderr.write(f"{backend} is left out: {error}\n")
+    typical = typical_frames(views)
+    largest = max(typical, key=lambda frame: int((frame > 0).sum()))
+    frames = [
+        _Frame("filled", [as_batch(stretched(largest, *largest.shape), 1, torch.device("cpu"))]),
+        _Frame("typical", [as_batch(frame, 1, torch.device("cpu")) for frame in typical]),
+    ]
+    counts = sorted({1, processors()})
+    total, done = len(frames) * len(counts) + len(networks) - 1, 0
+    times = []
+    for frame in frames:
+        for count in counts:
+            times.append({"frame": frame.name, "threads": count, "networks": _timed(networks, frame.images, count)})
+            progress(done := done + 1, total)
+    test_images, rows = open_images(data, "all", "test"), {}
+    for name, network in networks.items():
+        if name == PAPERS:
+            continue
+        found = evaluate(network, test_images, images, extras=(), batch_size=1).total()
+        rows[name] = {
+            "average_per_class_accuracy": round(found.confusion.average_per_class_accuracy(), 5),
+            "labels_that_differ": _differing(networks[REFERENCE], network, typical),
+        }
+        progress(done := done + 1, total)
+    return {
+        "networks": rows,
+        "times": times,
+        "reference": REFERENCE,
+        "papers": PAPERS,
+        "left_out": left_out,
+        "calibration": model.facts.calibration,
+        "test_images": min(images, len(test_images)),
+        "network": runs[0].name if runs else "shipped",
+        "rows": largest.shape[0],
+        "columns": largest.shape[1],
+        "torch": torch.__version__,
+    }
+
+
+def _networks(network: Network) -> dict[str, Network]:
+    return {PAPERS: build("fcn_alexnet", seed=0).eval(), REFERENCE: on_backend(network, TORCH)}
+
+
+def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], count: int) -> dict[str, Any]:
+    """Of each network: median milliseconds by the clock and of processor time, and the median of its rounds' quotients
+    of `REFERENCE`'s time by its own, above one where it is quicker. The paper's network has a third of the rounds.
+    """
+    clock: dict[str, list[float]] = {name: [] for name in networks}
+    processor: dict[str, list[float]] = {name: [] for name in networks}
+    with threads(count):
+        for network in networks.values():
+            predict(network, images[0])
+        for number in range(ROUNDS):
+            for name, network in networks.items():
+                if name == PAPERS and number % 3:
+                    continue
+                start, used = time.perf_counter(), time.process_time()
+                predict(network, images[number % len(images)])
+                processor[name].append(1e3 * (time.process_time() - used))
+                clock[name].append(1e3 * (time.perf_counter() - start))
+    rows = {}
+    for name in networks:
+        others = clock[REFERENCE][:: 3 if name == PAPERS else 1]
+        spent = processor[REFERENCE][:: 3 if name == PAPERS else 1]
+        rows[name] = {
+            "ms": round(statistics.median(clock[name]), 3),
+            "processor_ms": round(statistics.median(processor[name]), 3),
+            "times_as_fast": _quotient(others, clock[name]),
+            "times_as_fast_by_processor_time": _quotient(spent, processor[name]),
+        }
+    return rows
+
+
+def _quotient(reference: Sequence[float], own: Sequence[float]) -> float:
+    return round(statistics.median(a / b for a, b in zip(reference, own, strict=True)), 3)
+
+
+def _differing(reference: Network, network: Network, frames: Sequence[np.ndarray[Any, Any]]) -> float:
+    """Share of the measured pixels of typical frames whose label is not the reference's."""
+    batches = [as_batch(frame, 1, torch.device("cpu")) for frame in frames]
+    pairs = [(predict(reference, batch).labels, predict(network, batch).labels) for batch in batches]
+    measured = sum(int((batch > 0).sum()) for batch in batches)
+    return round(sum(int((a != b).sum()) for a, b in pairs) / measured, 7)

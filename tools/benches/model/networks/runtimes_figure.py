@@ -1,0 +1,33 @@
+"""Draws what `tools/bench runtimes` measured: `--figure FILE.png`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from bodyseg_data.drawing.style import new_chart, save_chart
+
+Tree = dict[str, Any]
+
+_MARKS: Final = {"torch": "o", "onnxruntime": "s", "openvino": "^"}
+_COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00", "int8": "#4d4d4d"}
+
+
+def draw_runtimes(figures: Tree, path: Path) -> None:
+    """Write a PNG of `bench_runtimes`'s results: accuracy over milliseconds of a frame that a body fills, all threads.
+
+    Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
+    """
+    row = [row for row in figures["times"] if row["frame"] == "filled"][-1]
+    figure = new_chart(8, 4.6)
+    axis = figure.subplots()
+    for name, facts in figures["networks"].items():
+        backend, precision = name.split(" ")
+        ms, accuracy = row["networks"][name]["ms"], facts["average_per_class_accuracy"]
+        axis.plot(ms, accuracy, _MARKS[backend], color=_COLOURS[precision], markersize=8)
+        axis.annotate(name, (ms, accuracy), xytext=(7, 4), textcoords="offset points", fontsize=9)
+    axis.set_xlim(left=0)
+    axis.set_xlabel(f"ms from {figures['rows']} x {figures['columns']} ranges to labels, {row['threads']} threads")
+    axis.set_ylabel(f"average per-class accuracy, {figures['test_images']} images")
+    axis.grid(color="#e4e4e8")
+    save_chart(figure, path, dpi=110)
