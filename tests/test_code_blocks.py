@@ -30,11 +30,15 @@ DOCUMENTS: Final = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 ELSEWHERE: Final = {
     "how_to.md": "each example runs by itself in test_how_to.py",
     "clothes.md": "needs the meshes of a body; tests/bodies/clothes dresses one",
+    "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
 }
 """Documents whose Python is not run here, and why."""
 
-NOT_RUN: Final = {'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks"}
+NOT_RUN: Final = {
+    'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks",
+    "import realsense": "needs a camera; tests/recordings has stand-ins for two",
+}
 """Text of a block that is not run -> why."""
 
 SMALLER: Final = {
@@ -48,6 +52,17 @@ SMALLER: Final = {
 """Numbers and names -> others for a small set, of few people."""
 
 BEFORE: Final = {
+    "recordings.md": (
+        "from pathlib import Path\nimport numpy as np\n"
+        "arrays = [np.full((4, 6), 1500, np.uint16)]\npath = Path('frames.npy')\nnp.save(path, np.stack(arrays))\n"
+    ),
+    "steady.md": (
+        "from bodyseg_model.networks.checkpoints import shipped_network\n"
+        "from bodyseg_model.recordings.cameras import frame_camera\n"
+        "from bodyseg_model.segmentation.people.person_score import shipped_score\n"
+        "from bodyseg_model.segmentation.segmenter import Segmenter\n"
+        "trained = shipped_network()\ncamera = frame_camera((480, 640), 'frame', None, None, (), trained.rig).camera\n"
+    ),
     "segment.md": "import numpy as np\nrange_m = np.zeros((480, 640), np.float32)\n",
     "streaming.md": (
         "import torch\nfrom torch.utils.data import DataLoader\n"

@@ -193,8 +193,11 @@ def read_manifest(where: Path | Store) -> Manifest:
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
     for attempt in range(1, READ_ATTEMPTS + 1):
+        data = _contents(store, path)
         try:
-            return _manifest(_tree(_contents(store, path), path), path)
+            tree = _tree(data, path)
+            del data  # a large one, no longer needed
+            return _manifest(tree, path)
         except BadShard:
             if attempt == READ_ATTEMPTS or not store.prepare_reread(MANIFEST_NAME):
                 raise

@@ -200,7 +200,7 @@ class Stricter:
         return getattr(self._store, name)
 
     def read_file(self, name: str, limit: int) -> bytes | None:
-        assert limit == 1 << 28
+        assert limit == 1 << 30
         return self._store.read_file(name, 1000)
 
 

@@ -260,9 +260,7 @@ class _BlockTransport:
     def put(self, address: str, content: Path | bytes) -> None:
         with _classified_errors():
             filesystem = self._filesystem.get()
-            if not getattr(
-                filesystem, "async_impl", False
-            ):  # stores of objects, which are asynchronous, have no folders
+            if not getattr(filesystem, "async_impl", False):  # stores of objects are asynchronous, and have no folders
                 filesystem.makedirs(address.rpartition("/")[0], exist_ok=True)
             if isinstance(content, bytes):
                 filesystem.pipe_file(address, content)
