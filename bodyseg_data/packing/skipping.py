@@ -21,7 +21,7 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True)
 class OnFaults:
-    """What a packing does about meshes that cannot be packed; no byte of the other meshes' samples depends on it.
+    """Treatment of meshes that cannot be packed; no byte of the other meshes' samples depends on it.
 
     on_error: "stop" names all that the check finds, and renders nothing; "skip" leaves them out. skip_budget: the most
     meshes that may be left out, as a number or as a share of the meshes asked for (a float below 1). skip_log: a file

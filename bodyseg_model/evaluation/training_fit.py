@@ -65,7 +65,7 @@ class RigFit:
         return f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
 
     def _differing(self) -> list[str]:
-        """What differs beside the name."""
+        """Names of the fields that differ beside the name."""
         one, other = self.images, self.trained
         differences = {
             "image size": _size(one) != _size(other),

@@ -51,7 +51,7 @@ class Finding:
 
     @property
     def written(self) -> bool:
-        """Whether the artifact is in the sensor file."""
+        """True if the artifact is in the sensor file."""
         return self.verdict == NEEDED or bool(self.strengths)
 
     def build(self) -> Artifact:

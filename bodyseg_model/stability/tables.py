@@ -39,7 +39,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
 
 
 def _things(label: str, labelled: str, row: Mapping[str, Any]) -> dict[str, str]:
-    """What a network labels in made rooms: every surface of a body's size ("before" the score), or people alone."""
+    """Surfaces labelled in made rooms: every surface of a body's size ("before" the score), or people alone."""
     return {
         "network": label,
         "labelled": "every surface" if labelled == "before" else "people",

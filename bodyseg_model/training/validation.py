@@ -51,15 +51,15 @@ class Validation:
             raise BadConfig(f"keep must be best or last, found {self.keep!r}")
 
     def plan(self) -> dict[str, Any]:
-        """What the scores depend on beside the network, as plain JSON."""
+        """Facts that the scores depend on beside the network, as plain JSON."""
         return {"data": [images.identity() for images in self.images], "every": self.every, "images": self.count}
 
     def due(self, step: int, steps: int) -> bool:
-        """Whether a training of `steps` steps is validated after `step` steps."""
+        """Return whether a training of `steps` steps is validated after `step` steps."""
         return step % self.every == 0 or step == steps
 
     def exhausted(self, step: int, best_step: int) -> bool:
-        """Whether a training ends after `step` steps, where its best validation was that after `best_step` steps."""
+        """Return True if a training ends after `step` steps, the best validation being that after `best_step`."""
         return self.patience is not None and step // self.every - best_step // self.every >= self.patience
 
     def scores(

@@ -1,4 +1,4 @@
-"""What the page of a recording draws: a frame with the labels that the network gives its people."""
+"""Drawing of the page of a recording: a frame with the labels that the network gives its people."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _GAP_M: Final = 0.01
 
 @dataclass(frozen=True)
 class ShownFrame:
-    """What is to be drawn. number: of the frame. room: whether points beside bodies are shown, one of nine."""
+    """Choice of what is drawn. number: of the frame. room: whether points beside bodies are shown, one of nine."""
 
     number: int = 0
     colouring: FrameColouring = "parts"

@@ -1,4 +1,4 @@
-"""What the page of a set draws: one sample with a sensor's artifacts, its variants, and a network's answer."""
+"""Drawing of the page of a set: one sample with a sensor's artifacts, its variants, and a network's answer."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _NO_KIND: Final = 255
 
 @dataclass(frozen=True)
 class Shown:
-    """What is to be drawn. index: of the sample. epoch: of its draws. network: whether it is asked."""
+    """Choice of what is drawn. index: of the sample. epoch: of its draws. network: whether it is asked."""
 
     index: int = 0
     variant: VariantName = "all"

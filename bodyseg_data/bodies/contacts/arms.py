@@ -91,7 +91,7 @@ class Body:
 
 @dataclass(frozen=True)
 class ArmTask:
-    """What an arm is to do. fist: of the hand. presets: postures of which the nearest to the goals is the start."""
+    """Goal of an arm. fist: of the hand. presets: postures of which the nearest to the goals is the start."""
 
     name: str
     goals: list[Goal]

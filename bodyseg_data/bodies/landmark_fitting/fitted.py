@@ -37,7 +37,7 @@ class Proposal:
 
     @property
     def poor(self) -> bool:
-        """Whether the fitted body is so far from the surface in places that limbs may be in the wrong place."""
+        """True if the fitted body is so far from the surface in places that limbs may be in the wrong place."""
         return self.gap_m > POOR_M
 
 

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Attire:
-    """What a person wears and holds over the body's own surface."""
+    """Things that a person wears and holds over the body's own surface."""
 
     drape: Drape | None = None
     hair: Hair | None = None

@@ -46,7 +46,7 @@ class Selection:
 
     @property
     def divides_train(self) -> bool:
-        """Whether the split is a part of the stored train split, val or the rest."""
+        """True if the split is a part of the stored train split, val or the rest."""
         return bool(self.val_share) and self.split in ("train", "val")
 
     def filters(self) -> dict[str, Any]:

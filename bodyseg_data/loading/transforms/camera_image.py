@@ -36,7 +36,7 @@ class CameraImage(RangeImage):
 
     @property
     def info(self) -> SampleInfo:
-        """Where the sample comes from, and the view it was rendered from: as stored, whatever transforms do."""
+        """Origin of the sample, and the view it was rendered from: as stored, whatever transforms do."""
         return self.sample.info
 
     @property

@@ -86,7 +86,7 @@ class Tab:
             time.sleep(_POLL_S)
 
     def screenshot(self) -> NDArray[np.uint8]:
-        """What the window shows, sRGB uint8 [H, W, 3]."""
+        """Picture of the window, sRGB uint8 [H, W, 3]."""
         data = base64.b64decode(self.command("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 

@@ -119,7 +119,7 @@ class Graph:
         return self._inputs[step.name]
 
     def external(self, step: Step) -> tuple[str, ...]:
-        """What it reads and no step makes: `SHIPPED`, DATA/... or docs/results/..."""
+        """Files that it reads and no step makes: `SHIPPED`, DATA/... or docs/results/..."""
         return self._external[step.name]
 
     def with_inputs(self, names: Iterable[str]) -> set[str]:

@@ -124,7 +124,7 @@ def _networks(network: Network) -> dict[str, Network]:
 
 
 def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], count: int) -> dict[str, Any]:
-    """Of each network: median milliseconds by the clock and of processor time, and the median of its rounds' quotients
+    """Times of each network: median ms by the clock and of processor time, and the median of its rounds' quotients
     of `REFERENCE`'s time by its own, above one where it is quicker. The paper's network has a third of the rounds.
     """
     clock: dict[str, list[float]] = {name: [] for name in networks}

@@ -51,7 +51,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Shown:
-    """What the picture shows of one frame: the frame, its true labels and the network's, uint8 [H, W]."""
+    """Panels of one frame in the picture: the frame, its true labels and the network's, uint8 [H, W]."""
 
     frame: Frame
     truth: Labels
