@@ -25,6 +25,7 @@ hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_c
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
+    "benches/results/test_everything.py",
     "packing/test_engines.py",
     "bodies/test_landmark_fitting.py",
     "packing/test_pack.py",

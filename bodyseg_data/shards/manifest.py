@@ -240,6 +240,8 @@ def _is_as_written(data: bytes, stored: Any) -> bool:
 
     Quicker than to write the content again, which only a file that somebody has formatted needs.
     """
+    if not isinstance(stored, str) or not stored.isascii():
+        return False
     field = f'"digest":"{stored}",'.encode()
     start = data.find(field)
     if start < 0:

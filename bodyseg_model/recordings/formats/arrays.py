@@ -27,7 +27,7 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found an NPY file: {path}")
     try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False, max_header_size=_LONGEST_HEADER)
+        values = np.lib.format.open_memmap(path, mode="r", max_header_size=_LONGEST_HEADER)
     except Exception as error:  # a damaged header raises what the parser of Python likes
         raise BadConfig(f"{path} must be a whole NPY file of numbers: {error}") from error
     _check(values.shape, values.dtype, str(path))
