@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import gzip
+import json
 import os
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
 
@@ -51,6 +52,17 @@ def refuse_special(path: Path) -> None:
     """Raise OSError for a pipe, which a reader would wait for without end, a device and the like."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def parse_json(data: bytes, where: str) -> dict[str, Any]:
+    """The object in JSON text; `where` names its origin in messages. Raises BadConfig."""
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise BadConfig(f"{where} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
+    return content
 
 
 def contents(path: Path, packed: bool, limit: int) -> bytes | None:

@@ -24,10 +24,8 @@ from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
-from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.camera_files import FrameCameras, find_cameras
 from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.intrinsics import Intrinsics
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes.backends import (
@@ -101,7 +99,7 @@ def run(options: Options) -> int:
     label_map = trained.label_map
     preview = None if options.no_overlay else Preview(options.fps, label_map)
     to_device(trained.network, options.device)
-    cameras = _cameras(options, frames, trained, skipping)
+    cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig, skipping)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
     video = CarriedLabels() if options.video else None
@@ -162,17 +160,6 @@ def run(options: Options) -> int:
     lines = _remarks(options, cameras, summary, shadows, skipping, labelled / seconds) + _too_near(summary, trained.rig)
     sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
-
-
-def _cameras(options: Options, frames: list[Frame], trained: Trained, skipping: Skipping) -> FrameCameras:
-    """Cameras of all frames: the one that options give, or those in files beside frames and one for all others."""
-    given = options.rig is not None or options.focal is not None or bool(options.centre)
-    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
-
-    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
-        return frame_camera(shape, where, options.rig, options.focal, options.centre, trained.rig)
-
-    return FrameCameras(frames, beside, choose, skipping)
 
 
 def _units(frames: Sequence[Frame]) -> float | dict[str, float]:

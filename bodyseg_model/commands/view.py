@@ -18,10 +18,8 @@ from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
-from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.recordings.camera_files import find_cameras
 from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.recordings.intrinsics import Intrinsics
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
@@ -153,13 +151,8 @@ def _set_view(options: Options, trained: Trained) -> SetView:
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
     step_m = None if options.units is None else metres_a_step(options.units)
     frames = find_frames([Path(each) for each in options.source], options.topic, step_m)
-    given = options.rig is not None or options.focal is not None or bool(options.centre)
-    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
-
-    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
-        return frame_camera(shape, where, options.rig, options.focal, options.centre, trained.rig)
-
+    cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if trained.label_map == PARTS33 else "shape")
     segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
-    return RecordingView(frames, FrameCameras(frames, beside, choose), segmenters, trained.label_map)
+    return RecordingView(frames, cameras, segmenters, trained.label_map)

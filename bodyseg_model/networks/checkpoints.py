@@ -17,7 +17,7 @@ from safetensors.torch import save as tensor_bytes
 
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
+from bodyseg_data.core.files import parse_json, write_result
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.core.rig import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, check_label_map
@@ -276,17 +276,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises BadConfig, naming it."""
     return parse_json(read_bytes(path), str(path))
-
-
-def parse_json(data: bytes, where: str) -> dict[str, Any]:
-    """The object in JSON text; `where` names its origin in messages. Raises BadConfig."""
-    try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{where} is not JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
-    return content
 
 
 def read_bytes(path: Path) -> bytes:

@@ -8,16 +8,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import refuse_special
+from bodyseg_data.core.files import parse_json, refuse_special
+from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_data.core.tables import Table
-from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
 from bodyseg_model.recordings.frame_tars import list_tar
 from bodyseg_model.recordings.frames import FrameFile
 from bodyseg_model.recordings.intrinsics import Intrinsics
@@ -47,6 +47,28 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
             homes[path] = _Tar(path) if in_tar else _Home(path)
         found.append(frame.camera or homes[path].camera(frame.member if in_tar and frame.member else frame.path.name))
     return found
+
+
+def find_cameras(
+    frames: Sequence[Frame],
+    rig: str | None,
+    focal_px: float | None,
+    centre_px: tuple[float, ...],
+    trained: Rig,
+    skipping: Skipping | None = None,
+) -> FrameCameras:
+    """Find the cameras of all frames: the one that is given, or those beside frames and one for all others.
+
+    rig, focal_px, centre_px, trained: as of `frame_camera`; one of the first three is given, or none. Raises BadConfig
+    as `frame_camera`, `cameras_beside` and `FrameCameras`.
+    """
+    given = rig is not None or focal_px is not None or bool(centre_px)
+    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
+
+    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
+        return frame_camera(shape, where, rig, focal_px, centre_px, trained)
+
+    return FrameCameras(frames, beside, choose, skipping)
 
 
 class FrameCameras:
@@ -146,15 +168,7 @@ class _Home:
     def _tree(self, name: str) -> dict[str, Any] | None:
         """The object in a JSON file; None if there is no such file. Raises BadConfig."""
         data = self._data(name)
-        if data is None:
-            return None
-        try:
-            tree = json.loads(data)
-        except (ValueError, RecursionError) as error:
-            raise BadConfig(f"{self._where(name)} is not JSON: {error}") from error
-        if not isinstance(tree, dict):
-            raise BadConfig(f"{self._where(name)} must hold a JSON object, found {type(tree).__name__}")
-        return tree
+        return None if data is None else parse_json(data, self._where(name))
 
     def _data(self, name: str) -> bytes | None:
         path = self._path / name

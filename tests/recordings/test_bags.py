@@ -24,6 +24,7 @@ from bags import (
     write_ros1,
     write_ros2,
 )
+from damaged_recordings import reads_or_refuses
 from mcap.writer import CompressionType, IndexType
 from pngs import RAMP, png
 from rosbags.rosbag1 import Writer as Ros1Writer
@@ -226,22 +227,6 @@ def test_bags_that_are_cut_or_altered_are_one_line(name: str, tmp_path: Path) ->
         for place in random.integers(0, len(whole), 4):
             data[place] = random.integers(0, 256)
         reads_or_refuses(path, bytes(data))
-
-
-def reads_or_refuses(path: Path, data: bytes) -> bool:
-    """True where a file with these bytes is refused; errors are one line."""
-    path.write_bytes(data)
-    refused = False
-    try:
-        for frame in open_recording(path):
-            try:
-                frame.read()
-            except BadConfig as error:
-                assert "\n" not in str(error)
-    except BadConfig as error:
-        assert "\n" not in str(error)
-        refused = True
-    return refused
 
 
 def test_other_files_under_these_names_are_refused(tmp_path: Path) -> None:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import parse_json
 from bodyseg_data.shards.stores.store import Store
 from bodyseg_data.transfer.bundle import Bundle, SharedFile, pages_of, read_page
 from bodyseg_data.transfer.targets import Target
 from bodyseg_data.transfer.transfer import transfer
-from bodyseg_model.networks.checkpoints import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file, parse_json
+from bodyseg_model.networks.checkpoints import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file
 from bodyseg_model.networks.model_card import page_file
 
 
