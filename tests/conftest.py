@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Callable, Generator
+import sys
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
@@ -17,8 +18,13 @@ from folders import SHARED_DATA, TESTS
 from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.meshes.repair import load_pymeshlab
 from bodyseg_data.packing import pack as packing
+
+# Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
+sys.modules["pymeshlab"] = None  # type: ignore[assignment]
 
 # No test depends on how busy the machine is.
 hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
@@ -98,6 +104,27 @@ def mit_folder() -> Path:
     if not (folder / "I_crane").is_dir():
         pytest.skip(f"real MIT frames are absent: no I_crane in {folder} (set BODYSEG_MIT to the folder that has it)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def _loaded_pymeshlab() -> Any:
+    """The package, loaded once a process, or the line that says why it cannot be."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delitem(sys.modules, "pymeshlab")
+        try:
+            return load_pymeshlab("these tests")
+        except MissingLibrary as error:
+            return str(error)
+
+
+@pytest.fixture(scope="module")
+def pymeshlab(_loaded_pymeshlab: Any) -> Iterator[Any]:
+    """The package, which can be imported from here to the end of the file of tests."""
+    if isinstance(_loaded_pymeshlab, str):
+        pytest.skip(_loaded_pymeshlab)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "pymeshlab", _loaded_pymeshlab)
+        yield _loaded_pymeshlab
 
 
 @pytest.fixture(scope="session")

@@ -204,6 +204,22 @@ def test_streaming_installs_no_renderer() -> None:
     assert core == {"numpy", "torch", "webdataset", "zstandard", "pillow", "safetensors", "tqdm", "cyclopts", "rich"}
 
 
+def test_pymeshlab_is_installed_and_imported_by_choice_alone() -> None:
+    """Its licence is GPL-3.0. tests/conftest.py keeps it from all tests but those that choose it."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    brings = re.compile(r"pymeshlab\b|bodyseg\[.*\bpymeshlab\b")
+    assert {name for name, needs in extras.items() if any(map(brings.match, needs))} == {"pymeshlab", "dev"}
+    naming = re.compile(r"^ *(import|from) pymeshlab\b|import_module\(.pymeshlab", re.MULTILINE)
+    assert {name for name, path in modules().items() if naming.search(path.read_text())} == {
+        "bodyseg_data.meshes.repair"
+    }
+    calls = {name: path.read_text().count("load_pymeshlab(") for name, path in modules().items()}
+    assert {name for name, count in calls.items() if count and name.startswith("bodyseg_")} == {
+        "bodyseg_data.meshes.repair",  # repair of scans, with --pymeshlab
+        "bodyseg_data.packing.mesh_reduction",  # of large meshes, with --pymeshlab, or of all, with --tolerance-mm
+    }
+
+
 def test_every_dependency_is_pinned_and_explained() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     pinned = {line.partition("==")[0].lower() for line in (ROOT / "tools/requirements.lock").read_text().splitlines()}

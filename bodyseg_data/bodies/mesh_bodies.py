@@ -43,6 +43,7 @@ Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 _MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
 _FAULTS_NAMED: Final = 3
+_REMEDY: Final = "; --pymeshlab repairs most scans"
 _IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
 
@@ -64,14 +65,22 @@ class MeshFile:
 
 
 class MeshBodies(ListedBodies[MeshFile]):
-    """Bodies read from mesh files. A source derives from it and lists the files."""
+    """Bodies read from mesh files. A source derives from it and lists the files.
+
+    pymeshlab: repair meshes with landmarks by coordinate that break a rule of `Mesh`, by that package (GPL-3.0).
+    """
 
     def __init__(
-        self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], units: Units = "auto", up: UpAxis = "auto"
+        self,
+        files: Mapping[BodyRef, MeshFile],
+        missing: Sequence[str],
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
     ) -> None:
         check_alignment(units, up)
         super().__init__(files, missing)
-        self._units, self._up = units, up
+        self._units, self._up, self._pymeshlab = units, up, pymeshlab
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
         self._alignments: dict[str, tuple[Alignment, Path]] = {}
@@ -111,7 +120,8 @@ class MeshBodies(ListedBodies[MeshFile]):
             found, moved = separate(mesh, found, mesh.vertices[found], where)
             built = Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
         else:
-            built = _snapped(body.mesh, vertices, faces, file.path, landmarks.transformed(1.0, alignment.rotation))
+            landmarks = landmarks.transformed(1.0, alignment.rotation)
+            built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._pymeshlab)
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
         return built
@@ -120,7 +130,8 @@ class MeshBodies(ListedBodies[MeshFile]):
         """Check one body's files: that both can be read, and that landmarks, counts and unit fit the mesh.
 
         A body with landmarks by vertex is built whole, which takes little longer than reading it. One with landmarks by
-        coordinate is built only if one of them is not near a vertex; faces that need repair show when it is packed.
+        coordinate is built only if one of them is not near a vertex; without `pymeshlab` its faces are checked, with it
+        those that cannot be repaired show when it is packed.
         Raises the errors of `build`.
         """
         landmarks, file = self._landmarks(body), self.entry(body)
@@ -128,6 +139,8 @@ class MeshBodies(ListedBodies[MeshFile]):
             self.build(body)
             return
         vertices, faces, alignment = self._placed(body, landmarks)
+        if not self._pymeshlab:
+            _mesh(body.mesh, vertices, faces, file.path, _REMEDY)
         surface = _used((vertices, faces))
         points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
         if file.standing:
@@ -245,23 +258,23 @@ def _used(surface: Surface) -> NDArray[np.float64]:
     return surface[0][used]
 
 
-def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Mesh:
+def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path, remedy: str = "") -> Mesh:
     try:
         return Mesh(name, vertices, faces)
     except BadMesh as error:
-        raise BadMesh(f"{error} (read from {path})") from None
+        raise BadMesh(f"{error} (read from {path}{remedy})") from error
 
 
-def _snapped(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path, landmarks: PointLandmarks
-) -> Body:
-    """Make a body with landmarks by coordinate, repairing the mesh if need be: its vertices may be renumbered."""
+def _snapped(surface: Surface, name: str, path: Path, landmarks: PointLandmarks, pymeshlab: bool) -> Body:
+    """Make a body with landmarks by coordinate. pymeshlab: repair the mesh if need be, which may renumber vertices."""
     notes = []
     try:
-        mesh = Mesh(name, vertices, faces)
+        mesh = _mesh(name, *surface, path, _REMEDY)
     except BadMesh as error:
-        notes.append(f"repaired: {str(error).removeprefix(f'mesh {name}: ')}")
-        mesh = _mesh(name, *repair(name, vertices, faces), path)
+        if not pymeshlab:
+            raise
+        notes.append(f"repaired: {str(error.__cause__).removeprefix(f'mesh {name}: ')}")
+        mesh = _mesh(name, *repair(name, *surface), path)
     landmarks, unit_notes = _in_millimetres(landmarks, mesh.surface_vertices)
     snapped = landmarks.for_mesh(mesh)
     return Body(mesh, snapped.vertices, (*notes, *unit_notes, *snapped.notes, _farthest(snapped), *_ignored(landmarks)))

@@ -44,6 +44,7 @@ class Options:
     propose: Path | None = option("lay the open body over the mesh and write its landmarks to this JSON file", None)
     units: Units = option("unit of the mesh files", "auto")
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", "auto")
+    pymeshlab: bool = option("repair scans by this package (GPL-3.0)", False)
     meshes: tuple[str, ...] = option("names of the meshes to draw (default: the source's first)", ())
     height: int = option("height of a body in the picture, pixels", 600)
 
@@ -77,7 +78,8 @@ def _listed(options: Options) -> list[LabelledBody]:
 
 
 def _bodies(options: Options) -> tuple[BodySource, list[BodyRef]]:
-    source = open_source(str(options.source), options.path, options.landmarks, options.units, options.up)
+    files = options.path, options.landmarks, options.units, options.up, options.pymeshlab
+    source = open_source(str(options.source), *files)
     bodies = {body.mesh: body for body in source.bodies()}
     first = next(iter(bodies))
     for name in options.meshes:

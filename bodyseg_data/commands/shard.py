@@ -60,7 +60,11 @@ class Options:
     rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
     geodesics: GeodesicMethod = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
-        "range error, mm, to which meshes are reduced; 0: none is (default: large meshes only)", Packing.tolerance_mm
+        "range error, mm, to which meshes are reduced by pymeshlab; 0: none is (default: those that --pymeshlab names)",
+        Packing.tolerance_mm,
+    )
+    pymeshlab: bool = option(
+        "repair scans, and reduce meshes of 150 000 triangles and more to 0.2 mm, by this package (GPL-3.0)", False
     )
     renderer: RendererName = option("renderer", Packing.renderer)
     things: ThingsPlace = option("draw furniture without labels around the bodies (docs/things.md)", Packing.things)
@@ -92,6 +96,7 @@ class Options:
             rig=load_rig(self.rig),
             geodesics=self.geodesics,
             tolerance_mm=self.tolerance_mm,
+            pymeshlab=self.pymeshlab,
             renderer=self.renderer,
             codec=self.codec,
             shard_samples=self.shard_samples,

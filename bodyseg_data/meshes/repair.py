@@ -62,8 +62,9 @@ def repair(
 
 
 def load_pymeshlab(feature: str) -> Any:
-    """Import pymeshlab on first use: it takes a third of a second and loads system libraries.
+    """Import pymeshlab: a third of a second, and system libraries.
 
+    Its licence is GPL-3.0, so it is imported only where a user chose it: by `--pymeshlab`, or `--tolerance-mm` above 0.
     feature: the feature that the message names. Raises MissingLibrary without pymeshlab or libGL and libOpenGL.
     """
     try:
@@ -71,7 +72,7 @@ def load_pymeshlab(feature: str) -> Any:
         require_libraries(feature, ("GL", "OpenGL"))
         import pymeshlab
     except (ImportError, OSError, AttributeError) as error:
-        raise missing_library(feature, error) from error
+        raise missing_library(feature, error, extra="pymeshlab") from error
     return pymeshlab
 
 

@@ -75,14 +75,23 @@ def check_tolerance(tolerance_mm: float | None) -> None:
 
 
 def reduced_body(
-    body: Body, tolerance_mm: float | None, rig: Rig, distance_cm: int, pitches_deg: Sequence[int] = (0,)
+    body: Body,
+    tolerance_mm: float | None,
+    rig: Rig,
+    distance_cm: int,
+    pitches_deg: Sequence[int] = (0,),
+    pymeshlab: bool = False,
 ) -> Body:
     """`body` with a mesh as coarse as the tolerance permits, and a note if that changed it.
 
-    tolerance_mm: of `reduce`; None: `TOLERANCE_M`, for meshes of `PAYS_FROM` triangles and more; 0: no mesh is reduced.
+    tolerance_mm: of `reduce`; None: `TOLERANCE_M` with `pymeshlab`, for meshes of `PAYS_FROM` triangles and more, while
+    without it they stay whole and get a note; 0: no mesh is reduced.
     """
     if tolerance_mm == 0 or (tolerance_mm is None and len(body.mesh.faces) < PAYS_FROM):
         return body
+    if tolerance_mm is None and not pymeshlab:
+        note = f"whole, with {len(body.mesh.faces)} triangles: --pymeshlab packs it faster"
+        return replace(body, notes=(*body.notes, note))
     tolerance_m = TOLERANCE_M if tolerance_mm is None else tolerance_mm / 1000
     marks = np.array([*body.landmarks, *(piece.vertex for piece in body.pieces)], np.int64)
     reduction = reduce(body.mesh, marks, tolerance_m, rig, distance_cm, pitches_deg)

@@ -59,10 +59,10 @@ Progress = Callable[[int, int], None]
 class Packing:
     """The options of a packing. All of them shape the bytes; the number of workers does not.
 
-    source, path, landmarks, units, up: where bodies come from (`open_source`). meshes: how many of them, taken evenly
-    from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a shard.
-    geodesics: how distances along the surface are measured. tolerance_mm: how coarse meshes may be (`reduced_body`).
-    things: where things stand around the bodies (docs/things.md).
+    source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). meshes: how many of them,
+    taken evenly from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
+    shard. geodesics: how distances along the surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be
+    (`reduced_body`). things: where things stand around the bodies (docs/things.md).
     """
 
     source: str
@@ -78,6 +78,7 @@ class Packing:
     up: UpAxis = "auto"
     geodesics: GeodesicMethod = "exact"
     tolerance_mm: float | None = None
+    pymeshlab: bool = False
     things: ThingsPlace = "none"
 
     def __post_init__(self) -> None:
@@ -108,7 +109,7 @@ class Packing:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
         if self.path is None:
             return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
-        return _read_source(self.source, self.path, self.landmarks, self.units, self.up, plan)
+        return _read_source(plan, self.source, self.path, self.landmarks, self.units, self.up, self.pymeshlab)
 
 
 def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
@@ -162,6 +163,7 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
         "up": packing.up,
         "geodesics": packing.geodesics,
         "tolerance_mm": packing.tolerance_mm,
+        "pymeshlab": packing.pymeshlab,
         "views": packing.views.described(),
         "rig": packing.rig.to_json(),
         "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
@@ -209,8 +211,8 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     plan: digest of what is packed, files included: a process that outlives a packing reads changed files again.
     """
     source = packing.opened(plan)
-    nearest_cm = min(packing.views.distances_cm)
-    built = reduced_body(source.build(body), packing.tolerance_mm, packing.rig, nearest_cm, packing.views.pitches_deg)
+    seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
+    built = reduced_body(source.build(body), packing.tolerance_mm, *seen_from, packing.pymeshlab)
     parts = built.partition(packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
@@ -229,8 +231,8 @@ def _source(entry: SourceEntry | None, name: str, landmarks: Path | None, units:
 
 
 @lru_cache(maxsize=4)  # several packings may share a worker
-def _read_source(name: str, path: Path, landmarks: Path | None, units: Units, up: UpAxis, plan: str) -> BodySource:
-    return open_source(name, path, landmarks, units, up)
+def _read_source(plan: str, *arguments: Any) -> BodySource:
+    return open_source(*arguments)
 
 
 def forget_sources() -> None:

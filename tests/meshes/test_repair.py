@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,19 +13,12 @@ from shapes import ball, figure
 
 from bodyseg_data.core.errors import BadMesh, MissingLibrary
 from bodyseg_data.core.system import libraries
-from bodyseg_data.meshes import repair as mesh_repair
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.repair import repair
+from bodyseg_data.meshes.repair import SAME_POINT_M, repair
 
 Parts = tuple[NDArray[np.float64], NDArray[np.int32]]
 
-
-@pytest.fixture(autouse=True)
-def _pymeshlab_is_here() -> None:
-    try:
-        mesh_repair.load_pymeshlab("mesh repair")
-    except MissingLibrary as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("pymeshlab")
 
 
 def is_closed(mesh: Mesh) -> bool:
@@ -98,7 +92,7 @@ def test_a_broken_mesh_becomes_the_whole_one_again(broken, whole: Mesh) -> None:
     assert is_closed(mended)
     assert mended.signed_volume() == pytest.approx(whole.signed_volume(), rel=1e-5)
     moved = [np.abs(whole.vertices - vertex).max(axis=1).min() for vertex in mended.vertices[::37]]
-    assert max(moved) <= mesh_repair.SAME_POINT_M
+    assert max(moved) <= SAME_POINT_M
 
 
 def test_the_checks_can_fail() -> None:
@@ -172,9 +166,7 @@ def test_a_surface_with_one_side_cannot_be_oriented() -> None:
         repair("strip", vertices, np.array(faces))
 
 
-def test_a_filter_that_fails_is_a_bad_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    pymeshlab = mesh_repair.load_pymeshlab("mesh repair")
-
+def test_a_filter_that_fails_is_a_bad_mesh(pymeshlab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise pymeshlab.PyMeshLabException("filter\nfailed")
 
@@ -194,5 +186,5 @@ def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = ball(subdivisions=1)
     monkeypatch.setitem(sys.modules, "pymeshlab", None)
-    with pytest.raises(MissingLibrary, match=r"package 'pymeshlab': pip install 'bodyseg\[render\]'"):
+    with pytest.raises(MissingLibrary, match=r"package 'pymeshlab': pip install 'bodyseg\[pymeshlab\]'"):
         repair("ball", whole.vertices, whole.faces)

@@ -281,8 +281,8 @@ def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pyt
 
 
 def test_every_package_that_makes_shards_is_compared() -> None:
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["render"]
-    names = {re.split(r"[^\w-]", line)[0] for line in declared}
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    names = {re.split(r"[^\w-]", line)[0] for line in (*extras["render"], *extras["pymeshlab"])}
     assert names
     assert names <= set(workers._SHAPE_BYTES)
 

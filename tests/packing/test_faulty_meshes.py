@@ -270,8 +270,8 @@ def test_a_mesh_that_fails_at_a_later_view_leaves_none_behind(
     assert {path.name for path in (tmp_path / "out").glob("*.tar")} == {shard.name for shard in manifest.shards}
 
 
+@pytest.mark.usefixtures("pymeshlab")
 def test_a_scan_that_cannot_be_repaired_is_a_late_fault(tmp_path: Path) -> None:
-    pytest.importorskip("pymeshlab")
     folder = tmp_path / "people"
     write_mesh(folder / "good.ply")
     write_by_point(folder / "good.json", POINTS)
@@ -292,10 +292,10 @@ def test_a_scan_that_cannot_be_repaired_is_a_late_fault(tmp_path: Path) -> None:
     write_mesh(folder / "strip.ply", vertices, np.array(faces, np.int32))
     spread = vertices[np.linspace(0, len(vertices) - 1, 33).astype(int)]
     write_by_point(folder / "strip.json", spread)
-    source = open_source("folder", folder, up="y")
+    source = open_source("folder", folder, up="y", pymeshlab=True)
     for body in source.bodies():
         source.check(body)
-    manifest = packed(wanted(folder, up="y"), tmp_path / "out", OnFaults("skip", 1))
+    manifest = packed(wanted(folder, up="y", pymeshlab=True), tmp_path / "out", OnFaults("skip", 1))
     (skipped,) = manifest.skipped
     assert skipped.mesh == "strip" and "cannot be repaired" in skipped.why
 

@@ -69,8 +69,8 @@ def test_an_unlabelled_surface_must_be_said() -> None:
         silent.check()
 
 
+@pytest.mark.usefixtures("pymeshlab")
 def test_a_reduced_body_still_holds_it() -> None:
-    pytest.importorskip("pymeshlab")
     pytest.importorskip("embreex")
     body = holding(subdivisions=5)
     reduced = reduced_body(body, 2.0, SMALL, 215)

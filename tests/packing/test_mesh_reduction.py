@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,7 +26,6 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mending import find_edges
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.repair import load_pymeshlab
 from bodyseg_data.packing import mesh_reduction
 from bodyseg_data.packing.mesh_reduction import (
     Reduction,
@@ -45,16 +44,11 @@ BALL = ball(subdivisions=5)  # 20 480 triangles
 MARKS = np.linspace(0, len(BALL.vertices) - 1, 33).astype(np.int64)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _pymeshlab_is_here() -> None:
-    try:
-        load_pymeshlab("these tests")
-    except MissingLibrary as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("pymeshlab")
 
 
 @pytest.fixture(scope="module")
-def reduction() -> Reduction:
+def reduction(pymeshlab: Any) -> Reduction:
     return reduce(BALL, MARKS, 5e-4, RIG)
 
 
@@ -150,9 +144,9 @@ def test_the_search_neither_goes_too_far_nor_creeps(power: float, misses: int, m
     assert 0.85**2 * 0.95 * tolerance_m <= found.error_m <= tolerance_m
 
 
-def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(reduction: Reduction) -> None:
-    meshes = load_pymeshlab("a test").MeshSet()
-    meshes.add_mesh(load_pymeshlab("a test").Mesh(BALL.vertices, BALL.faces))
+def test_the_same_mesh_gives_the_same_bits_whatever_was_done_before(pymeshlab: Any, reduction: Reduction) -> None:
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(BALL.vertices, BALL.faces))
     # pymeshlab takes what a call leaves out from the call before.
     meshes.meshing_decimation_quadric_edge_collapse(
         targetfacenum=5000, qualitythr=0.9, planarquadric=True, optimalplacement=False, boundaryweight=7.0
@@ -232,8 +226,7 @@ def test_a_body_the_rig_cannot_see_is_left_whole() -> None:
     assert reduction.note == "left whole: the rig sees nothing of it at 215 cm"
 
 
-def test_a_collapse_that_fails_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    pymeshlab = load_pymeshlab("a test")
+def test_a_collapse_that_fails_leaves_the_mesh_whole(pymeshlab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def fail(*_: object, **__: object) -> None:
         raise pymeshlab.PyMeshLabException("filter\nfailed")
@@ -245,8 +238,7 @@ def test_a_collapse_that_fails_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyP
     assert reduction.note == "left whole: edges could not be collapsed: filter failed"
 
 
-def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    pymeshlab = load_pymeshlab("a test")
+def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(pymeshlab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     faces = pymeshlab.Mesh.face_matrix
     monkeypatch.setattr(pymeshlab.Mesh, "face_matrix", lambda mesh: faces(mesh)[:, ::-1])
     reduction = reduce(BALL, MARKS, 5e-4, RIG)
@@ -255,8 +247,7 @@ def test_a_collapse_that_makes_no_body_leaves_the_mesh_whole(monkeypatch: pytest
     assert reduction.note.startswith("left whole: mesh ball: faces must point outwards")
 
 
-def test_a_lost_landmark_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    pymeshlab = load_pymeshlab("a test")
+def test_a_lost_landmark_is_an_error(pymeshlab: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     vertices = pymeshlab.Mesh.vertex_matrix
     monkeypatch.setattr(pymeshlab.Mesh, "vertex_matrix", lambda mesh: vertices(mesh) + 1e-9)
     with pytest.raises(BadMesh, match="collapsing edges moved a landmark"):
@@ -285,8 +276,11 @@ def test_small_meshes_are_reduced_only_when_asked(monkeypatch: pytest.MonkeyPatc
         f"reduced from 20480 to {len(asked.mesh.faces)} triangles, 95 % of pixels within 0."
     )
     monkeypatch.setattr(mesh_reduction, "PAYS_FROM", len(BALL.faces))
+    chosen = reduced_body(body, None, RIG, 215, pymeshlab=True)
+    assert len(asked.mesh.faces) < len(chosen.mesh.faces) < len(BALL.faces)
     by_default = reduced_body(body, None, RIG, 215)
-    assert len(asked.mesh.faces) < len(by_default.mesh.faces) < len(BALL.faces)
+    assert by_default.mesh is BALL
+    assert by_default.notes[1:] == ("whole, with 20480 triangles: --pymeshlab packs it faster",)
 
 
 def test_a_packing_reduces_and_says_so(tmp_path: Path, pack_figures: Callable[..., Path]) -> None:

@@ -122,7 +122,7 @@ def test_an_unreachable_display_points_to_egl() -> None:
 )
 def test_an_absent_package_is_named(action: str, package: str) -> None:
     answer = outcome(action, packages=(package, f"{package}.mesh_construction"))
-    extra = "fast" if package == "numba" else "render"
+    extra = {"numba": "fast", "pymeshlab": "pymeshlab"}.get(package, "render")
     assert answer.startswith("MISSING ") and f"'{package}" in answer and f"pip install 'bodyseg[{extra}]'" in answer
 
 

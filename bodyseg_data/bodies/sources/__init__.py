@@ -55,19 +55,27 @@ def open_source(
     landmarks: Path | None = None,
     units: Units = "auto",
     up: UpAxis = "auto",
+    pymeshlab: bool = False,
 ) -> BodySource:
     """Open the source called `name`.
 
     path: the folder it reads, for sources that read one. landmarks: a landmark file for all of its meshes that have
     none of their own, or a folder searched for landmark files instead of `path`. units, up: unit of the mesh files and
-    their axis that points up, found from body and landmarks if "auto" (`alignment`). Raises BadConfig for an unknown
-    name, or for arguments that the source does not take.
+    their axis that points up, found from body and landmarks if "auto" (`alignment`). pymeshlab: repair scans that break
+    a rule of meshes by that package, whose licence is GPL-3.0. Raises BadConfig for an unknown name, or for arguments
+    that the source does not take.
     """
     if name not in SOURCES:
         raise BadConfig(f"the source must be one of {', '.join(SOURCES)}, found {name!r}")
     entry = SOURCES[name]
     if entry.reads is None:
-        given = {"--path": path, "--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto"}
+        given = {
+            "--path": path,
+            "--landmarks": landmarks,
+            "--units": units != "auto",
+            "--up": up != "auto",
+            "--pymeshlab": pymeshlab,
+        }
         unused = [option for option, value in given.items() if value]
         if unused:
             raise BadConfig(f"the source {name!r} makes its bodies and reads no files: leave {', '.join(unused)} out")
@@ -76,4 +84,4 @@ def open_source(
         raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
     if not path.is_dir():
         raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
-    return entry.open(path, landmarks, units, up)
+    return entry.open(path, landmarks, units, up, pymeshlab)

@@ -39,7 +39,14 @@ class CaesarBodies(MeshBodies):
 
     name = "caesar"
 
-    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        landmarks: Path | None = None,
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
+    ) -> None:
         given, folder = given_landmarks(path, landmarks)
         meshes = _standing(path)
         points = _by_name(folder, _landmark_stem)
@@ -54,7 +61,7 @@ class CaesarBodies(MeshBodies):
             name = key_name(stem, _LONGEST)
             ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
             files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
-        super().__init__(files, (*missing, *MESHES[len(meshes) :]), units, up)
+        super().__init__(files, (*missing, *MESHES[len(meshes) :]), units, up, pymeshlab)
 
 
 def _standing(path: Path) -> dict[str, Path]:

@@ -32,7 +32,14 @@ class FolderBodies(MeshBodies):
 
     name = "folder"
 
-    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        landmarks: Path | None = None,
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
+    ) -> None:
         given, folder = given_landmarks(path, landmarks)
         files: dict[BodyRef, MeshFile] = {}
         for parent in sorted({file.parent for file in files_below(path)}):
@@ -46,7 +53,7 @@ class FolderBodies(MeshBodies):
                 files[_ref(inside / stem)] = MeshFile(file, labels, wanted, shared=own is None, group=group)
         if not files:
             raise BadConfig(f"the source 'folder' needs meshes (.ply, .obj, .off): found none in {path}")
-        super().__init__(files, (), units, up)
+        super().__init__(files, (), units, up, pymeshlab)
 
 
 def _ref(inside: Path) -> BodyRef:

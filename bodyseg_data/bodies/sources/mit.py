@@ -46,7 +46,14 @@ class MitBodies(MeshBodies):
 
     name = "mit"
 
-    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        landmarks: Path | None = None,
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
+    ) -> None:
         given, folder = given_landmarks(path, landmarks)
         files: dict[BodyRef, MeshFile] = {}
         missing: list[str] = []
@@ -79,7 +86,7 @@ class MitBodies(MeshBodies):
                 "of subject B give a folder that holds landmarks_B.json"
             )
         # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
-        super().__init__(files, missing, units, "y" if up == "auto" else up)
+        super().__init__(files, missing, units, "y" if up == "auto" else up, pymeshlab)
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:

@@ -12,7 +12,7 @@ from bodyseg_data.bodies.source import Body, BodyRef, BodySource, ListedBodies
 from bodyseg_data.bodies.sources import caesar, mit, scape
 from bodyseg_data.core.errors import BadConfig
 
-_Opened = Callable[[Path, Path | None, Units, UpAxis], BodySource]
+_Opened = Callable[[Path, Path | None, Units, UpAxis, bool], BodySource]
 
 _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
     "scape": (scape.ScapeBodies, scape.MESHES),
@@ -30,7 +30,14 @@ class PaperBodies(ListedBodies[BodySource]):
 
     name = "paper"
 
-    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        landmarks: Path | None = None,
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
+    ) -> None:
         if landmarks is not None and not landmarks.is_dir():
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
         if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
@@ -43,7 +50,7 @@ class PaperBodies(ListedBodies[BodySource]):
             folder = _sub_folder(path, name)
             missing: Sequence[str] = complete
             if folder is not None:
-                source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, units, up)
+                source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, units, up, pymeshlab)
                 missing = source.missing()
                 for body in source.bodies():
                     sources[body] = source

@@ -31,7 +31,14 @@ class ScapeBodies(MeshBodies):
 
     name = "scape"
 
-    def __init__(self, path: Path, landmarks: Path | None = None, units: Units = "auto", up: UpAxis = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        landmarks: Path | None = None,
+        units: Units = "auto",
+        up: UpAxis = "auto",
+        pymeshlab: bool = False,
+    ) -> None:
         given, folder = given_landmarks(path, landmarks)
         labelled = given or landmark_file([folder], "landmarks")
         found: dict[int, Path] = {}
@@ -50,4 +57,4 @@ class ScapeBodies(MeshBodies):
             if number in found
         }
         missing = [name for number, name in zip(NUMBERS, MESHES, strict=True) if number not in found]
-        super().__init__(files, missing, units, up)
+        super().__init__(files, missing, units, up, pymeshlab)

@@ -39,16 +39,18 @@ _IN_MESSAGE: Final = re.compile(
 )
 
 
-def missing_library(feature: str, error: BaseException, needs: Iterable[str] = ()) -> MissingLibrary:
+def missing_library(
+    feature: str, error: BaseException, needs: Iterable[str] = (), extra: str = "render"
+) -> MissingLibrary:
     """Return the error to raise when `feature` cannot be imported because of `error`.
 
     error: ImportError, OSError or AttributeError of the import. needs: names of shared libraries that the feature
     loads. Each is loaded as a test, because the error may not name the missing one: without libGL, PyOpenGL raises an
-    AttributeError of None.
+    AttributeError of None. extra: of this project, which installs the package.
     """
     cause = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, ModuleNotFoundError):
-        return MissingLibrary(f"{feature} needs the package {error.name!r}: pip install 'bodyseg[render]' ({cause})")
+        return MissingLibrary(f"{feature} needs the package {error.name!r}: pip install 'bodyseg[{extra}]' ({cause})")
     names = dict.fromkeys([*needs, *_named_in(error)])
     absent = [name for name in names if not can_load(name)]
     if absent:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def test_every_choice_reads_its_points() -> None:
     assert partition.default == "exact" and partition.name == "open bodies (2)"
 
     whole, scan = panels_of("mesh_resolution")
-    assert (whole.default, scan.default) == ("whole mesh", "within 0.2 mm")
+    assert (whole.default, scan.default) == ("whole mesh", "whole mesh")
     assert {point.name: (point.x, point.y) for point in scan.points} == {
         "whole mesh": (250, 0), "25 % of the triangles": (100, 0.1), "within 0.2 mm": (125, 0.2),
     }  # fmt: skip
@@ -153,7 +154,8 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest
 
 def test_a_description_holds_points_front_and_what_beats_the_default() -> None:
     choice = BY_NAME["mesh_resolution"]
-    told = json.loads(json.dumps(described(choice, panels_of("mesh_resolution"), [SOURCE])))
+    whole, scan = panels_of("mesh_resolution")
+    told = json.loads(json.dumps(described(choice, (whole, replace(scan, default="within 0.2 mm")), [SOURCE])))
     whole, scan = told["panels"]
     assert told["sources"] == [SOURCE] and told["x"]["better"] == "less"
     assert (whole["default"], whole["default_on_front"], whole["default_beaten_by"]) == ("whole mesh", True, [])

@@ -15,8 +15,7 @@ from shapes import figure
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.core.errors import BadConfig
 
 BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
 
@@ -36,11 +35,7 @@ class PosedFigures(Figures):
 
 
 @pytest.fixture(scope="module")
-def figures() -> dict[str, Any]:
-    try:
-        load_pymeshlab("these tests")
-    except MissingLibrary as error:
-        pytest.skip(str(error))
+def figures(pymeshlab: Any) -> dict[str, Any]:
     steps: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(SOURCES, "open", FiguresEntry(make=PosedFigures))

@@ -153,6 +153,7 @@ def test_meshes_called_alike_are_refused(tmp_path: Path) -> None:
         PaperBodies(tmp_path)
 
 
+@pytest.mark.usefixtures("pymeshlab")
 def test_a_part_packs_and_notes_what_was_mended(tmp_path: Path) -> None:
     root = small(tmp_path / "paper")
     faces = PERSON.faces.copy()
@@ -160,7 +161,7 @@ def test_a_part_packs_and_notes_what_was_mended(tmp_path: Path) -> None:
     write_mesh(root / "caesar" / "csr0001a.ply", PERSON.vertices @ turn("-x", "z") * 1000, faces)
     out = tmp_path / "shards"
     with ThreadPoolExecutor(1) as executor:
-        packing.pack(Packing("paper", root, views=ViewGrid(count=2)), out, executor, 1)
+        packing.pack(Packing("paper", root, views=ViewGrid(count=2), pymeshlab=True), out, executor, 1)
     manifest = read_manifest(out)
     assert manifest.samples() == 8 and manifest.source == "paper"
     assert any(note.startswith("csr0001a: repaired: ") for shard in manifest.shards for note in shard.notes)

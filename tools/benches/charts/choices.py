@@ -155,7 +155,6 @@ _BY_TOLERANCE: Final = "tolerance given, share searched for"
 
 
 def _mesh_resolution(figures: Field) -> tuple[Panel, ...]:
-    chosen, least = _within(figures["default"]["tolerance_mm"]), figures["default"]["from_triangles"].number()
     panels = []
     for kind, figure in figures["kinds"].items().items():
         points, triangles = [], 0.0
@@ -167,7 +166,7 @@ def _mesh_resolution(figures: Field) -> tuple[Panel, ...]:
         tolerances = figure["tolerances"].rows()
         points += [_coarser(_within(row["tolerance_mm"]), _BY_TOLERANCE, row) for row in tolerances]
         title = f"{_KINDS.get(kind, kind)}, {shown(triangles)} triangles"
-        panels.append(Panel(title, tuple(points), "whole mesh" if triangles < least else chosen))
+        panels.append(Panel(title, tuple(points), "whole mesh"))
     return tuple(panels)
 
 

@@ -54,7 +54,7 @@ def _rows(kind: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _default(kind: dict[str, Any], tolerance_mm: float, least: int) -> dict[str, Any]:
-    """The row that a packing without `--tolerance-mm` gets."""
+    """The row that a packing with `--pymeshlab` and without `--tolerance-mm` gets."""
     whole: dict[str, Any] = kind["shares"][0]
     if whole["triangles"] < least:
         return whole
@@ -85,7 +85,7 @@ def _dress(axes: Any, figures: dict[str, Any]) -> None:
     axes[1].set_xticks(*ticks)
     axes[0].set_title("what coarser meshes cost", fontsize=11)
     axes[1].set_title(
-        f"what they save over {figures['views_a_body']} views; line: Pareto front, star: default", fontsize=11
+        f"what they save over {figures['views_a_body']} views; line: Pareto front, star: --pymeshlab", fontsize=11
     )
     for axis in axes:
         axis.minorticks_off()
