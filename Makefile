@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install demo test test-browser check page docs lock clean
+.PHONY: install demo test test-browser check page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -48,8 +48,22 @@ lock:
 	$(PYTHON) -m venv $(VENV)/lock
 	tools/install_torch $(VENV)/lock/bin
 	$(VENV)/lock/bin/pip install --quiet ".[dev]" setuptools
-	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed 's/+cpu$$//'; } > tools/requirements.new
+	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed -E 's/[+]cpu$$//; s/^backports.zstd==.*/&; python_version < "3.14"/'; } > tools/requirements.new
 	mv tools/requirements.new tools/requirements.lock
 
+# Source distribution and wheel in dist/, checked as PyPI checks them.
+dist: $(VENV)/release
+	rm -rf dist build
+	$(VENV)/release/bin/python -m build
+	$(VENV)/release/bin/twine check --strict dist/*
+
+# Known faults of the exact versions, from PyPI's own list; needs the network, and installs none of them.
+audit: $(VENV)/release
+	$(VENV)/release/bin/pip-audit --requirement tools/requirements.lock --no-deps --disable-pip --strict
+
+$(VENV)/release: tools/requirements-release.lock
+	$(PYTHON) -m venv --clear $@
+	$@/bin/pip install --quiet --disable-pip-version-check -r $<
+
 clean:
-	rm -rf $(VENV) browser demo build docs/_build docs/generated *.egg-info
+	rm -rf $(VENV) browser demo build dist docs/_build docs/generated *.egg-info

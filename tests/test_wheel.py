@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,13 +35,18 @@ except ImportError:
 """
 
 
+TOP = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md")
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel, built from a copy: building leaves files beside its sources."""
     copy = tmp_path_factory.mktemp("source") / "project"
     for name in ("bodyseg_data", "bodyseg_model", "tools"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"), symlinks=True)
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("docs", "tests", ".ci", ".github"):
+        (copy / name).symlink_to(ROOT / name)
+    for name in (*TOP, "pyproject.toml", "MANIFEST.in"):
         shutil.copy(ROOT / name, copy)
     build = "import setuptools.build_meta as backend; backend.build_wheel('dist')"
     done = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True, timeout=120)
@@ -62,6 +68,33 @@ def test_the_wheel_holds_both_packages_and_nothing_else(wheel: Path) -> None:
     metadata = zipfile.ZipFile(wheel).read(next(name for name in names if name.endswith("/METADATA"))).decode()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert f"Version: {project['version']}" in metadata
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
+
+
+def test_the_description_of_the_package_stands_alone(wheel: Path) -> None:
+    """It is read on PyPI, where paths of the checkout lead nowhere."""
+    archive = zipfile.ZipFile(wheel)
+    header, _, text = (
+        archive.read(next(name for name in archive.namelist() if name.endswith("/METADATA"))).decode().partition("\n\n")
+    )
+    assert "Description-Content-Type: text/markdown" in header and text.startswith("# bodyseg")
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert all(link.startswith("https://") for link in links)
+
+
+def test_the_source_distribution_holds_what_is_built_and_tested(wheel: Path) -> None:
+    """Building the wheel lists the files of a source distribution."""
+    listed = set((wheel.parents[1] / "bodyseg.egg-info" / "SOURCES.txt").read_text().splitlines())
+    folders = ("bodyseg_data", "bodyseg_model", "docs", "tests", "tools", ".ci", ".github")
+    skipped = ("__pycache__", "_build", "generated", ".ipynb_checkpoints")
+    wanted = {
+        path.relative_to(ROOT).as_posix()
+        for folder in folders
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and not any(name in path.parts for name in skipped)
+    }
+    assert wanted | {*TOP, "MANIFEST.in", "pyproject.toml"} <= listed
+    assert not any(name.endswith(".pyc") for name in listed)
 
 
 def test_the_wheel_streams_outside_the_checkout(wheel: Path, tmp_path: Path, small_set: Path) -> None:
