@@ -1,0 +1,72 @@
+"""What releases are made with: workflows, the container's file, lists of exact versions."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from folders import ROOT
+
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+DOCKER = ROOT / "tools" / "docker"
+
+
+def steps(workflow: Path) -> list[dict[str, Any]]:
+    jobs = yaml.safe_load(workflow.read_text())["jobs"].values()
+    return [step for job in jobs for step in job["steps"]]
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
+def test_workflows_run_commands_that_developers_have(workflow: Path) -> None:
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    run = [re.match(r"make (\S+)", step.get("run", "")) for step in steps(workflow)]
+    targets = {found[1] for found in run if found}
+    assert targets and targets <= set(phony.split())
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@\S+", step["uses"]) for step in steps(workflow) if "uses" in step)
+
+
+def test_the_workflow_of_tests_runs_them_all_on_every_python_that_is_claimed() -> None:
+    job = yaml.safe_load((ROOT / ".github/workflows/tests.yml").read_text())["jobs"]["tests"]
+    runs = [step.get("run", "").split() for step in job["steps"]]
+    assert {"check", "test", "test-browser", "docs"} <= {words[1] for words in runs if words[:1] == ["make"]}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    claimed = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
+    assert job["strategy"]["matrix"]["python"] == claimed
+    assert project["requires-python"] == f">={claimed[0]}"
+
+
+def test_publishing_may_do_no_more_than_it_needs() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/publish.yml").read_text())
+    assert workflow["permissions"] == {"contents": "read"}
+    assert workflow["jobs"]["publish"]["permissions"] == {"id-token": "write"}
+    assert "permissions" not in workflow["jobs"]["build"]
+    assert not any("secrets." in str(step) for step in steps(ROOT / ".github/workflows/publish.yml"))
+
+
+def test_the_container_copies_what_is_there_and_not_ignored() -> None:
+    copied = re.findall(r"^COPY (?!--from)(.*) \S+$", (DOCKER / "Dockerfile").read_text(), re.MULTILINE)
+    sources = {name for names in copied for name in names.split()}
+    allowed = re.findall(r"^!(.*)$", (DOCKER / "Dockerfile.dockerignore").read_text(), re.MULTILINE)
+    assert sources == set(allowed)
+    assert all((ROOT / name).exists() for name in sources)
+
+
+def test_the_container_ends_without_root() -> None:
+    last = (DOCKER / "Dockerfile").read_text().rpartition("FROM ")[2]
+    assert re.search(r"^USER (?!root|0)\w+$", last, re.MULTILINE) and '\nENTRYPOINT ["bodyseg", "shard"]\n' in last
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-release.lock"])
+def test_versions_are_exact(name: str) -> None:
+    lines = [line for line in (ROOT / "tools" / name).read_text().splitlines() if not line.startswith("#")]
+    exact = re.compile(r'[\w.-]+==[\w.]+(; python_version [<>]=? "3\.\d+")?')
+    assert len(lines) > 40 and all(exact.fullmatch(line) for line in lines)
+
+
+def test_what_builds_and_checks_a_release_is_listed() -> None:
+    listed = (ROOT / "tools" / "requirements-release.lock").read_text()
+    assert all(f"\n{name}==" in listed for name in ("build", "twine", "pip_audit"))
