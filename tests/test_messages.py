@@ -72,6 +72,11 @@ CASES: dict[str, Case] = {
         BadConfig,
         "the source 'open' makes its bodies and reads no files: leave --path out",
     ),
+    "open a source of made bodies for repair": (
+        lambda: open_source("open", pymeshlab=True),
+        BadConfig,
+        "the source 'open' makes its bodies and reads no files: leave --pymeshlab out",
+    ),
     "pack no mesh": (lambda: Packing("open", meshes=0), BadConfig, "a packing needs at least one mesh, found 0"),
     "pack empty shards": (
         lambda: Packing("open", shard_samples=0),

@@ -247,6 +247,7 @@ def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -
         (["bench", "codec", "--figure", "none/x.png"], "--figure needs a file in a folder that is there, found none/x"),
         (["inspect", "nowhere"], "bodyseg inspect: nothing to do: give --out FILE.png, --json, or both"),
         (["inspect", "nowhere", "--out", "x.jpg"], "bodyseg inspect: --out must be a .png file, found x.jpg"),
+        (["landmarks", "--source", "open", "--out", "x.png", "--pymeshlab"], "reads no files: leave --pymeshlab out"),
         (["landmarks", "--source", "open", "--out", "x.xyz"], "--out must be a .png file, found x.xyz"),
         (["inspect", "nowhere", "--json", "--rows", "0"], "bodyseg inspect: --rows must be 1 to 500, found 0"),
         (["inspect", "nowhere", "--json", "--rows", "501"], "bodyseg inspect: --rows must be 1 to 500, found 501"),

@@ -19,6 +19,7 @@ from small_rig import SMALL
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES, open_source
 from bodyseg_data.commands.cli import main
+from bodyseg_data.commands.shard import Options
 from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
@@ -268,6 +269,11 @@ def test_a_mesh_that_fails_at_a_later_view_leaves_none_behind(
     manifest = figures(tmp_path / "out", Figures)
     assert samples(manifest) == samples(figures(tmp_path / "fewer", Fewer, OnFaults()))
     assert {path.name for path in (tmp_path / "out").glob("*.tar")} == {shard.name for shard in manifest.shards}
+
+
+def test_the_command_repairs_only_if_asked() -> None:
+    assert not Options("folder").packing().pymeshlab
+    assert Options("folder", pymeshlab=True).packing().pymeshlab
 
 
 @pytest.mark.usefixtures("pymeshlab")
