@@ -89,6 +89,7 @@ BENCHES: Final = {
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs",)),
+    "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs",)),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
 }
 """Name -> bench. Modules are imported when their bench runs."""
@@ -125,7 +126,7 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real and failures: runs",
+        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

@@ -77,6 +77,7 @@ def _shipped() -> Iterator[Step]:
     yield _bench("network", "--scores", f"{RESULTS}/compact.json", drawn=True, reads=shipped, alone=True)
     yield _bench("people", "--data", FAUST, "--alone", reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
+    yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("things", "--views", "300", reads=shipped)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
