@@ -49,6 +49,7 @@ TITLES: Final = {
 _FRAMES: Final = 100
 _FACING: Final = 0.3  # least cosine between a normal and the way to the camera: beyond it, a pixel spans many points
 _VARIANTS: Final = ("none", "all")
+_NOT_MEASURED: Final = {"vc_right_where_truth_stays": None, "pixel_accuracy": None}
 
 Labels = NDArray[np.uint8]
 
@@ -199,11 +200,11 @@ def table(still: Mapping[str, Mapping[str, Any]], moving: Mapping[str, Mapping[s
             "pixels right, %": _percent(still[way]["pixel_accuracy"]),
         }
         for variant in _VARIANTS:
-            scores = moving.get({ALONE: variant, CARRIED_ALONG: f"{variant}{CARRIED}"}.get(way, ""))
-            head = f"moving, `{variant}`"
-            row[f"{head}: VC₈ constant and right, %"] = _percent(scores and scores["vc_right_where_truth_stays"])
-            row[f"{head}: pixels right, %"] = _percent(scores and scores["pixel_accuracy"])
-            ratio = scores and ratio_of(scores)
+            measured = {ALONE: variant, CARRIED_ALONG: f"{variant}{CARRIED}"}.get(way)
+            scores = moving.get(measured, _NOT_MEASURED) if measured else _NOT_MEASURED
+            head, ratio = f"moving, `{variant}`", ratio_of(scores)
+            row[f"{head}: VC₈ constant and right, %"] = _percent(scores["vc_right_where_truth_stays"])
+            row[f"{head}: pixels right, %"] = _percent(scores["pixel_accuracy"])
             row[f"{head}: ratio"] = "–" if ratio is None else f"{ratio:.3f}"
         rows.append(row)
     return rows
