@@ -45,6 +45,7 @@ CONFIDENCE_LEGEND: Final[Legend] = (
 )
 """Three of the colours of confidences."""
 
+_NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
 _GAP_M: Final = 0.01
@@ -78,6 +79,26 @@ class Labelled:
         pixels = [body.pixels for body in self.segmentation.bodies]
         return np.concatenate(pixels) if pixels else np.zeros(0, np.intp)
 
+    @property
+    def body_m(self) -> NDArray[np.float32]:
+        """Range of bodies alone, metres, float32 [H, W], 0 elsewhere."""
+        where = np.zeros(self.range_m.size, np.bool_)
+        where[self.bodies] = True
+        return np.where(where.reshape(self.range_m.shape), self.range_m, np.float32(0))
+
+    def body_points(self, colours: NDArray[np.uint8]) -> Points:
+        """Points of bodies, in reading order of their pixels. colours: of all pixels, sRGB uint8 [H, W, 3]."""
+        body_m = self.body_m
+        return Points(points_at(body_m, camera_alone(self.camera)), colours[body_m > 0])
+
+    def room_points(self) -> Points:
+        """Points beside bodies, one of nine, grey."""
+        thinned = np.zeros_like(self.range_m)
+        some = slice(None, None, _ROOM_STEP)
+        thinned[some, some] = np.where(self.body_m > 0, np.float32(0), self.range_m)[some, some]
+        xyz = points_at(thinned, camera_alone(self.camera))
+        return Points(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
+
 
 class RecordingView:
     """Labels frames when they are first drawn, and keeps the last ones.
@@ -106,28 +127,18 @@ class RecordingView:
 
     def draw(self, shown: ShownFrame) -> Drawing:
         """Draw a frame. Raises BadConfig for one that cannot be read or does not fit its camera."""
-        frame, before = self.labelled(shown.number), self._before(shown.number)
+        frame, before = self.labelled(shown.number), self.before(shown.number)
         changes = changes_of(frame, before)
         colours, legend = self._colours(shown.colouring, frame, changes)
-        pixels, placed = frame.bodies, camera_alone(frame.camera)
-        where = np.zeros(frame.range_m.size, np.bool_)
-        where[pixels] = True
-        body_m = np.where(where.reshape(frame.range_m.shape), frame.range_m, np.float32(0))
-        points, point_colours = [points_at(body_m, placed)], [colours[body_m > 0]]
-        if shown.room:
-            room_m = np.where(body_m > 0, np.float32(0), frame.range_m)
-            thinned = np.zeros_like(room_m)
-            thinned[::_ROOM_STEP, ::_ROOM_STEP] = room_m[::_ROOM_STEP, ::_ROOM_STEP]
-            points.append(points_at(thinned, placed))
-            point_colours.append(np.broadcast_to(np.array(THING, np.uint8), points[1].shape))
-        seen = frame.range_m.ravel()[pixels] if len(pixels) else frame.range_m[frame.range_m > 0]
+        bodies, room = frame.body_points(colours), frame.room_points() if shown.room else _NOTHING
+        seen = frame.range_m.ravel()[frame.bodies] if len(frame.bodies) else frame.range_m[frame.range_m > 0]
         return Drawing(
-            Points(np.concatenate(points), np.concatenate(point_colours)),
-            (device("camera", placed),),
+            Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
+            (device("camera", camera_alone(frame.camera)),),
             self._picture(frame, changes),
-            self._facts(shown.number, frame, before),
+            self.facts(shown.number, frame, before),
             float(np.median(seen)) / frame.camera.focal_px if len(seen) else _GAP_M,
-            len(points[0]),
+            len(bodies.xyz),
             legend,
         )
 
@@ -143,8 +154,8 @@ class RecordingView:
         total = watch.milliseconds["read"] + sum(found.milliseconds.values())
         return Labelled(range_m, found, found.confidence, segmenter.camera, total)
 
-    def _before(self, number: int) -> Labelled | None:
-        """The frame before, if it is of the same recording and size."""
+    def before(self, number: int) -> Labelled | None:
+        """The frame before, if it is of the same recording and size. Raises as `draw`."""
         if number == 0 or self.frames[number - 1].sequence != self.frames[number].sequence:
             return None
         before = self.labelled(number - 1)
@@ -182,7 +193,8 @@ class RecordingView:
             ]
         )
 
-    def _facts(self, number: int, frame: Labelled, before: Labelled | None) -> tuple[str, ...]:
+    def facts(self, number: int, frame: Labelled, before: Labelled | None) -> tuple[str, ...]:
+        """Lines of text on a frame: its name, people and things, times, confidence and flicker."""
         found, file = frame.segmentation, self.frames[number]
         stages = ", ".join(f"{stage} {time:.0f}" for stage, time in found.milliseconds.items())
         facts = [

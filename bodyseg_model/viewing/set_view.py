@@ -18,6 +18,7 @@ from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.drawing.contact_sheet import colour_range
@@ -37,7 +38,7 @@ from bodyseg_model.viewing.pictures import (
     label_image,
     share_image,
 )
-from bodyseg_model.viewing.space import Points, device, points_at, rig_before
+from bodyseg_model.viewing.space import Device, Points, device, points_at, rig_before
 
 Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
 COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
@@ -61,7 +62,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class _Layers:
+class Layers:
     """Images of one size: range in steps, classes, and of the network classes, kinds (255: no class) and confidence."""
 
     range: NDArray[np.uint16]
@@ -70,11 +71,30 @@ class _Layers:
     kinds: NDArray[np.uint8] | None = None
     confidence: NDArray[np.float32] | None = None
 
-    def picked(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> _Layers:
+    def picked(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> Layers:
         """The layers after a choice of pixels."""
         held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
         picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in held.items()}
-        return _Layers(**picked)
+        return Layers(**picked)
+
+
+@dataclass(frozen=True)
+class SampleImages:
+    """All images of a sample. variants: name -> image of each of `VARIANTS` and of the one shown. layers: of the one
+    shown. milliseconds: of the network. placed: camera and projectors, the body before them.
+    """
+
+    sample: Sample
+    variants: dict[VariantName, RangeImage] = field(repr=False)
+    layers: Layers = field(repr=False)
+    milliseconds: float
+    placed: tuple[PlacedCamera, ...]
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """Camera and projectors, to draw."""
+        names = ("camera", *("projector", "second projector")[: len(self.placed) - 1])
+        return tuple(device(name, each) for name, each in zip(names, self.placed, strict=True))
 
 
 class SetView:
@@ -120,38 +140,51 @@ class SetView:
         """One line if the network was trained for another rig than the set's."""
         return None if self.trained is None else RigFit(self.trained.rig, self.rig).check(str(self.path), True)
 
-    def draw(self, shown: Shown) -> Drawing:
-        """Draw a sample. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts that do not fit it."""
+    def images_of(self, shown: Shown) -> SampleImages:
+        """Make a sample's images. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts that do not
+        fit it.
+        """
         sample = self._clean(shown.index)
         made = {variant: self._made(sample, shown, variant) for variant in dict.fromkeys((*VARIANTS, shown.variant))}
         image = made[shown.variant]
-        layers = _Layers(image.range, self.label_map.table[image.labels])
+        layers = Layers(image.range, self.label_map.table[image.labels])
         milliseconds = 0.0
         if self.trained is not None and shown.network:
             layers, milliseconds = self._answered(self.trained, layers)
-        placed = rig_before(self.rig, sample.info.view)
-        metres, seen = self._metres(image.range), np.flatnonzero(image.range)
-        points = layers.picked(lambda each: each.ravel()[None, seen])
-        names = ("camera", *("projector", "second projector")[: len(placed) - 1])
+        return SampleImages(sample, made, layers, milliseconds, rig_before(self.rig, sample.info.view))
+
+    def draw(self, shown: Shown) -> Drawing:
+        """Draw a sample. Raises as `images_of`."""
+        images = self.images_of(shown)
+        metres = self.metres(images.layers.range)
+        seen = metres[metres > 0]
         return Drawing(
-            Points(points_at(metres, placed[0]), self._colours(shown.colouring, points)[0]),
-            tuple(device(name, each) for name, each in zip(names, placed, strict=True)),
-            self._layout.draw(self._panels(sample, made, shown, layers, milliseconds)),
-            self._facts(sample, image, shown, layers),
-            float(np.median(metres.ravel()[seen])) / self.rig.camera.focal_px if len(seen) else _GAP_M,
+            self.points_of(images, shown.colouring),
+            images.devices,
+            self._layout.draw(self._panels(images, shown)),
+            self.facts_of(images, shown),
+            float(np.median(seen)) / self.rig.camera.focal_px if len(seen) else _GAP_M,
             len(seen),
-            self._legend(shown.colouring, layers),
+            self.legend_of(images, shown.colouring),
         )
+
+    def points_of(self, images: SampleImages, colouring: Colouring) -> Points:
+        """Points of the variant shown, in reading order of its pixels."""
+        seen = np.flatnonzero(images.layers.range)
+        picked = images.layers.picked(lambda each: each.ravel()[None, seen])
+        xyz = points_at(self.metres(images.layers.range), images.placed[0])
+        return Points(xyz, self._colours(colouring, picked)[0])
+
+    def metres(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Range in metres, float32 [H, W], of range in steps of the set's rig."""
+        return steps.astype(np.float32) * np.float32(self.rig.range_step_m)
 
     def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
         return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
 
-    def _metres(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
-        return steps.astype(np.float32) * np.float32(self.rig.range_step_m)
-
-    def _answered(self, trained: Trained, layers: _Layers) -> tuple[_Layers, float]:
+    def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""
-        batch = torch.from_numpy(self._metres(layers.range))[None, None].to(device_of(trained.network))
+        batch = torch.from_numpy(self.metres(layers.range))[None, None].to(device_of(trained.network))
         start = time.perf_counter()
         labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
         milliseconds = 1000 * (time.perf_counter() - start)
@@ -160,7 +193,7 @@ class SetView:
         kinds[known] = kinds_of(self.label_map)[layers.labels[known], labels[known]]
         return replace(layers, answer=labels, kinds=kinds, confidence=confidence), milliseconds
 
-    def _colours(self, colouring: Colouring, layers: _Layers) -> NDArray[np.uint8]:
+    def _colours(self, colouring: Colouring, layers: Layers) -> NDArray[np.uint8]:
         """Colours of all pixels, sRGB uint8 [H, W, 3]; without an answer, what it would colour is coloured by parts."""
         seen = layers.range > 0
         if colouring == "range":
@@ -173,21 +206,16 @@ class SetView:
             return share_image(layers.confidence, seen)
         return label_image(layers.labels, seen, self.label_map)
 
-    def _legend(self, colouring: Colouring, layers: _Layers) -> Legend:
-        if layers.kinds is not None and colouring == "mistakes":
+    def legend_of(self, images: SampleImages, colouring: Colouring) -> Legend:
+        """Names of the colours of points."""
+        if images.layers.kinds is not None and colouring == "mistakes":
             told = told_kinds(self.label_map)
             return tuple(each for kind, each in zip(KINDS, KIND_LEGEND, strict=True) if kind in told)
         return class_legend(self.label_map)
 
-    def _panels(
-        self,
-        sample: Sample,
-        made: dict[VariantName, RangeImage],
-        shown: Shown,
-        layers: _Layers,
-        milliseconds: float,
-    ) -> list[list[Panel]]:
+    def _panels(self, images: SampleImages, shown: Shown) -> list[list[Panel]]:
         """Two lines: what is stored and the network's answer; the five variants."""
+        sample, made, layers = images.sample, images.variants, images.layers
         reduced, span, projector = self._layout.reduced, _span(sample.range), sample.occluder_range()
         small = layers.picked(reduced)
         stored = [
@@ -196,7 +224,7 @@ class SetView:
             Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
         ]
         if layers.kinds is not None:
-            note = f"{shown.variant}, {milliseconds:.0f} ms"
+            note = f"{shown.variant}, {images.milliseconds:.0f} ms"
             stored += [
                 Panel("network's answer", self._colours("network", small), note),
                 Panel("mistakes", self._colours("mistakes", small), f"{_share_right(layers.kinds):.1%} right"),
@@ -207,7 +235,9 @@ class SetView:
         ]
         return [stored, variants]
 
-    def _facts(self, sample: Sample, image: RangeImage, shown: Shown, layers: _Layers) -> tuple[str, ...]:
+    def facts_of(self, images: SampleImages, shown: Shown) -> tuple[str, ...]:
+        """Lines of text on a sample: its key, its view, and how much of it the network has right."""
+        sample, image, layers = images.sample, images.variants[shown.variant], images.layers
         info, caption = sample.info, shown.sensor.caption(image.drawn)
         facts = [
             sample.key,

@@ -9,7 +9,7 @@ from PIL import Image
 
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.page import picture_file
+from bodyseg_model.viewing.pages.page import picture_file
 from bodyseg_model.viewing.pictures import (
     EMPTY,
     KIND_LEGEND,

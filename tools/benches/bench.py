@@ -89,6 +89,8 @@ BENCHES: Final = {
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs",)),
+    "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs",)),
+    "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
 }
 """Name -> bench. Modules are imported when their bench runs."""
@@ -120,17 +122,18 @@ class Options:
     views: int | None = option(f"size of the measurement (with its default: {_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     num_workers: tuple[int, ...] | None = option(
-        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4, cluster 1 2 4)", None
+        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4, cluster 1 2 4, gpu 0 8 16)", None
     )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real and failures: runs",
+        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
     steps: int | None = option(
-        "for variants: steps of each training (default: that of the runs that exist, else the recipe's)", None
+        "steps of each training, for variants (default: that of the runs that exist, else the recipe's) and gpu (80)",
+        None,
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, failures 1000)", None

@@ -18,7 +18,7 @@ pytest.importorskip("skimage")
 pytest.importorskip("embreex")
 pytest.importorskip("pygeodesic")
 
-from benches.model.real import bench  # noqa: E402
+from benches.model.real import bench, steady  # noqa: E402
 from benches.model.real.agreement import agreement  # noqa: E402
 from benches.model.real.bench import Results, bench_real, settled  # noqa: E402
 from benches.model.real.figure import draw_real  # noqa: E402
@@ -32,6 +32,7 @@ from benches.model.real.labels import (  # noqa: E402
     surface_labels,
 )
 from benches.model.real.recording import Frame, read_recording  # noqa: E402
+from benches.model.real.steady import ALONE, WAYS, still_person  # noqa: E402
 from label_networks import Places  # noqa: E402
 from PIL import Image  # noqa: E402
 from pngs import png  # noqa: E402
@@ -45,6 +46,7 @@ from bodyseg_data.core.rig import Camera, PlacedCamera, load_rig  # noqa: E402
 from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 from bodyseg_data.meshes.partition.geodesics import nearest_sources  # noqa: E402
 from bodyseg_data.rendering.embree import EmbreeRenderer  # noqa: E402
+from bodyseg_model.networks.checkpoints import Trained  # noqa: E402
 
 LENS = Camera(180, 200, 200.0, (100.0, 90.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 """5.5 mm a pixel; its lower edge cuts the body below y = 0.25 m, the world's y pointing down."""
@@ -302,6 +304,21 @@ def test_a_mirrored_recording_has_the_same_scores(
     for part in SEEN:
         accuracies = [each["scores"]["parts"][part]["accuracy"] for each in (turned, measured)]
         assert accuracies[0] == pytest.approx(accuracies[1], abs=0.04)
+
+
+def test_a_still_person_is_labelled_in_every_way(
+    body: Mesh, frames: list[Frame], fused: FusedSurface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "made", frames[:3], body)
+    monkeypatch.setattr(steady, "fuse", lambda frames: fused)
+    monkeypatch.setattr(steady, "fitted", lambda frames, surface: frames)
+    found = still_person(Trained(Places(1, 12), {"rig": load_rig().to_json()}), tmp_path / "made", 3)
+    assert (found["recording"], found["frames"], found["mirrored"]) == ("made", 3, False)
+    assert found["degrees_apart"] == pytest.approx({"median": 20, "most": 20})
+    assert list(found["ways"]) == list(WAYS)
+    alone = found["ways"][ALONE]
+    # Labels are columns of the image, so the turn moves the surface under them.
+    assert alone["compared"] > 1000 and 0.3 < alone["changed"] < 1 and 0 < alone["pixel_accuracy"] < 0.5
 
 
 def test_recordings_that_cannot_be_read_are_refused(body: Mesh, frames: list[Frame], tmp_path: Path) -> None:

@@ -27,8 +27,8 @@ from benches.browser.chromium import Tab, chromium, open_tab
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_model.commands import cli
+from bodyseg_model.viewing.pages.server import LOOPBACK
 from bodyseg_model.viewing.pictures import WIDTH, Layout
-from bodyseg_model.viewing.server import LOOPBACK
 
 WINDOW: Final = (1400, 900)
 PREFIX: Final = "/lab/view"

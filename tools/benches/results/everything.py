@@ -75,10 +75,13 @@ def _shipped() -> Iterator[Step]:
         results = ((f"results/{to}.json", f"{to}.json"), *((("results/compact", "compact"),) if drawn else ()))
         yield Step(to, "results", words, results, reads=shipped)
     yield _bench("network", "--scores", f"{RESULTS}/compact.json", drawn=True, reads=shipped, alone=True)
+    yield _bench("runtimes", "--data", OPEN, "--images", "200", drawn=True, reads=shipped, alone=True)
     yield _bench("people", "--data", FAUST, "--alone", reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
+    yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("things", "--views", "300", reads=shipped)
+    yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
     yield _bench("failures", *failures, drawn=True, more=("failures_hard.png",), reads=shipped)
 

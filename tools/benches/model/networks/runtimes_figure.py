@@ -21,12 +21,17 @@ def draw_runtimes(figures: Tree, path: Path) -> None:
     row = [row for row in figures["times"] if row["frame"] == "filled"][-1]
     figure = new_chart(8, 4.6)
     axis = figure.subplots()
-    for name, facts in figures["networks"].items():
+    points = sorted(
+        (row["networks"][name]["ms"], facts["average_per_class_accuracy"], name)
+        for name, facts in figures["networks"].items()
+    )
+    for number, (ms, accuracy, name) in enumerate(points):
         backend, precision = name.split(" ")
-        ms, accuracy = row["networks"][name]["ms"], facts["average_per_class_accuracy"]
         axis.plot(ms, accuracy, _MARKS[backend], color=_COLOURS[precision], markersize=8)
-        axis.annotate(name, (ms, accuracy), xytext=(7, 4), textcoords="offset points", fontsize=9)
-    axis.set_xlim(left=0)
+        away = -17 if number % 2 else 9  # names of neighbours stand above and below
+        axis.annotate(name, (ms, accuracy), xytext=(0, away), textcoords="offset points", fontsize=9, ha="center")
+    axis.margins(y=0.15)
+    axis.set_xlim(0, 1.15 * points[-1][0])
     axis.set_xlabel(f"ms from {figures['rows']} x {figures['columns']} ranges to labels, {row['threads']} threads")
     axis.set_ylabel(f"average per-class accuracy, {figures['test_images']} images")
     axis.grid(color="#e4e4e8")

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BodysegError
 from bodyseg_data.core.files import write_result
 from bodyseg_model.viewing.drawing import Drawing
+from bodyseg_model.viewing.pages.redrawing import Redrawing
+from bodyseg_model.viewing.pages.server import close_server, open_server
 from bodyseg_model.viewing.pictures import facts_html, legend_html, sheet_of
-from bodyseg_model.viewing.redrawing import Redrawing
-from bodyseg_model.viewing.server import close_server, open_server
 from bodyseg_model.viewing.space import VIEWPOINTS, viewpoint
 
 if TYPE_CHECKING:

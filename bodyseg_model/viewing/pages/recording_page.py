@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.recording_view import FRAME_COLOURINGS, FrameColouring, RecordingView, ShownFrame
 
 _DRAWING_S: Final = 60.0

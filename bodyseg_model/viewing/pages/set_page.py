@@ -12,8 +12,8 @@ from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, VariantName, check_
 from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.splits import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.page import Page
-from bodyseg_model.viewing.sensor_controls import SensorControls
+from bodyseg_model.viewing.pages.page import Page
+from bodyseg_model.viewing.pages.sensor_controls import SensorControls
 from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from bodyseg_model.viewing.strengths import Choice, Control, Slider, controls_of
 if TYPE_CHECKING:
     import viser
 
-    from bodyseg_model.viewing.page import Page
+    from bodyseg_model.viewing.pages.page import Page
 
 _KINDS: Final = {"occlusion": "occ", "noise": "noise", "missing_data": "md"}
 _NONE: Final = "none"
