@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from benches.measuring import Progress, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.people.features import part_features, shape_features
+from bodyseg_model.segmentation.people.features import SHAPE_FEATURES, part_features, shape_features
 from bodyseg_model.segmentation.people.person_score import FORMAT, Model, PersonScore
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import SENSORS, people_and_things, rooms_of
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, people_and_things, rooms_of
 
 FIT_SEED: Final = 1
 FIT_SOURCE: Final = "wide"
@@ -29,7 +29,9 @@ LOST: Final = 0.02
 """Share of the people's surfaces in rooms to fit to that the cutoff may lose, when other rooms' weights score them."""
 
 SAFE: Final = 0.5
-"""The cutoff of the shape before the network, as a share of the least score by shape of any person who is kept."""
+"""The cutoff of the shape before the network, as a share of the least score by shape of any person, in
+cross-validation. Surfaces of people count if they show at least `LEAST_SEEN_M2` and the score keeps them.
+"""
 
 RIDGE: Final = 3.0
 """Penalty of squared weights of standardised features."""
@@ -72,8 +74,9 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
             "things_kept": round(float(np.mean(kept[~surfaces.person])), 4),
         }
     parts, shape = models["parts"], models["shape"]
-    kept_people = surfaces.person & (scores["parts"] >= parts.cutoff)
-    first_cutoff = min(SAFE * float(scores["shape"][kept_people].min()), parts.cutoff)
+    large = surfaces.features["shape"][:, SHAPE_FEATURES.index("log area")] >= np.log(LEAST_SEEN_M2)
+    counted = surfaces.person & large & (scores["parts"] >= parts.cutoff)
+    first_cutoff = min(SAFE * float(scores["shape"][counted].min()), parts.cutoff)
     models["parts"] = replace(parts, first=replace(shape, cutoff=first_cutoff))
     told = scores["shape"] < first_cutoff
     quality["told by shape"] = {
@@ -91,7 +94,7 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
         "things": int((~surfaces.person).sum()),
         "ridge": RIDGE,
         "cutoff": f"{LOST:.0%} of the people's surfaces lost in {_FOLDS}-fold cross-validation by room",
-        "first": f"{SAFE:g} of the least score by shape, in cross-validation, of any person whom the score keeps",
+        "first": f"{SAFE:g} of the least score by shape, in cross-validation, of people who show {LEAST_SEEN_M2} m²",
     }
     test = people_and_things(network, models["parts"], tested, lambda done, _: progress(views + done, views + tested))
     score = {"format": FORMAT, "source": source, "models": {name: fit.to_json() for name, fit in models.items()}}
