@@ -29,7 +29,7 @@ from bodyseg_model.segmentation.undistortion import Undistortion
 
 _KEPT: Final = 4
 
-STAGES: Final = ("background", "resample", "network", "back", "people", "video")
+STAGES: Final = ("background", "shape", "resample", "network", "back", "people", "video")
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Segmenter:
         for pixels in body_pixels:
             shape = None
             if self.people is not None:
-                with watch("people"):
+                with watch("shape"):
                     shape = shape_features(pixels, range_m, self.camera)
                     told = self.people.of_thing(shape)
                     if told is not None:
