@@ -70,27 +70,26 @@ def _accuracy(axis: Any, ways: Tree) -> None:
 
 
 def _left(axis: Any, after: Tree, ms: Tree) -> None:
-    """People found and things left after the stages that drop surfaces, by the time until then, of the default."""
+    """People found and things left after the stages that drop surfaces, and the default's time until then."""
     ends = [STAGES.index(stage) + 1 for stage in DROPPING]
     until = [sum(ms[stage]["mean"] for stage in STAGES[:end]) for end in ends]
-    first = after[DROPPING[0]]
-    shares = {
-        "people": [100 * count["people_found"] / max(count["people"], 1) for count in after.values()],
-        "things": [100 * count["things"] / max(first["things"], 1) for count in after.values()],
+    things = [count["things"] for count in after.values()]
+    lines = {
+        "#1f4fa8": [
+            (count["people_found"] / max(count["people"], 1), f"{count['people_found']} of {count['people']} people")
+            for count in after.values()
+        ],
+        "#c25a00": [(left / max(things[0], 1), f"{left} thing{'' if left == 1 else 's'}") for left in things],
     }
-    for (what, found), colour, rise in zip(shares.items(), ("#1f4fa8", "#c25a00"), (-14, 6), strict=True):
-        axis.plot(until, found, "o-", color=colour)
-        for x, y, count in zip(until, found, after.values(), strict=True):
-            text = (
-                f"{count['people_found']} of {count['people']} people"
-                if what == "people"
-                else f"{count['things']} things"
-            )
-            axis.annotate(text, (x, y), (4, rise), textcoords="offset points", fontsize=8, color=colour)
-    for x, stage in zip(until, DROPPING, strict=True):
-        axis.axvline(x, color="#e4e4e8", linewidth=0.8, zorder=0)
-        axis.text(x, 2, f" {stage}", fontsize=8, rotation=90, va="bottom")
-    axis.set_xlim(0, 1.35 * until[-1])
-    axis.set_ylim(0, 108)
-    axis.set_title("% of people and of things left after a stage, by ms", loc="left", fontsize=10)
+    for (colour, points), shift, side in zip(lines.items(), ((0, 7), (-8, -12)), ("center", "right"), strict=True):
+        axis.plot(range(len(points)), [100 * share for share, _ in points], "o-", color=colour)
+        for place, (share, text) in enumerate(points):
+            at = place, 100 * share
+            axis.annotate(text, at, shift, textcoords="offset points", ha=side, fontsize=8, color=colour)
+    names = [f"{stage}\n{time:.0f} ms" for stage, time in zip(DROPPING, until, strict=True)]
+    axis.set_xticks(range(len(names)), names)
+    axis.set_xlim(-0.4, len(DROPPING) - 0.6)
+    axis.set_ylim(0, 112)
+    axis.set_title("% of people and of things left after a stage", loc="left", fontsize=10)
+    axis.grid(axis="y", color="#e4e4e8", linewidth=0.8)
     axis.spines[["top", "right"]].set_visible(False)
