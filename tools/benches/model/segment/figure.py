@@ -88,8 +88,8 @@ def _left(axis: Any, after: Tree, ms: Tree) -> None:
             axis.annotate(text, at, shift, textcoords="offset points", ha=side, fontsize=8, color=colour)
     names = [f"{stage}\n{time:.0f} ms" for stage, time in zip(DROPPING, until, strict=True)]
     axis.set_xticks(range(len(names)), names)
-    axis.set_xlim(-0.4, len(DROPPING) - 0.6)
-    axis.set_ylim(0, 112)
+    axis.set_xlim(-0.6, len(DROPPING) - 0.6)
+    axis.set_ylim(-8, 112)
     axis.set_title("% of people and of things left after a stage", loc="left", fontsize=10)
     axis.grid(axis="y", color="#e4e4e8", linewidth=0.8)
     axis.spines[["top", "right"]].set_visible(False)
