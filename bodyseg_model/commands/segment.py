@@ -43,7 +43,7 @@ from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVI
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
-from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
@@ -140,7 +140,7 @@ def run(options: Options) -> int:
         "unit_m": _units(frames),
         "skipped": skipping.skipped,
         "background": background.to_json(),
-        "person_score": None if first.people is None else {"model": first.people.model, "cutoff": first.people.cutoff},
+        "person_score": None if first.people is None else _cutoffs(first.people),
         "resampling": {
             "rig": trained.rig.name,
             "focal_px": trained.rig.camera.focal_px,
@@ -210,6 +210,12 @@ def _background(options: Options) -> Background:
     if given and options.background == "keep":
         raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
     return Background(options.background, **given)
+
+
+def _cutoffs(score: PersonScore) -> dict[str, Any]:
+    """Model and cutoff of the score of persons, and the cutoff of the shape, before the network."""
+    own = {"model": score.model, "cutoff": score.cutoff}
+    return own if score.first is None else {**own, "shape_cutoff": score.first.cutoff}
 
 
 def _facts(trained: Trained) -> dict[str, Any]:

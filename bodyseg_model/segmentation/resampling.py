@@ -95,21 +95,26 @@ def view_body(
         )
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
-    own = np.zeros(range_m.shape)
-    own.ravel()[pixels] = ranges
-    view = np.zeros((height, width))
-    box = slice(top - corner[0], bottom - corner[0]), slice(left - corner[1], right - corner[1])
-    view[box] = _pick(own, *turned.to_frame(np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right) + 0.5))
+    # Only the body's boxes in frame and view are computed: most pixels of both are empty.
+    first_row, first_column = int(rows[0]), int(columns.min())
+    own = np.zeros((int(rows[-1]) - first_row + 3, int(columns.max()) - first_column + 3))  # a border of empty pixels
+    own[rows - (first_row - 1), columns - (first_column - 1)] = ranges
+    points = turned.to_frame(np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right) + 0.5)
+    box = _pick(own, (first_row - 1, first_column - 1), *points)
 
-    flat = view.ravel()
-    view_pixels = (np.floor(down).astype(np.intp) - corner[0]) * width + np.floor(across).astype(np.intp) - corner[1]
-    lost = np.flatnonzero(flat[view_pixels] == 0)
+    row, column = np.floor(down).astype(np.intp), np.floor(across).astype(np.intp)
+    flat, in_box = box.ravel(), (row - top) * box.shape[1] + column - left
+    lost = np.flatnonzero(flat[in_box] == 0)
     off_centre = np.hypot(across[lost] % 1 - 0.5, down[lost] % 1 - 0.5)
     nearest_last = lost[np.argsort(-off_centre, kind="stable")]
-    flat[view_pixels[nearest_last]] = ranges[nearest_last]
+    flat[in_box[nearest_last]] = ranges[nearest_last]
     nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
-    moved = np.where(view > 0, np.clip(view + (rig.stand_off_m - median), nearest, farthest), 0)
-    return BodyView(moved.astype(np.float32), corner, view_pixels, turn, median, scale)
+    view = np.zeros((height, width), np.float32)
+    view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]] = np.where(
+        box > 0, np.clip(box + (rig.stand_off_m - median), nearest, farthest), 0
+    )
+    view_pixels = (row - corner[0]) * width + column - corner[1]
+    return BodyView(view, corner, view_pixels, turn, median, scale)
 
 
 @dataclass(frozen=True)
@@ -154,9 +159,12 @@ class _Rotation:
         )
 
 
-def _pick(image: Floats, down: Floats, across: Floats) -> Floats:
-    """Values of the pixels that contain points (down, across) of the image plane, 0 outside the image."""
-    rows, columns = image.shape
-    inside = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
-    row, column = (np.clip(points, 0, side - 1).astype(np.intp) for points, side in ((down, rows), (across, columns)))
-    return np.where(inside, image[row, column], 0)
+def _pick(image: Floats, corner: tuple[int, int], down: Floats, across: Floats) -> Floats:
+    """Values of the pixels that contain points (down, across) of the image plane. image: a part of it that begins at
+    `corner` (row, column), with a border of zeros, which points outside get, too.
+    """
+    row, column = (
+        np.clip(np.floor(points) - start, 0, side - 1).astype(np.intp)
+        for points, start, side in zip((down, across), corner, image.shape, strict=True)
+    )
+    return image.ravel()[row * image.shape[1] + column]

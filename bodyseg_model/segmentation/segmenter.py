@@ -21,6 +21,7 @@ from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.runtimes.backends import BackendName, on_backend
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
@@ -28,7 +29,7 @@ from bodyseg_model.segmentation.undistortion import Undistortion
 
 _KEPT: Final = 4
 
-STAGES: Final = ("background", "resample", "network", "back", "people", "video")
+STAGES: Final = ("background", "shape", "resample", "network", "back", "people", "video")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,20 @@ class LabelledBody:
 
 
 @dataclass(frozen=True)
+class Thing:
+    """A surface of a body's size that is no person. pixels: as of `LabelledBody`. median_range_m: of the pixels.
+
+    person: probability that it is a person, 0 to 1. confidence: of the network, float32 [N]; None for one that is told
+    by its shape, which no network has labelled.
+    """
+
+    pixels: NDArray[np.intp] = field(repr=False)
+    median_range_m: float
+    person: float
+    confidence: NDArray[np.float32] | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
     and the time of each of `STAGES`, milliseconds. things: surfaces of a body's size that are no person, which have no
@@ -57,7 +72,7 @@ class Segmentation:
     labels: NDArray[np.uint8] = field(repr=False)
     bodies: tuple[LabelledBody, ...]
     milliseconds: dict[str, float]
-    things: tuple[LabelledBody, ...] = ()
+    things: tuple[Thing, ...] = ()
 
     @property
     def pixels(self) -> int:
@@ -136,24 +151,34 @@ class Segmenter:
         watch = Stopwatch(STAGES)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
-        things: list[LabelledBody] = []
+        things: list[Thing] = []
         with watch("background"):
             body_pixels = find_bodies(range_m, self.camera, self.background)
         for pixels in body_pixels:
+            shape = None
+            if self.people is not None:
+                with watch("shape"):
+                    shape = shape_features(pixels, range_m, self.camera)
+                    told = self.people.of_thing(shape)
+                    if told is not None:
+                        things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), told))
+                        continue
             with watch("resample"):
                 view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
             with watch("network"):
                 view_labels, view_confidence = self._predict(view.range_m)
             with watch("back"):
                 confidence, named = view.back(view_confidence), view.back(view_labels)
-            with watch("people"):
-                person = None if self.people is None else self.people(pixels, range_m, self.camera, named, confidence)
-                body = LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person)
-                is_person = person is None or self.people is None or person >= self.people.cutoff
-                (bodies if is_person else things).append(body)
-            if is_person:
-                with watch("back"):
-                    labels.ravel()[pixels] = named
+            person = None
+            if self.people is not None and shape is not None:
+                with watch("people"):
+                    person = self.people.of_answer(shape, pixels, range_m, self.camera, named, confidence)
+                if person < self.people.cutoff:
+                    things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), person, confidence))
+                    continue
+            bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
+            with watch("back"):
+                labels.ravel()[pixels] = named
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]

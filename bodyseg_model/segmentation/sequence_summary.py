@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
 from bodyseg_model.segmentation.segmenter import STAGES as SEGMENTER_STAGES
-from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation
+from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Thing
 
 STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
@@ -56,7 +56,7 @@ class SequenceSummary:
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
-                "things": [_body(thing, range_m.shape[1]) for thing in segmentation.things],
+                "things": [_thing(thing, range_m.shape[1]) for thing in segmentation.things],
                 "flicker": None if change is None else change.to_json(),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }
@@ -123,16 +123,35 @@ class SequenceSummary:
 
 
 def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
-    row, column = np.divmod(body.pixels, columns)
     return {
-        "pixels": len(body.pixels),
-        "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
-        "range_m": round(body.median_range_m, 4),
+        **_place(body.pixels, columns, body.median_range_m),
         "turn_deg": round(math.degrees(body.turn_rad), 2),
         "scale": round(body.scale, 4),
-        "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),
+        "mean_confidence": _mean(body.confidence),
         **({} if body.person is None else {"person": _rounded(body.person)}),
     }
+
+
+def _thing(thing: Thing, columns: int) -> dict[str, Any]:
+    """Entry of a thing; one that is told by its shape has no confidence."""
+    return {
+        **_place(thing.pixels, columns, thing.median_range_m),
+        "mean_confidence": None if thing.confidence is None else _mean(thing.confidence),
+        "person": _rounded(thing.person),
+    }
+
+
+def _place(pixels: NDArray[np.intp], columns: int, range_m: float) -> dict[str, Any]:
+    row, column = np.divmod(pixels, columns)
+    return {
+        "pixels": len(pixels),
+        "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
+        "range_m": round(range_m, 4),
+    }
+
+
+def _mean(confidence: NDArray[np.float32]) -> float | None:
+    return _rounded(float(confidence.mean(dtype=np.float64)))
 
 
 def _rounded(share: float | None) -> float | None:

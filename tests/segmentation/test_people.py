@@ -152,6 +152,48 @@ def test_a_score_is_stored_with_the_names_of_its_features() -> None:
         flat_score(cutoff=2.0)
 
 
+def two_step_score(first_bias: float) -> PersonScore:
+    """By parts everything is a person; by shape nothing below a bias of 0, as its cutoff is 0.5."""
+    parts = np.zeros(len(FEATURES["parts"]))
+    return PersonScore("parts", parts, 4.0, 0.6, first=flat_score(first_bias))
+
+
+def test_a_first_score_tells_things_by_their_shape_alone() -> None:
+    shape = np.zeros(len(SHAPE_FEATURES))
+    assert two_step_score(-2.0).of_thing(shape) == pytest.approx(1 / (1 + math.exp(2)))
+    assert two_step_score(2.0).of_thing(shape) is None
+    assert PersonScore("parts", np.zeros(58), -9.0, 0.6).of_thing(shape) is None, "without a first score, nothing"
+    assert flat_score(-1.0).of_thing(shape) == pytest.approx(1 / (1 + math.e))
+    assert flat_score(1.0).of_thing(shape) is None
+    frame = board()
+    pixels = np.flatnonzero(frame)
+    answer = np.zeros(len(pixels), np.uint8), np.ones(len(pixels), np.float32)
+    assert two_step_score(-2.0)(pixels, frame, CAMERA, *answer) == pytest.approx(1 / (1 + math.exp(2)))
+    assert two_step_score(2.0)(pixels, frame, CAMERA, *answer) == pytest.approx(1 / (1 + math.exp(-4)))
+
+
+def test_a_first_score_is_of_the_shape_and_no_stricter() -> None:
+    again = score_from_json("parts", json.loads(json.dumps(two_step_score(-2.0).to_json())))
+    assert again.first is not None and (again.first.model, again.first.bias, again.first.cutoff) == ("shape", -2.0, 0.5)
+    with pytest.raises(BadConfig, match="^a first score needs the model 'shape' and a cutoff of at most 0.4, found 's"):
+        PersonScore("parts", np.zeros(58), 0.0, 0.4, first=flat_score())
+    with pytest.raises(BadConfig, match="at most 0.9, found 'parts' and 0.6$"):
+        PersonScore("parts", np.zeros(58), 0.0, 0.9, first=two_step_score(0.0))
+
+
+def test_a_thing_that_its_shape_tells_is_not_shown_to_the_network() -> None:
+    frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
+    network = Places(0, 10)
+    first = flat_score(8.0, -10.0)  # boards are flat
+    score = PersonScore("parts", np.zeros(58), 4.0, 0.6, first=first)
+    found = Segmenter(network, CAMERA, people=score)(frame)
+    assert len(network.seen) == len(found.bodies) == len(found.things) == 1
+    (thing,) = found.things
+    assert thing.confidence is None and thing.person < 0.5 and thing.median_range_m == pytest.approx(2.0)
+    np.testing.assert_array_equal(thing.pixels, np.flatnonzero(np.roll(board(slant=0.0), -60, axis=1)))
+    assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
+
+
 def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
     assert tree["source"]["command"].startswith("tools/bench things") and tree["source"]["people"] > 100
@@ -173,7 +215,7 @@ def test_a_segmenter_labels_people_alone() -> None:
     np.testing.assert_array_equal(
         found.labels.ravel()[person.pixels], everything.labels.ravel()[everything.bodies[1].pixels]
     )
-    assert found.pixels == len(person.pixels) and found.milliseconds["people"] > 0
+    assert found.pixels == len(person.pixels) and min(found.milliseconds[stage] for stage in ("shape", "network")) > 0
     kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=flat_score(-9.0))(frame)
     assert len(kept.bodies) == 1 and not kept.things, "who keeps all that was measured has said what it is"
 

@@ -432,10 +432,14 @@ def test_a_block_is_no_person(
     out = tmp_path / "out"
     assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
     facts = report(out)
-    assert facts["person_score"] == {"model": "parts", "cutoff": shipped_score().cutoff}
+    score = shipped_score()
+    assert score.first is not None
+    cutoffs = {"cutoff": score.cutoff, "shape_cutoff": score.first.cutoff}
+    assert facts["person_score"] == {"model": "parts", **cutoffs}
     assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
     (thing,) = facts["each"][0]["things"]
     assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26] and 0 <= thing["person"] < 0.1
+    assert thing["mean_confidence"] is None, "a block is told by its shape"
     assert (pixels(out / "labels" / "7.png") == BACKGROUND).all()
     assert "1 things a frame got no label: --keep-things labels them, too" in capsys.readouterr().err
 

@@ -119,6 +119,9 @@ def test_a_score_keeps_people_or_drops_them(bias: float, kept: bool, monkeypatch
     found = people_and_things(Places(0, 10), scored(bias), 4, lambda *numbers: seen.append(numbers))
     assert seen == [(number, 4) for number in range(1, 5)]
     assert found["rooms"] == 4 and found["before"]["surfaces"] > 0 and found["score_ms"] > 0
+    surfaces, things = found["before"]["surfaces"], found["before"]["things"]
+    told = {"people": 0, "things": 0} if kept else {"people": surfaces - things, "things": things}
+    assert found["told_by_shape"] == told
     assert found["after"] == (found["before"] if kept else {**found["before"], **dropped(found["before"])})
 
 

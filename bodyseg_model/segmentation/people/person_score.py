@@ -1,7 +1,8 @@
 """A score that tells people from things: logistic regression on features of a surface and of a network's answer to it.
 
 The weights in `person_score.json` were fitted on made rooms by `tools/bench things` (docs/things.md); the file names
-its source. There are two models: "parts" for networks that label the 33 parts, "shape" for all others.
+its source. There are two models: "parts" for networks that label the 33 parts, "shape" for all others. Many things are
+told by their shape before a network labels them: "parts" holds the model "shape" with a low cutoff for these.
 """
 
 from __future__ import annotations
@@ -36,14 +37,16 @@ FEATURES: Final[dict[Model, tuple[str, ...]]] = {
 class PersonScore:
     """Probability that a surface is a person: 1 / (1 + exp(-(bias + weights . features))).
 
-    weights: float64 [F], one for each of `FEATURES[model]`. cutoff: least probability of a person, 0 to 1. Raises
-    BadConfig for another number of weights, or numbers out of range.
+    weights: float64 [F], one for each of `FEATURES[model]`. cutoff: least probability of a person, 0 to 1. first: of
+    the model "shape"; a surface below its cutoff is a thing whatever a network answers. Raises BadConfig for another
+    number of weights, numbers out of range, or a `first` of another model or with a greater cutoff.
     """
 
     model: Model
     weights: NDArray[np.float64] = field(repr=False)
     bias: float
     cutoff: float
+    first: PersonScore | None = None
 
     def __post_init__(self) -> None:
         if len(self.weights) != len(FEATURES[self.model]):
@@ -52,6 +55,11 @@ class PersonScore:
             )
         if not (np.isfinite(self.weights).all() and math.isfinite(self.bias) and 0 <= self.cutoff <= 1):
             raise BadConfig(f"a score needs finite weights and a cutoff from 0 to 1, found cutoff {self.cutoff:g}")
+        if self.first is not None and not (self.first.model == "shape" and self.first.cutoff <= self.cutoff):
+            raise BadConfig(
+                f"a first score needs the model 'shape' and a cutoff of at most {self.cutoff:g}, found "
+                f"{self.first.model!r} and {self.first.cutoff:g}"
+            )
 
     def __call__(
         self,
@@ -62,10 +70,35 @@ class PersonScore:
         confidence: NDArray[np.float32],
     ) -> float:
         """Score one surface, 0 to 1. Arguments as of `shape_features` and `part_features`."""
-        found = shape_features(pixels, range_m, camera)
-        if self.model == "parts":
-            found = np.concatenate([found, part_features(pixels, labels, confidence, range_m, camera)])
-        return self.probability(found)
+        shape = shape_features(pixels, range_m, camera)
+        told = self.of_thing(shape)
+        return self.of_answer(shape, pixels, range_m, camera, labels, confidence) if told is None else told
+
+    def of_thing(self, shape: NDArray[np.float64]) -> float | None:
+        """Score of a surface whose shape alone tells that it is a thing, below `cutoff`; None if a network is to label
+        it.
+
+        shape: `shape_features`, float64 [16].
+        """
+        by_shape = self if self.model == "shape" else self.first
+        if by_shape is None:
+            return None
+        found = by_shape.probability(shape)
+        return found if found < by_shape.cutoff else None
+
+    def of_answer(
+        self,
+        shape: NDArray[np.float64],
+        pixels: NDArray[np.intp],
+        range_m: NDArray[np.float32],
+        camera: Camera,
+        labels: NDArray[np.uint8],
+        confidence: NDArray[np.float32],
+    ) -> float:
+        """Score of a surface by its shape, `shape_features`, and by a network's answer, as for `part_features`."""
+        if self.model == "shape":
+            return self.probability(shape)
+        return self.probability(np.concatenate([shape, part_features(pixels, labels, confidence, range_m, camera)]))
 
     def probability(self, features: NDArray[np.float64]) -> float:
         """Score a surface of given features [F], 0 to 1."""
@@ -74,7 +107,8 @@ class PersonScore:
     def to_json(self) -> dict[str, Any]:
         """The model as plain JSON, weights by the names of their features."""
         named = dict(zip(FEATURES[self.model], (round(weight, 6) for weight in self.weights.tolist()), strict=True))
-        return {"bias": round(self.bias, 6), "cutoff": round(self.cutoff, 4), "weights": named}
+        own = {"bias": round(self.bias, 6), "cutoff": round(self.cutoff, 4), "weights": named}
+        return own if self.first is None else {**own, "first": self.first.to_json()}
 
 
 def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
@@ -82,7 +116,9 @@ def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
     weights = tree["weights"]
     if tuple(weights) != FEATURES[model]:
         raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench things")
-    return PersonScore(model, np.array(list(weights.values()), np.float64), float(tree["bias"]), float(tree["cutoff"]))
+    values = np.array(list(weights.values()), np.float64)
+    first = score_from_json("shape", tree["first"]) if "first" in tree else None
+    return PersonScore(model, values, float(tree["bias"]), float(tree["cutoff"]), first)
 
 
 def shipped_score(model: Model = "parts") -> PersonScore:

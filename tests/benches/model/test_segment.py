@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.segment import bench
-from benches.model.segment.bench import STAGES, WAYS, accuracy, bench_segment, cameras
+from benches.model.segment.bench import DROPPING, STAGES, WAYS, accuracy, bench_segment, cameras
 from benches.model.segment.figure import draw_segment
 from label_networks import Places
 
@@ -59,17 +59,25 @@ def test_people_found_and_labels_right_are_counted() -> None:
 def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = Places(axis=0, step=20)
     monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"network": "places"}))
+    monkeypatch.setattr(bench, "shipped_network", lambda: Trained(network, {"network": "places"}))
     monkeypatch.setattr(bench, "Rooms", MadeRooms)
+    ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
+    assert len(ways_by_torch) == len(WAYS) - 2
+    monkeypatch.setattr(bench, "WAYS", ways_by_torch)
     lens = Camera(120, 160, 131.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert [(camera.rows, camera.columns) for camera in cameras().values()] == [(480, 640), (1024, 1024)]
     monkeypatch.setattr(bench, "cameras", lambda: {"small": lens, "again": lens})
     steps: list[int] = []
     figures = bench_segment(views=1, progress=lambda done, total, note="": steps.append(done))
-    assert steps == list(range(1, 2 * (1 + len(WAYS)) + 1))
+    assert steps == list(range(1, 2 * (1 + len(ways_by_torch)) + 1))
     assert figures["default"] == "default" and set(figures["sizes"]) == {"small", "again"}
     for size in figures["sizes"].values():
         ways = size["ways"]
-        assert set(ways) == set(WAYS)
+        assert set(ways) == set(ways_by_torch)
+        assert list(size["after"]) == list(DROPPING)
+        surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
+        assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
+        assert size["after"]["people"]["people_found"] == ways["default"]["found"]
         for way in ways.values():
             assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1
         accuracies = [{key: way[key] for key in ("found", "right", "thing_pixels")} for way in ways.values()]

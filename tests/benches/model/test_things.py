@@ -61,6 +61,11 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = bench_things(views=50)
     assert figures["test"] == {"rooms": 10}
     assert figures["score"]["source"]["people"] == person.sum()
-    for model, quality in figures["cross_validation"].items():
+    validated = dict(figures["cross_validation"])
+    first = score_from_json("parts", figures["score"]["models"]["parts"]).first
+    assert first is not None and 0 < first.cutoff < 0.5
+    told = validated.pop("told by shape")
+    assert told["people"] <= 2 and 0 < told["things"] < 1, "people only whom the score loses, too"
+    for model, quality in validated.items():
         score = score_from_json(model, figures["score"]["models"][model])
         assert quality["people_lost"] <= 0.04 and 0 <= quality["things_kept"] < 0.5 and 0 < score.cutoff < 1

@@ -1,7 +1,8 @@
 """`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
 
 The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
-of its loops, with a label on every surface, and without pictures. docs/segment.md says how to read the results.
+of its loops, with a label on every surface, without pictures, and with the network on OpenVINO. docs/segment.md says
+how to read the results.
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_model.commands import segment
+from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.files.picture_png import encode_picture
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES
+from bodyseg_model.segmentation.people.features import shape_features
+from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, score_of
 from bodyseg_model.stability.rooms import Room, Rooms
 
 _SQUARE: Final = 1024
@@ -38,7 +43,7 @@ _SQUARE_FOCAL_PX: Final = 840.0
 
 _BODIES: Final = 6  # of each source: to label one takes a second
 
-STAGES: Final = ("read", "background", "resample", "network", "back", "people", "write")
+STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "people", "write")
 
 
 @dataclass(frozen=True)
@@ -54,8 +59,13 @@ WAYS: Final = {
     "NumPy": Way(loops="numpy"),
     "things labelled, too": Way(options={"keep_things": True}),
     "no pictures": Way(options={"no_overlay": True}),
+    "OpenVINO": Way(options={"backend": "openvino"}),
+    "OpenVINO, bfloat16": Way(options={"backend": "openvino", "precision": "bfloat16"}),
 }
 """Name -> way, the default first."""
+
+DROPPING: Final = ("background", "shape", "people")
+"""Stages after which fewer surfaces are left, in their order."""
 
 
 def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any]:
@@ -79,7 +89,7 @@ def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any
                 ways[way] = _measured(facts, frames, Path(folder) / way, camera, rooms)
                 done += 1
                 progress(done, total)
-        sizes[name] = {"focal_px": camera.focal_px, "ways": ways}
+        sizes[name] = {"focal_px": camera.focal_px, "after": left_after(rooms, camera), "ways": ways}
     return {
         "default": next(iter(WAYS)),
         "rooms": views,
@@ -126,6 +136,22 @@ def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence
         "bytes_a_frame": round(sum(file.stat().st_size for file in out.rglob("*.png")) / len(rooms)),
         **accuracy(rooms, labels, 1 / camera.focal_px),
     }
+
+
+def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
+    """`Counts.to_json` of people and things on the surfaces that are left after each of `DROPPING`."""
+    trained, score = shipped_network(), shipped_score()
+    segmenter = Segmenter(trained.network, camera, rig=trained.rig)
+    counts = {stage: Counts() for stage in DROPPING}
+    for room in rooms:
+        result = segmenter(room.range_m)
+        shown = [
+            body for body in result.bodies if score.of_thing(shape_features(body.pixels, room.range_m, camera)) is None
+        ]
+        people = [body for body in shown if score_of(body, score, segmenter, room, result) >= score.cutoff]
+        for count, bodies in zip(counts.values(), (result.bodies, shown, people), strict=True):
+            count.add(room, bodies, result.labels, 1 / camera.focal_px)
+    return {stage: count.to_json() for stage, count in counts.items()}
 
 
 @contextlib.contextmanager

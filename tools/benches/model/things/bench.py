@@ -7,7 +7,7 @@ to read the results.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,16 +17,21 @@ from numpy.typing import NDArray
 from benches.measuring import Progress, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.people.features import part_features, shape_features
+from bodyseg_model.segmentation.people.features import SHAPE_FEATURES, part_features, shape_features
 from bodyseg_model.segmentation.people.person_score import FORMAT, Model, PersonScore
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import SENSORS, people_and_things, rooms_of
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, people_and_things, rooms_of
 
 FIT_SEED: Final = 1
 FIT_SOURCE: Final = "wide"
 
 LOST: Final = 0.02
 """Share of the people's surfaces in rooms to fit to that the cutoff may lose, when other rooms' weights score them."""
+
+SAFE: Final = 0.5
+"""The cutoff of the shape before the network, as a share of the least score by shape of any person, in
+cross-validation. Surfaces of people count if they show at least `LEAST_SEEN_M2` and the score keeps them.
+"""
 
 RIDGE: Final = 3.0
 """Penalty of squared weights of standardised features."""
@@ -57,17 +62,27 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
     tested = max(1, round(_TEST_SHARE * views))
     surfaces = seen_surfaces(network, views, lambda done, _: progress(done, views + tested))
     models: dict[Model, PersonScore] = {}
-    quality = {}
+    quality: dict[str, Any] = {}
+    scores = {name: cross_scores(of, surfaces.person, surfaces.room) for name, of in surfaces.features.items()}
     for model, features in surfaces.features.items():
-        held_out = cross_scores(features, surfaces.person, surfaces.room)
-        cutoff = float(np.quantile(held_out[surfaces.person], LOST))
+        cutoff = float(np.quantile(scores[model][surfaces.person], LOST))
         weights, bias = logistic_fit(features, surfaces.person)
         models[model] = PersonScore(model, weights, bias, cutoff)
-        kept = held_out >= cutoff
+        kept = scores[model] >= cutoff
         quality[model] = {
             "people_lost": round(float(np.mean(~kept[surfaces.person])), 4),
             "things_kept": round(float(np.mean(kept[~surfaces.person])), 4),
         }
+    parts, shape = models["parts"], models["shape"]
+    large = surfaces.features["shape"][:, SHAPE_FEATURES.index("log area")] >= np.log(LEAST_SEEN_M2)
+    counted = surfaces.person & large & (scores["parts"] >= parts.cutoff)
+    first_cutoff = min(SAFE * float(scores["shape"][counted].min()), parts.cutoff)
+    models["parts"] = replace(parts, first=replace(shape, cutoff=first_cutoff))
+    told = scores["shape"] < first_cutoff
+    quality["told by shape"] = {
+        "people": int(told[surfaces.person].sum()),
+        "things": round(float(np.mean(told[~surfaces.person])), 4),
+    }
     source = {
         "command": "tools/bench things",
         "network": runs[0].name if runs else "shipped",
@@ -79,6 +94,7 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
         "things": int((~surfaces.person).sum()),
         "ridge": RIDGE,
         "cutoff": f"{LOST:.0%} of the people's surfaces lost in {_FOLDS}-fold cross-validation by room",
+        "first": f"{SAFE:g} of the least score by shape, in cross-validation, of people who show {LEAST_SEEN_M2} m²",
     }
     test = people_and_things(network, models["parts"], tested, lambda done, _: progress(views + done, views + tested))
     score = {"format": FORMAT, "source": source, "models": {name: fit.to_json() for name, fit in models.items()}}
