@@ -81,7 +81,7 @@ def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
     """Rebuild a score from what `PersonScore.to_json` gave. Raises BadConfig for other features."""
     weights = tree["weights"]
     if tuple(weights) != FEATURES[model]:
-        raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench things")
+        raise BadConfig(f"the score {model!r} has other features than this version computes, in {FILE}")
     return PersonScore(model, np.array(list(weights.values()), np.float64), float(tree["bias"]), float(tree["cutoff"]))
 
 
