@@ -50,6 +50,7 @@ def run(options: Options) -> int:
     workers = processors() if options.workers is None else options.workers
     packing = Packing("open", meshes=options.meshes, views=ViewGrid(span_deg=360, count=options.views))
     shards = options.out / "shards"
+    options.out.mkdir(parents=True, exist_ok=True)
     _say("1/4 drawing the example set")
     with Progress("    drawing", "pictures"):
         save_picture(contact_sheet(RangeImages(example_set()), 6), options.out / "example.png")
