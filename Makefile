@@ -2,27 +2,31 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: install demo test test-browser check page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
-$(VENV)/.installed: pyproject.toml tools/requirements.lock tools/install_torch
+# In two parts: what the demo needs, and the rest.
+$(VENV)/.demo: pyproject.toml tools/requirements.lock tools/install tools/install_torch
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
-	$(PYTHON) -m venv $(VENV)
-	@PIP_DISABLE_PIP_VERSION_CHECK=1 tools/install_torch $(BIN)
-	$(BIN)/pip install --disable-pip-version-check -r tools/requirements.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@tools/install $(PYTHON) $(VENV) demo
 	@touch $@
 
-demo: install
-	rm -rf demo
-	$(BIN)/bodyseg demo --out demo
+$(VENV)/.installed: $(VENV)/.demo
+	@tools/install $(PYTHON) $(VENV) all
+	@touch $@
+
+demo: $(VENV)/.demo
+	@rm -rf demo
+	@$(BIN)/bodyseg demo --out demo
 
 # Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
-# wait for each other. Bytecode is kept, also where the shell says otherwise: hundreds of processes are started.
+# wait for each other.
 test: install
-	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: install
 	$(BIN)/ruff check .

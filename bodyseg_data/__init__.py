@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bodyseg_data.core.parts import BACKGROUND, PARTS
     from bodyseg_data.core.rig import Rig, load_rig
     from bodyseg_data.core.sample import Sample
+    from bodyseg_data.example.example_set import example_set
     from bodyseg_data.loading.image_set import Batch
     from bodyseg_data.loading.loader import Loader, loader
     from bodyseg_data.loading.mixtures.mixture import Mixture
@@ -40,6 +41,7 @@ _HOME: Final = {
     "SensorModel": "artifacts.sensor_model",
     "load_sensor_model": "artifacts.sensor_model",
     "Augmentation": "artifacts.variants",
+    "example_set": "example.example_set",
 }
 
 __all__ = [
@@ -55,6 +57,7 @@ __all__ = [
     "Rig",
     "Sample",
     "SensorModel",
+    "example_set",
     "load_rig",
     "load_sensor_model",
     "loader",

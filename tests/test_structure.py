@@ -139,6 +139,36 @@ def test_rooms_are_small_enough_to_look_over() -> None:
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 
 
+CHECKOUT_ONLY = re.compile(
+    r"\b(?:tools|docs|tests)/|\bmake (?!an? |the |another )[a-z-]+|pip install '?(?:-e|\.)|\.venv|Makefile"
+)
+"""What an installed wheel has not: its folders, its targets, its environment."""
+
+
+def said(path: Path) -> Iterable[str]:
+    """What a file of a package may say to users: the strings of a module but its docstrings, other text files whole."""
+    if path.suffix != ".py":
+        return path.read_text().splitlines()
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    docstrings = {node.value for node in nodes if isinstance(node, ast.Expr)}
+    strings = [node for node in nodes if isinstance(node, ast.Constant) and node not in docstrings]
+    return [node.value for node in strings if isinstance(node.value, str)]
+
+
+def test_an_installed_package_names_nothing_that_only_a_checkout_has(tmp_path: Path) -> None:
+    files = [
+        path for package in PACKAGES[:2] for path in (ROOT / package).rglob("*") if path.suffix in (".py", ".toml")
+    ]
+    texts = {path: list(said(path)) for path in files}
+    assert sum(map(len, texts.values())) > 5000
+    wrong = {str(path): [text for text in said if CHECKOUT_ONLY.search(text)] for path, said in texts.items()}
+    assert not {path: found for path, found in wrong.items() if found}
+    (tmp_path / "said.py").write_text('"""See docs/noise.md."""\nraise E(f"{x}: run make install, see docs/x.md")\n')
+    assert [text for text in said(tmp_path / "said.py") if CHECKOUT_ONLY.search(text)] == [
+        ": run make install, see docs/x.md"
+    ]
+
+
 def loaded_by(*statements: str) -> list[set[str]]:
     """Top-level modules loaded after each statement, run one after the other in a fresh process."""
     script = "import sys\n" + "".join(

@@ -23,6 +23,7 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.drawing.style import save_picture
+from bodyseg_data.example.example_set import example_set
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.engines.engine import PROCESSES
@@ -42,11 +43,19 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Pack a small open set, stream all five variants, write OUT/variants.png and OUT/summary.json."""
+    """Pack a small open set, stream all five variants, write OUT/variants.png and OUT/summary.json.
+
+    OUT/example.png comes first: the same picture of the example set, since packing takes a minute.
+    """
     workers = processors() if options.workers is None else options.workers
     packing = Packing("open", meshes=options.meshes, views=ViewGrid(span_deg=360, count=options.views))
     shards = options.out / "shards"
-    _say(f"1/3 packing {options.meshes} bodies x {options.views} views into {shards}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    _say("1/4 drawing the example set")
+    with Progress("    drawing", "pictures"):
+        save_picture(contact_sheet(RangeImages(example_set()), 6), options.out / "example.png")
+    _say(f"    wrote {options.out / 'example.png'}")
+    _say(f"2/4 packing {options.meshes} bodies x {options.views} views into {shards}")
     with Progress("    unpacking the body model, once", "files") as progress:
         fill_cache(progress.update)
     start = time.monotonic()
@@ -54,9 +63,9 @@ def run(options: Options) -> int:
         manifest = pack_on(PROCESSES, workers, packing, shards, progress)
     packed = time.monotonic() - start
     _say(f"    {manifest.samples()} samples in {packed:.1f} s")
-    _say("2/3 streaming the five variants from those shards, two passes each")
+    _say("3/4 streaming the five variants from those shards, two passes each")
     variants = {name: _stream(shards, name, workers) for name in VARIANTS}
-    _say("3/3 drawing the contact sheet")
+    _say("4/4 drawing the set that was packed")
     save_picture(contact_sheet(RangeImages(shards), 6), options.out / "variants.png")
     size = sum(shard.size for shard in manifest.shards)
     summary = {

@@ -67,7 +67,7 @@ class Options:
         "repair scans, and reduce meshes of 150 000 triangles and more to 0.2 mm, by this package (GPL-3.0)", False
     )
     renderer: RendererName = option("renderer", Packing.renderer)
-    things: ThingsPlace = option("draw furniture without labels around the bodies (docs/things.md)", Packing.things)
+    things: ThingsPlace = option("draw furniture without labels around the bodies", Packing.things)
     codec: CodecName = option("codec of the stored images", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
@@ -120,7 +120,7 @@ def run(options: Options) -> int:
     on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
     _warn_about_split(packing)
-    origin = {} if options.report is None else provenance(command_line("tools/shard", options))
+    origin = {} if options.report is None else provenance(command_line("bodyseg shard", options))
     start = time.perf_counter()
     workers_mb: dict[str, float | None] = {}
     try:
@@ -191,8 +191,7 @@ def _warn_about_split(packing: Packing) -> None:
     if packing.path is not None and len(splits) == 1:
         (lacking,) = set(SPLITS) - set(splits)
         sys.stderr.write(
-            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking} "
-            "(docs/sources.md: the sources)\n"
+            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}\n"
         )
 
 

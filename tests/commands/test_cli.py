@@ -436,5 +436,5 @@ def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.Monke
         assert figures["peak_mb"]["writer"] > 50, "this process alone takes more"
         assert [peak > 50 for peak in figures["peak_mb"]["workers"]] == [True] * bool(made)
     assert figures["command"] == (
-        "tools/shard --source folder --path people --out shards --views 2 --workers 1 --report report.json"
+        "bodyseg shard --source folder --path people --out shards --views 2 --workers 1 --report report.json"
     )

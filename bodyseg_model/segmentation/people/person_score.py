@@ -115,7 +115,7 @@ def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
     """Rebuild a score from what `PersonScore.to_json` gave. Raises BadConfig for other features."""
     weights = tree["weights"]
     if tuple(weights) != FEATURES[model]:
-        raise BadConfig(f"the score {model!r} has other features than {FILE}: fit it again with tools/bench things")
+        raise BadConfig(f"the score {model!r} has other features than this version computes, in {FILE}")
     values = np.array(list(weights.values()), np.float64)
     first = score_from_json("shape", tree["first"]) if "first" in tree else None
     return PersonScore(model, values, float(tree["bias"]), float(tree["cutoff"]), first)

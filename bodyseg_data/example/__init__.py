@@ -1,0 +1,1 @@
+"""A set of shards that ships with the package."""
