@@ -16,7 +16,7 @@ from bodyseg_data.bodies.sources import SourceName
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig, one_line
+from bodyseg_data.core.errors import BadConfig, BadMesh, one_line
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.system.machine import processors
@@ -123,7 +123,9 @@ def run(options: Options) -> int:
             manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        raise
+        stops = options.on_error == "stop"
+        hint = "--on-error skip leaves such meshes out" if stops else "--skip-budget says how many may be left out"
+        raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, list(workers_mb.values()))

@@ -386,7 +386,9 @@ def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest
     lines = capsys.readouterr().err.splitlines()
     listed = [line for line in lines if line.startswith(("cut: ", "few: ", "inches: ", "misspelt: ", "none: "))]
     assert len(listed) == 5
-    assert lines[-1].startswith("bodyseg shard: 5 of 8 meshes cannot be packed: ")
+    ending = "5 of 8 meshes cannot be packed, for the reasons above; --on-error skip leaves such meshes out"
+    assert lines[-1] == f"bodyseg shard: {ending}"
+    assert any("the source folder is not complete, 1 missing: landmarks of none" in line for line in lines)
     assert any(line.startswith("checking: 8 of 8 meshes") for line in lines)
     log = tmp_path / "log"
     skip = ["--on-error", "skip", "--skip-budget", "5", "--skip-log", str(log), "--workers", "1", "--report"]
