@@ -112,6 +112,8 @@ def run(options: Options) -> int:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     if options.report is not None:
         check_target(options.report, "--report")
+    if options.on_error == "skip" and options.skip_budget is None:
+        raise BadConfig("--on-error skip needs --skip-budget: the most meshes to leave out, a number or a share below 1")
     on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
     _warn_about_split(packing)
@@ -124,7 +126,7 @@ def run(options: Options) -> int:
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
         stops = options.on_error == "stop"
-        hint = "--on-error skip leaves such meshes out" if stops else "--skip-budget says how many may be left out"
+        hint = "--on-error skip --skip-budget NUMBER leaves them out" if stops else "--skip-budget says how many may be left out"
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
