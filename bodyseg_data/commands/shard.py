@@ -113,7 +113,9 @@ def run(options: Options) -> int:
     if options.report is not None:
         check_target(options.report, "--report")
     if options.on_error == "skip" and options.skip_budget is None:
-        raise BadConfig("--on-error skip needs --skip-budget: the most meshes to leave out, a number or a share below 1")
+        raise BadConfig(
+            "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
+        )
     on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
     _warn_about_split(packing)
@@ -125,8 +127,12 @@ def run(options: Options) -> int:
             manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        stops = options.on_error == "stop"
-        hint = "--on-error skip --skip-budget NUMBER leaves them out" if stops else "--skip-budget says how many may be left out"
+        skips = options.on_error == "skip"
+        hint = (
+            "--skip-budget says how many may be left out"
+            if skips
+            else "--on-error skip --skip-budget N leaves them out"
+        )
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)

@@ -63,7 +63,10 @@ STOP: Final = OnFaults()
 
 
 class FaultyMeshes(BadMesh):
-    """Meshes that cannot be packed, or more of them than a budget permits. problem: their number. faults: name of a mesh -> reason."""
+    """Meshes that cannot be packed, or more of them than a budget permits.
+
+    problem: how many of how many. faults: name of a mesh -> reason.
+    """
 
     def __init__(self, problem: str, faults: Mapping[str, str]) -> None:
         self.problem, self.faults = problem, dict(faults)
