@@ -244,7 +244,8 @@ CASES: dict[str, Case] = {
     "put landmarks on a mesh of another topology": (
         lambda: LandmarkSet("here", "a ball", 643, 1280, tuple(range(33))).for_mesh(Mesh("m", POINTS, FACES)),
         BadLandmarks,
-        "landmarks here are for meshes of 643 vertices and 1280 faces (a ball), found 4 and 4 in mesh m",
+        "landmarks here are for meshes of 643 vertices and 1280 faces (a ball), found 4 and 4 in mesh m: "
+        "this mesh needs landmarks of its own",
     ),
     "divide a mesh by too few landmarks": (
         lambda: partition(Mesh("m", POINTS, FACES), np.arange(32)),

@@ -247,7 +247,8 @@ def _check_counts(landmarks: LandmarkSet, surface: Surface, path: Path) -> None:
     if found != wanted:
         raise BadLandmarks(
             f"landmarks {landmarks.source} are for meshes of {wanted[0]} vertices and {wanted[1]} faces "
-            f"({landmarks.topology}), found {found[0]} and {found[1]} in {path}"
+            f"({landmarks.topology}), found {found[0]} and {found[1]} in {path}: "
+            "this mesh needs landmarks of its own"
         )
 
 

@@ -100,7 +100,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
     mesh, title, upward = _to_propose(options)
     from bodyseg_data.bodies.landmark_fitting.search import propose
 
-    sys.stderr.write(f"laying the open body over {title}: about a quarter of a minute\n")
+    sys.stderr.write(f"laying the open body over {title}: about half a minute of one processor\n")
     proposal = propose(mesh, [_upright(axis).T for axis in upward])
     write_atomically(out, proposal.landmarks.to_json().encode())
     sys.stdout.write(_table(proposal))

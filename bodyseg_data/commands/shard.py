@@ -16,7 +16,7 @@ from bodyseg_data.bodies.sources import SourceName
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig, one_line
+from bodyseg_data.core.errors import BadConfig, BadMesh, one_line
 from bodyseg_data.core.rig import PAPER, load_rig
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.core.system.machine import processors
@@ -117,6 +117,10 @@ def run(options: Options) -> int:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     if options.report is not None:
         check_target(options.report, "--report")
+    if options.on_error == "skip" and options.skip_budget is None:
+        raise BadConfig(
+            "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
+        )
     on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
     _warn_about_missing(packing)
     _warn_about_split(packing)
@@ -128,7 +132,13 @@ def run(options: Options) -> int:
             manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        raise
+        skips = options.on_error == "skip"
+        hint = (
+            "--skip-budget says how many may be left out"
+            if skips
+            else "--on-error skip --skip-budget N leaves them out"
+        )
+        raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, list(workers_mb.values()))

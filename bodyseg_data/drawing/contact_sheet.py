@@ -27,6 +27,8 @@ _CAPTION: Final = 20
 _NOTE: Final = 18
 _PANEL_ROWS: Final = 320
 _PANEL_COLUMNS: Final = 480
+_MARGIN: Final = 0.08  # of the longer side of what is measured, around it in a cropped panel
+_MOST_CROPPED: Final = 0.4  # panels stay whole where the crop would keep more of the image than this share
 
 # Near to far: light to dark as well as warm to cold, so that it also reads in grey.
 _RAMP: Final = np.array(
@@ -57,10 +59,12 @@ def draw_sheet(
 ) -> Image.Image:
     """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`.
 
+    Where bodies fill less than two fifths of the image, as before a wide camera, all panels are cropped to them, alike.
     sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
     labels are coloured by.
     """
-    panels = [_panels(row, shown, sensor, label_map) for row in rows]
+    seen = _window([row.sample.range for row in rows])
+    panels = [_panels(row, shown, sensor, label_map, seen) for row in rows]
     heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
@@ -86,8 +90,29 @@ def draw_sheet(
     return sheet
 
 
-def _panels(row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelMap) -> list[tuple[str, Image.Image]]:
-    """Captions and pictures of one line. All camera range panels share the scale of the clean one."""
+def _window(images: Sequence[NDArray[np.uint16]]) -> tuple[slice, slice]:
+    """Rows and columns of all pixels that any of the images [H, W] measures, with a margin; all of them if they are
+    most of an image, or if sizes differ.
+    """
+    whole = slice(None), slice(None)
+    if len({image.shape for image in images}) != 1:
+        return whole
+    measured = np.any([image > 0 for image in images], axis=0)
+    spans = [np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0)]
+    if not measured.any():
+        return whole
+    margin = round(_MARGIN * max(int(span[-1] - span[0]) for span in spans))
+    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + margin + 1) for span in spans)
+    return (rows, columns) if measured[rows, columns].size < _MOST_CROPPED * measured.size else whole
+
+
+def _panels(
+    row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelMap, seen: tuple[slice, slice]
+) -> list[tuple[str, Image.Image]]:
+    """Captions and pictures of one line. All camera range panels share the scale of the clean one.
+
+    seen: rows and columns of the camera's images that are drawn; the projector's are drawn there too if equally large.
+    """
     sample = row.sample
     occluder = sample.occluder_range()
     span, projector_span = _span(sample.range), _span(occluder)
@@ -98,7 +123,8 @@ def _panels(row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelM
     ]
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range, label_map)))
-    return [(note, _fit(picture)) for note, picture in panels]
+    shape = sample.range.shape
+    return [(note, _fit(picture[seen] if picture.shape[:2] == shape else picture)) for note, picture in panels]
 
 
 def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_map: LabelMap) -> NDArray[np.uint8]:

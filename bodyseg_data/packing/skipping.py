@@ -63,10 +63,13 @@ STOP: Final = OnFaults()
 
 
 class FaultyMeshes(BadMesh):
-    """Meshes that cannot be packed, or more of them than a budget permits. faults: name of a mesh -> reason."""
+    """Meshes that cannot be packed, or more of them than a budget permits.
+
+    problem: how many of how many. faults: name of a mesh -> reason.
+    """
 
     def __init__(self, problem: str, faults: Mapping[str, str]) -> None:
-        self.faults = dict(faults)
+        self.problem, self.faults = problem, dict(faults)
         reasons = list(dict.fromkeys(self.faults.values()))
         more = f"; and {len(reasons) - _NAMED} more" if len(reasons) > _NAMED else ""
         super().__init__(f"{problem}: {'; '.join(reasons[:_NAMED])}{more}")

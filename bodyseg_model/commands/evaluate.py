@@ -257,8 +257,10 @@ def _headline(scores: dict[str, Any]) -> str:
         return "-" if share is None else f"{100 * share:.1f} %"
 
     kept = scores["confidence"]["above_70_percent"]
-    return (
-        f"{scores['images']} images: average per-class accuracy {percent(scores['average_per_class_accuracy'])}, "
+    line = f"{scores['images']} images: average per-class accuracy {percent(scores['average_per_class_accuracy'])}, "
+    if kept["average_per_class_accuracy"] is None:
+        return line + "no pixel with a confidence above 70 %"
+    return line + (
         f"{percent(kept['average_per_class_accuracy'])} where confidence is above 70 % "
         f"({percent(kept['share_of_pixels'])} of pixels)"
     )

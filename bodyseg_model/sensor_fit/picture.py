@@ -26,6 +26,8 @@ _LOST: Final = (196, 40, 40)
 _EMPTY: Final = (24, 24, 28)
 _MARGIN: Final = 12
 _HEAD: Final = 30
+_FOOT: Final = 24
+_LEGEND: Final = "light is near, dark is far; red: lost; blue: nearer than the surface, orange: farther"
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -106,10 +108,11 @@ def _beside(panels: list[tuple[str, NDArray[np.uint8]]]) -> Image.Image:
         width = max(1, round(image.width * HEIGHT / image.height))
         scaled.append(image.resize((width, HEIGHT), Image.Resampling.NEAREST))
     widths = [max(image.width, 240) for image in scaled]
-    picture = Image.new("RGB", (sum(widths) + _MARGIN * (len(widths) + 1), HEIGHT + _HEAD + _MARGIN), PAPER)
+    picture = Image.new("RGB", (sum(widths) + _MARGIN * (len(widths) + 1), HEIGHT + _HEAD + _FOOT + _MARGIN), PAPER)
     pen, left = ImageDraw.Draw(picture), _MARGIN
     for (title, _), image, width in zip(panels, scaled, widths, strict=True):
         pen.text((left, _HEAD // 2), title, INK, font=font(14), anchor="lm")
         picture.paste(image, (left, _HEAD))
         left += width + _MARGIN
+    pen.text((_MARGIN, _HEAD + HEIGHT + _FOOT // 2 + _MARGIN // 2), _LEGEND, INK, font=font(13), anchor="lm")
     return picture

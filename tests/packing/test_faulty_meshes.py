@@ -392,8 +392,13 @@ def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest
     lines = capsys.readouterr().err.splitlines()
     listed = [line for line in lines if line.startswith(("cut: ", "few: ", "inches: ", "misspelt: ", "none: "))]
     assert len(listed) == 5
-    assert lines[-1].startswith("bodyseg shard: 5 of 8 meshes cannot be packed: ")
+    hint = "--on-error skip --skip-budget N leaves them out"
+    ending = f"5 of 8 meshes cannot be packed, for the reasons above; {hint}"
+    assert lines[-1] == f"bodyseg shard: {ending}"
+    assert any("the source folder is not complete, 1 missing: landmarks of none" in line for line in lines)
     assert any(line.startswith("checking: 8 of 8 meshes") for line in lines)
+    assert main([*words, "--on-error", "skip"]) == 2
+    assert "--on-error skip needs --skip-budget: the number of meshes" in capsys.readouterr().err
     log = tmp_path / "log"
     skip = ["--on-error", "skip", "--skip-budget", "5", "--skip-log", str(log), "--workers", "1", "--report"]
     assert main([*words, *skip, str(tmp_path / "report.json")]) == 0

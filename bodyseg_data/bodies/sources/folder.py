@@ -48,12 +48,16 @@ class FolderBodies(MeshBodies):
             for stem, file in meshes_in(parent).items():
                 own = landmark_file(folders[:1], stem)
                 labels = own or given or landmark_file(folders, "landmarks")
-                wanted = f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {folders[0]} or above"
+                wanted = (
+                    f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {folders[0]} or above; "
+                    "`bodyseg landmarks --mesh` proposes them"
+                )
                 group = None if own else str(labels)
                 files[_ref(inside / stem)] = MeshFile(file, labels, wanted, shared=own is None, group=group)
         if not files:
             raise BadConfig(f"the source 'folder' needs meshes (.ply, .obj, .off): found none in {path}")
-        super().__init__(files, (), units, up, pymeshlab)
+        lacking = [f"landmarks of {body.mesh}" for body, file in files.items() if file.landmarks is None]
+        super().__init__(files, lacking, units, up, pymeshlab)
 
 
 def _ref(inside: Path) -> BodyRef:

@@ -59,7 +59,8 @@ class LandmarkSet:
         if found != (self.vertex_count, self.face_count):
             raise BadLandmarks(
                 f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
-                f"({self.topology}), found {found[0]} and {found[1]} in mesh {mesh.name}"
+                f"({self.topology}), found {found[0]} and {found[1]} in mesh {mesh.name}: "
+                "this mesh needs landmarks of its own"
             )
         vertices = np.array(self.vertices, np.int64)
         loose = np.flatnonzero(~np.isin(vertices, mesh.faces))

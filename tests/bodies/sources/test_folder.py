@@ -38,6 +38,11 @@ def test_subjects_meshes_and_splits(tmp_path: Path) -> None:
     touch(tmp_path, *names, "notes.txt", ".hidden/h.ply", "ann/._a.ply", "landmarks.json")
     source = open_source("folder", tmp_path)
     assert source.missing() == ()
+    (tmp_path / "landmarks.json").unlink()
+    (tmp_path / "ann" / "landmarks.json").touch()
+    assert open_source("folder", tmp_path).missing() == tuple(
+        f"landmarks of {name}" for name in ("one", "Test++bob++x", "test++y", "testing++z", "train++bob++x")
+    )
     assert list(source.bodies()) == [
         BodyRef("folder", "one", "one", "one", "train"),
         BodyRef("folder", "bob", "Test++bob++x", "x", "test"),
