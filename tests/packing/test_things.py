@@ -31,9 +31,9 @@ from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, in_front, nearest
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
-from bodyseg_data.shards.tar import find_faults
 from bodyseg_model.networks.registry import build
 from bodyseg_model.training.loss import NetworkWithLoss
 
