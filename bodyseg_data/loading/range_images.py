@@ -38,9 +38,9 @@ from bodyseg_data.loading.transforms.transform import (
     transformed_shape,
     transforms_to_json,
 )
-from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
