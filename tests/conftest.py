@@ -18,7 +18,8 @@ from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 
 # No test depends on how busy the machine is.
 hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
@@ -104,14 +105,14 @@ def mit_folder() -> Path:
 def pack_figures() -> Callable[..., Path]:
     """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
 
-    def pack(out: Path, executor: Executor | None = None, **options: Any) -> Path:
+    def pack_into(out: Path, executor: Executor | None = None, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
             patch.setitem(SOURCES, "open", FiguresEntry())
-            packing.pack(packing.Packing("open", **wanted), out, executor or thread, 1)
+            pack(Packing("open", **wanted), out, executor or thread, 1)
         return out
 
-    return pack
+    return pack_into
 
 
 @pytest.fixture(scope="session")
