@@ -67,7 +67,7 @@ def find_edges(faces: NDArray[Any]) -> Edges:
 
 
 def face_components(count: int, faces: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
-    """Connected piece of the surface `faces` [F, 3] that each of `count` vertices belongs to; otherwise as `components`.
+    """Connected piece of the surface `faces` [F, 3] that each of `count` vertices belongs to; see `components`.
 
     Two edges of a triangle connect its three vertices.
     """

@@ -124,9 +124,8 @@ def _with_borders(
 ) -> Partition:
     reached = np.isfinite(distance)
     if pieces:
-        reached |= label_pieces(
-            mesh, pieces, face_components(len(mesh.vertices), surface.faces, _FEATURE), labels, distance
-        )
+        piece = face_components(len(mesh.vertices), surface.faces, _FEATURE)
+        reached |= label_pieces(mesh, pieces, piece, labels, distance)
     unreached = np.flatnonzero(~reached)
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
