@@ -18,7 +18,6 @@ from bodyseg_data.drawing.style import INK, PAPER, font
 from bodyseg_model.sensor_fit.losses.outlines import outlines_of
 from bodyseg_model.sensor_fit.noise.residuals import body_surface
 from bodyseg_model.sensor_fit.recording import Recording
-from bodyseg_model.sensor_fit.surfaces import third_differences
 
 HEIGHT: Final = 420
 """Height of each panel, pixels."""
@@ -41,8 +40,7 @@ def draw_comparison(recording: Recording, sensor: SensorModel) -> Image.Image:
     frame = recording.frames[index]
     only = Recording((frame,), recording.camera, recording.step_m)
     outline = outlines_of(only)[0]
-    values, _ = third_differences(frame.range_m, frame.body)
-    sigma = float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
+    sigma = frame.noise_m
     surface = body_surface(frame.range_m, frame.body, sigma, only)
     clean: Floats = np.where(outline.full, np.where(np.isfinite(surface.range_m), surface.range_m, frame.range_m), 0.0)
     shown = simulate(clean, recording, sensor)
