@@ -55,14 +55,13 @@ class Residuals:
         return float(1.4826 * np.median(size)) or float(np.sqrt(np.mean(size**2)))
 
 
-def residuals_of(recording: Recording) -> tuple[list[Residuals], Surface | None]:
-    """The residuals of all frames, and the surface of the still body where there is one.
+def residuals_of(recording: Recording) -> list[Residuals]:
+    """The residuals of all frames.
 
     Bodies that stand still are measured through time, others within each frame; the room behind only through time, as
     its shape is not known to be smooth.
     """
     found: list[Residuals] = []
-    surface = None
     if recording.still:
         mean, known = mean_frame(recording)
         sigma = recording.frames[0].noise_m / np.sqrt(len(recording.frames))
@@ -72,7 +71,7 @@ def residuals_of(recording: Recording) -> tuple[list[Residuals], Surface | None]
         found += [_spatial(recording, frame) for frame in recording.frames if frame.body.any()]
     if recording.still_room:
         found += list(_room(recording))
-    return [residuals for residuals in found if len(residuals.residual_m)], surface
+    return [residuals for residuals in found if len(residuals.residual_m)]
 
 
 def mean_frame(recording: Recording) -> tuple[Floats, Mask]:
