@@ -21,7 +21,8 @@ from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.repair import load_pymeshlab
-from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 
 # Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
 sys.modules["pymeshlab"] = None  # type: ignore[assignment]
@@ -131,14 +132,14 @@ def pymeshlab(_loaded_pymeshlab: Any) -> Iterator[Any]:
 def pack_figures() -> Callable[..., Path]:
     """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
 
-    def pack(out: Path, executor: Executor | None = None, **options: Any) -> Path:
+    def pack_into(out: Path, executor: Executor | None = None, **options: Any) -> Path:
         wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
             patch.setitem(SOURCES, "open", FiguresEntry())
-            packing.pack(packing.Packing("open", **wanted), out, executor or thread, 1)
+            pack(Packing("open", **wanted), out, executor or thread, 1)
         return out
 
-    return pack
+    return pack_into
 
 
 @pytest.fixture(scope="session")

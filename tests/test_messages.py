@@ -24,7 +24,7 @@ from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.readers.files import read_mesh
 from bodyseg_data.packing.engines.engine import check_engine
 from bodyseg_data.packing.mesh_reduction import check_tolerance
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.rendering import check_renderer
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample

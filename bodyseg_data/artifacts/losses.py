@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.surface import Box, box_of, slants
 from bodyseg_data.core.errors import BadConfig, check_fields
-from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core.randomness import Draws, units
 from bodyseg_data.core.rig import Camera
 
 SHAPES: Final = ("patches", "stripes", "grazing")
@@ -55,7 +55,7 @@ class Losses(Artifact):
         range_image: the clean one, uint16 [H, W], 0 is background. camera: the one that sees it. generator: draws the
         shape, the share and the positions. Raises BadConfig for an image that is not the camera's.
         """
-        chances = _chances(generator, 2)
+        chances = units(generator, 2)
         shapes, share = (None, *SHAPES), self.most * float(chances[1])
         shape = shapes[int(chances[0] * len(shapes))]
         if shape is None:
@@ -92,7 +92,7 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
     pixels = np.flatnonzero(inside != 0)  # of bools: five times faster
-    count, *chances = _chances(generator, 1 + 3 * MOST_PATCHES)
+    count, *chances = units(generator, 1 + 3 * MOST_PATCHES)
     nearest = np.full(inside.shape, np.inf, np.float32)
     for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
         row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
@@ -115,7 +115,7 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
     if box is None:
         return lost
     inside = range_image[box] != 0
-    chances = _chances(generator, 2)
+    chances = units(generator, 2)
     stripes = FEWEST_STRIPES + int(chances[0] * (MOST_STRIPES - FEWEST_STRIPES + 1))
     rows = np.arange(inside.shape[0])
     from_middle = np.abs((rows * stripes / inside.shape[0] + chances[1]) % 1 - 0.5)
@@ -168,12 +168,6 @@ def _lose_first(
 
 def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
-
-
-def _chances(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Uniform numbers from 0 to below 1, [count], of raw words: NumPy does not guarantee its distributions' bits."""
-    words = np.asarray(generator.bit_generator.random_raw(count), np.uint64)
-    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def _check_share(share: float, what: str = "the share of lost pixels") -> None:

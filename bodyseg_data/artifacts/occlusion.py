@@ -7,8 +7,8 @@ the point. Where they show one surface, their bilinear interpolation is its rang
 surface gap behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel votes
 instead ("not more than an edge's difference in front of the point") with its bilinear weight, and half the weight
 decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). With two projectors, shadow is where
-neither lights. Both thresholds belong to the format of
-shards (`core.sample.ShadowThresholds`). docs/occlusion.md measures the test beside its rivals.
+neither lights. Both thresholds belong to the format of shards (`core.sample.ShadowThresholds`). docs/occlusion.md
+measures the test beside its rivals.
 """
 
 from __future__ import annotations
@@ -147,9 +147,7 @@ class ShadowTest:
         z = camera_range.ravel().take(pixels).astype(np.float32)
         across, down, forward = (slope.take(pixels) for slope in self.slopes)
         away = z * forward + self.offsets[2]
-        with np.errstate(
-            divide="ignore", invalid="ignore", over="ignore"
-        ):  # level with the projector: sorted out below
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # level with the projector: left out below
             x = (z * across + self.offsets[0]) / away
             y = (z * down + self.offsets[1]) / away
         rows, columns = np.float32(self.rig.projector.rows), np.float32(self.rig.projector.columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib import resources
@@ -23,6 +23,13 @@ PAPER_SENSOR: Final = "paper"
 
 _FOLDER: Final = resources.files(__package__) / "sensors"
 _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
+
+_DISTINCT: Final[Mapping[str, Callable[[Artifact], Iterable[str]]]] = {
+    "names": lambda artifact: (artifact.name,),
+    "purposes": lambda artifact: artifact.purposes,
+    "drawn quantities": lambda artifact: artifact.drawn,
+}
+"""Names that no two artifacts of a model may share."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,7 +61,7 @@ class SensorModel:
         object.__setattr__(self, "artifacts", tuple(given))
         for artifact in self.artifacts:
             check_artifact_class(type(artifact), f"sensor {self.name}")
-        for what, names in (("names", _own_name), ("purposes", _purposes), ("drawn quantities", _drawn)):
+        for what, names in _DISTINCT.items():
             owners: dict[str, str] = {}
             for artifact in self.artifacts:
                 for name in names(artifact):
@@ -237,18 +244,6 @@ def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
         raise BadConfig(f"{where}: {error}") from error
     except (TypeError, ValueError, LookupError) as error:
         raise BadConfig(f"{where}: strengths of {name} must be of the right types, found {dict(strengths)}") from error
-
-
-def _own_name(artifact: Artifact) -> tuple[str, ...]:
-    return (artifact.name,)
-
-
-def _purposes(artifact: Artifact) -> tuple[str, ...]:
-    return artifact.purposes
-
-
-def _drawn(artifact: Artifact) -> tuple[str, ...]:
-    return tuple(artifact.drawn)
 
 
 def _comment(text: str) -> list[str]:

@@ -21,17 +21,18 @@ STEEPEST: Final = np.float32(0.0871557)
 """Cosine of 85 degrees, beyond which angles are taken to be 85: the slopes of a range image end there."""
 
 
-def box_of(image: NDArray[Any]) -> Box | None:
+def box_of(image: NDArray[Any], margin: int = 0) -> Box | None:
     """The rows and columns that all of an image of whole numbers or a mask [H, W] but 0 reaches over; None if all is 0.
 
-    By the bits of whole rows, which takes three fifths of the time that `any` takes for 16-bit ranges.
+    margin: pixels more on every side, where the image has them. By the bits of whole rows, which takes three fifths of
+    the time that `any` takes for 16-bit ranges.
     """
     rows = np.flatnonzero(np.bitwise_or.reduce(image, axis=1))
     if not len(rows):
         return None
-    down = slice(int(rows[0]), int(rows[-1]) + 1)
-    columns = np.flatnonzero(np.bitwise_or.reduce(image[down], axis=0))
-    return down, slice(int(columns[0]), int(columns[-1]) + 1)
+    columns = np.flatnonzero(np.bitwise_or.reduce(image[rows[0] : rows[-1] + 1], axis=0))
+    top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+    return slice(top, int(rows[-1]) + 1 + margin), slice(left, int(columns[-1]) + 1 + margin)
 
 
 def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray[np.float32]:

@@ -9,19 +9,9 @@ from dataclasses import dataclass
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.shards.descriptions import BODY_FIELDS, VIEW_FIELDS
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, Manifest
+from bodyseg_data.shards.manifest import MANIFEST_FORMAT, Manifest, ShardRecord
 
 _BODY = {name: column for column, name in enumerate(BODY_FIELDS)}
-
-
-@dataclass(frozen=True)
-class ShardFile:
-    """A shard as cards list it. size: bytes. sha256: hexadecimal."""
-
-    name: str
-    split: Split
-    size: int
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -50,7 +40,7 @@ class SetFacts:
     renderer: str
     rig: Rig
     sources: tuple[str, ...]
-    shards: tuple[ShardFile, ...]
+    shards: tuple[ShardRecord, ...]
     splits: Mapping[Split, SplitCounts]
     views: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...]
@@ -83,7 +73,7 @@ def set_facts(manifest: Manifest) -> SetFacts:
         renderer=manifest.renderer,
         rig=manifest.rig,
         sources=tuple(dict.fromkeys([manifest.source, *sorted({body[_BODY["source"]] for body in bodies})])),
-        shards=tuple(ShardFile(shard.name, shard.split, shard.size, shard.sha256) for shard in manifest.shards),
+        shards=manifest.shards,
         splits={split: _counts(manifest, split) for split in SPLITS if manifest.samples(split)},
         views={name: (min(values), max(values)) for name, values in columns},
         notes=tuple(manifest.notes()),

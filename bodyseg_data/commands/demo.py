@@ -27,7 +27,7 @@ from bodyseg_data.example.example_set import example_set
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.engines.engine import PROCESSES
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 
 EXAMPLE = "bodyseg demo --out demo"
 

@@ -25,7 +25,8 @@ from bodyseg_data.core.views import ViewGrid, parse_choice
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
 from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
 from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
-from bodyseg_data.packing.pack import Packing, pack, plan
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, plan
 from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
 from bodyseg_data.packing.things import ThingsPlace
 from bodyseg_data.rendering import RendererName

@@ -9,10 +9,10 @@ from bodyseg_data.cards.stale import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.store import LocalFolder, Store
-from bodyseg_data.shards.tar import find_faults
 
 EXAMPLE = "bodyseg verify shards"
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, check_int
 
 _LARGEST: Final = 2**63
 
@@ -30,9 +30,7 @@ def check_seed(seed: int) -> int:
 
 def check_epoch(epoch: int) -> int:
     """`epoch` as an int. Raises BadConfig unless it is a whole number of at least 0."""
-    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer) or epoch < 0:
-        raise BadConfig(f"an epoch must be a whole number of at least 0, found {epoch!r}")
-    return int(epoch)
+    return check_int("an epoch", epoch, 0)
 
 
 def _digest(seed: int, epoch: int, key: str, purpose: str) -> bytes:
@@ -73,6 +71,12 @@ def unit(random: np.random.Generator) -> float:
     """The next number of a generator, uniform over the multiples of 2**-53 from 0 to below 1: from its raw words."""
     word: int = random.bit_generator.random_raw()
     return (word >> 11) * 2.0**-53
+
+
+def units(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """The next `count` numbers of a generator as `unit` gives them, float64 [count]."""
+    words = np.asarray(random.bit_generator.random_raw(count), np.uint64)
+    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 @dataclass(frozen=True)

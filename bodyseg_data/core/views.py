@@ -86,8 +86,6 @@ class Drawn:
 Choice = tuple[int, ...] | Drawn
 """Values that a grid combines with all others, or a range that each view draws from."""
 
-_NOUGHT: Final = (0,)
-
 
 @dataclass(frozen=True)
 class ViewGrid:
@@ -104,9 +102,9 @@ class ViewGrid:
     azimuths: int = 18
     span_deg: int = 180
     count: int | None = None
-    pitch_deg: Choice = _NOUGHT
-    roll_deg: Choice = _NOUGHT
-    height_cm: Choice = _NOUGHT
+    pitch_deg: Choice = (0,)
+    roll_deg: Choice = (0,)
+    height_cm: Choice = (0,)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -38,10 +38,9 @@ from bodyseg_data.loading.transforms.transform import (
     transformed_shape,
     transforms_to_json,
 )
-from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.cache.store import with_cache
-from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
 
@@ -165,11 +164,6 @@ class RangeImages(Dataset[dict[str, Any]]):
         ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
         return self._made(index, chosen, ranges, labels)
 
-    def _sample(self, index: int, into: OutputArrays | None = None) -> Sample:
-        """Read the parts of a stored sample that the variant uses; into: see `decode_sample`."""
-        shard, within = self._where(index)
-        return self._reader.read(shard, within, self.augmentation.needs_projector, into)
-
     def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
         """Write the arrays of `image` into given ones [H, W], replacing their content. Raises as `image`."""
         if not self.transforms:
@@ -181,14 +175,15 @@ class RangeImages(Dataset[dict[str, Any]]):
     def _made(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
         """Make the sample in arrays of the camera's size; transforms may return others."""
         try:
-            sample = self._sample(index, (image, labels))
+            shard, within = self._where(index)
+            sample = self._reader.read(shard, within, self.augmentation.needs_projector, (image, labels))
             made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
                 seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample)
                 made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
         except BadSample as error:
-            shard, _, offset = self.location(index)
-            raise BadShard(f"{shard}: offset {offset}: {error}") from error
+            name, _, offset = self.location(index)
+            raise BadShard(f"{name}: offset {offset}: {error}") from error
         except BadTransform as error:
             raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
         if self._joins_parts:
@@ -203,9 +198,6 @@ class RangeImages(Dataset[dict[str, Any]]):
         this process; `set_epoch` does not reach workers that are already running.
         """
         epoch, index = index if isinstance(index, tuple) else (None, index)
-        return self._single(index, epoch)
-
-    def _single(self, index: int, epoch: int | None) -> dict[str, Any]:
         image = self.image(index, epoch)
         ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
         return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
@@ -284,7 +276,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
             for shard in shards:
                 for index in held[shard["url"]]:
-                    yield self._single(index, chosen)
+                    yield self[chosen, index]
 
         pipeline = webdataset.FluidWrapper(webdataset.SimpleShardList(list(held)))
         return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)

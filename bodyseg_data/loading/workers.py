@@ -21,12 +21,10 @@ END_TIMEOUT_S: Final = 5.0
 """Time for a worker to finish its request after it was told to end, seconds."""
 
 
-def check_worker_method(method: str) -> WorkerMethod:
-    """Return `method` if it is one. Raises BadConfig."""
-    for known in _WORKER_METHODS:
-        if method == known:
-            return known
-    raise BadConfig(f"worker_method must be {' or '.join(_WORKER_METHODS)}, found {method!r}")
+def check_worker_method(method: str) -> None:
+    """Raise BadConfig unless `method` is one."""
+    if method not in _WORKER_METHODS:
+        raise BadConfig(f"worker_method must be {' or '.join(_WORKER_METHODS)}, found {method!r}")
 
 
 class Workers(Protocol):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes.topology import check_arrays, components, find_edges
+from bodyseg_data.meshes.topology import check_arrays, face_components, find_edges
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -106,7 +106,7 @@ class Mesh:
 
         feature: the feature that the message names. Raises MissingLibrary without scipy.
         """
-        return components(len(self.vertices), self.faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
+        return face_components(len(self.vertices), self.faces, feature)
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:

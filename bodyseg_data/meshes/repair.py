@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.system.libraries import missing_library, require_libraries
-from bodyseg_data.meshes.topology import check_arrays, components
+from bodyseg_data.meshes.topology import check_arrays, face_components
 
 SAME_POINT_M: Final = 1e-6
 """Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
@@ -87,8 +87,7 @@ def _used_part(
 
 def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """The faces [F, 3], inverted in every connected piece that encloses a negative volume."""
-    # Two edges of a triangle connect its three vertices.
-    piece_of_vertex = components(len(vertices), faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    piece_of_vertex = face_components(len(vertices), faces, _FEATURE)
     count = int(piece_of_vertex.max()) + 1
     piece = piece_of_vertex[faces[:, 0]]
     # Measured about the mean vertex of the piece, so that the sign is right also for one with small holes.

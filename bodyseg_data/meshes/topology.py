@@ -66,6 +66,14 @@ def find_edges(faces: NDArray[Any]) -> Edges:
     return Edges(np.stack(np.divmod(keys, stride), axis=1), count, of_side.reshape(-1, 3))
 
 
+def face_components(count: int, faces: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+    """Connected piece of the surface `faces` [F, 3] that each of `count` vertices belongs to; see `components`.
+
+    Two edges of a triangle connect its three vertices.
+    """
+    return components(count, faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
+
+
 def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
     """Connected component of each node of a graph, int32 [count]. pairs: [N, 2], its edges, as indices of nodes.
 

@@ -6,14 +6,11 @@ import uuid
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import TYPE_CHECKING
 
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.packing.ordered import ordered
+from bodyseg_data.packing.engines.ordered import ordered
+from bodyseg_data.packing.options import Packing, Progress
 from bodyseg_data.packing.skipping import SKIPPABLE
-
-if TYPE_CHECKING:
-    from bodyseg_data.packing.pack import Packing, Progress
 
 
 def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:

@@ -12,32 +12,26 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
-from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
-from bodyseg_data.core.errors import BadConfig, BodysegError, check_fields
-from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
+from bodyseg_data.core.views import View
 from bodyseg_data.packing.checking import find_faults
-from bodyseg_data.packing.mesh_reduction import check_tolerance, reduced_body
-from bodyseg_data.packing.sampler import Sampler, body_key
+from bodyseg_data.packing.mesh_reduction import reduced_body
+from bodyseg_data.packing.options import PACKING_VERSION, Packing, Progress, forget_sources
+from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList
 from bodyseg_data.packing.state import check_folder, claimed, forget_shard, record_skips, stored_skips
-from bodyseg_data.packing.things import ThingsPlace, check_place
-from bodyseg_data.packing.writing import cut, cut_again, write_shards
-from bodyseg_data.rendering import RendererName, check_renderer, open_renderer
-from bodyseg_data.shards.codecs import CodecName
+from bodyseg_data.packing.writing import Rendered, cut, cut_again, write_shards
+from bodyseg_data.rendering import open_renderer
 from bodyseg_data.shards.manifest import (
     MANIFEST_FORMAT,
     MANIFEST_NAME,
@@ -46,91 +40,7 @@ from bodyseg_data.shards.manifest import (
     read_manifest,
     write_manifest,
 )
-from bodyseg_data.shards.sample_codec import check_codec, encode_sample
-
-PACKING_VERSION: Final = 3
-"""Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
-
-Progress = Callable[[int, int], None]
-"""Called with (samples done, samples in all) after every mesh."""
-
-
-@dataclass(frozen=True)
-class Packing:
-    """The options of a packing. All of them shape the bytes; the number of workers does not.
-
-    source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). meshes: how many of them,
-    taken evenly from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
-    shard. geodesics: how distances along the surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be
-    (`reduced_body`). things: where things stand around the bodies (docs/things.md).
-    """
-
-    source: str
-    path: Path | None = None
-    meshes: int | None = None
-    views: ViewGrid = field(default_factory=ViewGrid)
-    rig: Rig = field(default_factory=load_rig)
-    renderer: RendererName = "raster"
-    codec: CodecName = "bsi"
-    shard_samples: int = 1080
-    landmarks: Path | None = None
-    units: Units = "auto"
-    up: UpAxis = "auto"
-    geodesics: GeodesicMethod = "exact"
-    tolerance_mm: float | None = None
-    pymeshlab: bool = False
-    things: ThingsPlace = "none"
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.meshes is not None and self.meshes < 1:
-            raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
-        if self.shard_samples < 1:
-            raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
-        check_method(self.geodesics)
-        check_tolerance(self.tolerance_mm)
-        check_renderer(self.renderer)
-        check_place(self.things)
-        check_codec(self.codec)
-        try:
-            self.rig.check_reach(max(self.views.distances_cm) / 100)
-        except BadConfig as error:
-            raise BadConfig(f"rig {self.rig.name}: {error}") from None
-
-    def bodies(self) -> list[BodyRef]:
-        """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""
-        return evenly_sampled(self.opened().bodies(), self.meshes)
-
-    def views_of(self, body: BodyRef) -> Iterator[View]:
-        """The views of one body, in their order."""
-        return self.views.of(body_key(self.source, body))
-
-    def opened(self, plan: str = "") -> BodySource:
-        """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
-        if self.path is None:
-            return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
-        return _read_source(plan, self.source, self.path, self.landmarks, self.units, self.up, self.pymeshlab)
-
-
-def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:
-    """`count` of `bodies` in their order, shared out evenly over subsets, and evenly spaced in each."""
-    if count is None:
-        return list(bodies)
-    if count > len(bodies):
-        raise BadConfig(f"{count} meshes asked for, the source has {len(bodies)}")
-    groups: dict[str, list[BodyRef]] = {}
-    for body in bodies:
-        groups.setdefault(body.subset, []).append(body)
-    shares = dict.fromkeys(groups, 0)
-    for _ in range(count):
-        open_groups = [name for name in groups if shares[name] < len(groups[name])]
-        shares[min(open_groups, key=lambda name: shares[name])] += 1
-    chosen = {
-        group[(2 * index + 1) * len(group) // (2 * shares[name])].mesh
-        for name, group in groups.items()
-        for index in range(shares[name])
-    }
-    return [body for body in bodies if body.mesh in chosen]
+from bodyseg_data.shards.sample_codec import encode_sample
 
 
 def plan(packing: Packing) -> dict[str, Any]:
@@ -197,14 +107,6 @@ def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[s
     return description if description is not None and manifest.plan == _digest(description) else None
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """The result of a run. samples: key and members (extension -> bytes). notes: lines about the body."""
-
-    samples: list[tuple[str, dict[str, bytes]]]
-    notes: tuple[str, ...]
-
-
 def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: str = "") -> Rendered:
     """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views.
 
@@ -222,22 +124,6 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
     finally:
         renderer.close()
-
-
-@lru_cache(maxsize=4)
-def _source(entry: SourceEntry | None, name: str, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
-    """Open a source once a process, and again once another entry is registered: loading a body model takes seconds."""
-    return open_source(name, None, landmarks, units, up)
-
-
-@lru_cache(maxsize=4)  # several packings may share a worker
-def _read_source(plan: str, *arguments: Any) -> BodySource:
-    return open_source(*arguments)
-
-
-def forget_sources() -> None:
-    """Close the sources that read files, which may have changed since; body models stay loaded."""
-    _read_source.cache_clear()
 
 
 def pack(

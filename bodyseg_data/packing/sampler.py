@@ -92,19 +92,24 @@ class Sampler:
             if things is not None:
                 facing[-1].ravel()[measured[on_thing]] = things.facing(of_thing[on_thing], projector.position)
             occluders.append(self._occluder(test, projector, range_image, facing[-1], key, things))
+        if things is None:
+            place, hidden_pct = HELD if self._holding else "", 0
+        else:
+            place, hidden_pct = self._place, round(100 * things.hidden)
         info = SampleInfo(
-            self._source,
-            body.subset,
-            body.subject,
-            body.mesh,
-            body.pose,
-            view.distance_cm,
-            view.azimuth_deg,
-            body.split,
-            view.pitch_deg,
-            view.roll_deg,
-            view.height_cm,
-            *((HELD if self._holding else "",) if things is None else (self._place, round(100 * things.hidden))),
+            source=self._source,
+            subset=body.subset,
+            subject=body.subject,
+            mesh=body.mesh,
+            pose=body.pose,
+            split=body.split,
+            distance_cm=view.distance_cm,
+            azimuth_deg=view.azimuth_deg,
+            pitch_deg=view.pitch_deg,
+            roll_deg=view.roll_deg,
+            height_cm=view.height_cm,
+            things=place,
+            hidden_pct=hidden_pct,
         )
         second = facing[1] if len(facing) == 2 else None
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)

@@ -9,20 +9,25 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadShard
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.core.views import View
-from bodyseg_data.packing.ordered import ordered
+from bodyseg_data.packing.engines.ordered import ordered
+from bodyseg_data.packing.options import Packing, Progress
 from bodyseg_data.packing.skipping import SKIPPABLE
 from bodyseg_data.packing.state import finished_shards, record_shard
 from bodyseg_data.shards.manifest import ShardRecord
 from bodyseg_data.shards.tar import ShardWriter
 
-if TYPE_CHECKING:
-    from bodyseg_data.packing.pack import Packing, Progress, Rendered
+
+@dataclass(frozen=True)
+class Rendered:
+    """The result of a run. samples: key and members (extension -> bytes). notes: lines about the body."""
+
+    samples: list[tuple[str, dict[str, bytes]]]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)

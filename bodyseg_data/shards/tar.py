@@ -7,22 +7,21 @@ import hashlib
 import os
 import tarfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
-from bodyseg_data.core.errors import BadSample, BadShard, Unreachable, one_line
+from bodyseg_data.core.errors import BadSample, BadShard, one_line
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample, SampleInfo, check_key
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.codecs.codec import OutputArrays
-from bodyseg_data.shards.descriptions import describe, difference
+from bodyseg_data.shards.descriptions import describe
 from bodyseg_data.shards.manifest import Manifest, ShardRecord
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
-from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, open_file, store_at
+from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
 
 _BLOCK: Final = 512
 
@@ -155,7 +154,7 @@ class ShardReader:
 
     def __init__(self, where: Path | Store, manifest: Manifest) -> None:
         self._store, self._manifest = store_at(where), manifest
-        self._sizes, self._projectors = _sizes(manifest.rig), len(manifest.rig.projectors)
+        self._sizes, self._projectors = image_sizes(manifest.rig), len(manifest.rig.projectors)
 
     def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
         """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
@@ -179,7 +178,7 @@ class ShardReader:
         key = record.keys[index]
         try:
             sample = decode_sample(key, parse_members(key, data), projector, out, self._projectors)
-            _check_sizes(sample, *self._sizes)
+            check_sizes(sample, *self._sizes)
         except BadSample as error:
             raise BadShard(f"{sample_location(record, index)}: {error}") from error
         return sample
@@ -226,75 +225,12 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
     return members
 
 
-@dataclass(frozen=True)
-class Fault:
-    """A fault in a set of shards: the shard, the sample's key ("-" if none is affected), byte offset, problem."""
-
-    shard: str
-    key: str
-    offset: int
-    problem: str
-
-    def __str__(self) -> str:
-        return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
-
-
-def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
-    """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
-
-    A fault inside a sample is reported at that sample, any other at the end of the archive.
-    """
-    sha256 = hashlib.sha256()
-    sound = True
-    end = size = 0
-    try:
-        with open_file(store_at(where), shard.name) as file:
-            for index, key in enumerate(shard.keys):
-                data = file.read(shard.lengths[index])
-                end += len(data)
-                sha256.update(data)
-                try:
-                    check_bytes(data, shard, index)
-                    _check_content(manifest, shard, index, data)
-                except (BadShard, BadSample) as error:
-                    sound = False
-                    problem = str(error).removeprefix(f"{sample_location(shard, index)}: ").removeprefix(f"{key}: ")
-                    yield Fault(shard.name, key, shard.offsets[index], problem)
-            size = end
-            while rest := file.read(1 << 20):
-                sha256.update(rest)
-                size += len(rest)
-    except OSError as error:
-        yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
-        return
-    except Unreachable as error:
-        yield Fault(shard.name, "-", 0, f"cannot be read: {error}")
-        return
-    if size != shard.size:
-        yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")
-    elif sound and sha256.hexdigest() != shard.sha256:
-        found = sha256.hexdigest()
-        yield Fault(shard.name, "-", end, f"end of archive altered: SHA-256 {shard.sha256} expected, found {found}")
-
-
-def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
-    key = shard.keys[index]
-    sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
-    sample.check()
-    if sample.info.split != shard.split:
-        raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    differs = difference(sample.info, shard.descriptions.info(index, shard.split))
-    if differs is not None:
-        raise BadSample(f"{key}: the description differs from the manifest's: {differs}")
-    _check_sizes(sample, *_sizes(manifest.rig))
-
-
-def _sizes(rig: Rig) -> tuple[tuple[int, int], tuple[int, int]]:
+def image_sizes(rig: Rig) -> tuple[tuple[int, int], tuple[int, int]]:
     """Rows and columns of the camera's images and of the projectors' range."""
     return (rig.camera.rows, rig.camera.columns), rig.projector_shape
 
 
-def _check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
+def check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
     """Raise BadSample unless the images have the rows and columns of the rig's camera and projectors."""
     for field, image, size in (
         ("range", sample.range, camera),

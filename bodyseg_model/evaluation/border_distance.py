@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
@@ -41,10 +42,9 @@ def distance_bins(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """
     bins = np.full(labels.shape, BACKGROUND, np.uint8)
     body = labels != BACKGROUND
-    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
-    if not rows.size:
+    box = box_of(body)
+    if box is None:
         return bins
-    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     inside = body[box]
     height, width = inside.shape
     # Two images: maxima of the first give the largest label, of the second the smallest; 0 is background.

@@ -76,9 +76,6 @@ def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
 
 _OPPOSITE: Final = ([{"front"}, {"back"}], [{"back"}, {"front"}])
 
-KIND_OF: Final[NDArray[np.uint8]] = kinds_of(PARTS33)
-"""`kinds_of` the 33 parts."""
-
 
 def count_kinds(confusion: NDArray[np.int64], label_map: LabelMap = PARTS33) -> dict[str, int | None]:
     """Pixels of each kind in a confusion matrix, int64 [C, C]; None for a kind that the classes cannot tell."""

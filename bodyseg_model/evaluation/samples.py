@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.drawing.contact_sheet import colour_range
@@ -87,10 +88,7 @@ class SamplePicture:
 
 def _cropped(image: PredictedImage) -> PredictedImage:
     """A copy of an image, cropped to the body."""
-    body = image.labels != BACKGROUND
-    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
-    top, left = (max(int(filled[0]) - _BODY_MARGIN, 0) for filled in (rows, columns))
-    box = slice(top, int(rows[-1]) + 1 + _BODY_MARGIN), slice(left, int(columns[-1]) + 1 + _BODY_MARGIN)
+    box = box_of(image.labels != BACKGROUND, _BODY_MARGIN) or np.s_[:, :]
     arrays = ("range_m", "labels", "predicted", "confidence")
     return image._replace(**{name: getattr(image, name)[box].copy() for name in arrays})
 

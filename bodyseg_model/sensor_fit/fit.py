@@ -99,7 +99,7 @@ def fit_sensor(recording: Recording, camera: FrameCamera, progress: Progress = s
     progress(1, 5)
     losses = {each.artifact: each for each in measure_losses(outlines_of(recording, baseline or None))}
     progress(2, 5)
-    residuals, _ = residuals_of(recording)
+    residuals = residuals_of(recording)
     progress(3, 5)
     ragged = losses["edge_loss"].verdict == NEEDED
     noise = measure_noise(residuals, steps, recording.camera.focal_px, baseline or None, ragged)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig
@@ -17,7 +18,6 @@ from bodyseg_data.drawing.style import INK, PAPER, font
 from bodyseg_model.sensor_fit.losses.outlines import outlines_of
 from bodyseg_model.sensor_fit.noise.residuals import body_surface
 from bodyseg_model.sensor_fit.recording import Recording
-from bodyseg_model.sensor_fit.surfaces import third_differences
 
 HEIGHT: Final = 420
 """Height of each panel, pixels."""
@@ -42,12 +42,11 @@ def draw_comparison(recording: Recording, sensor: SensorModel) -> Image.Image:
     frame = recording.frames[index]
     only = Recording((frame,), recording.camera, recording.step_m)
     outline = outlines_of(only)[0]
-    values, _ = third_differences(frame.range_m, frame.body)
-    sigma = float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
+    sigma = frame.noise_m
     surface = body_surface(frame.range_m, frame.body, sigma, only)
     clean: Floats = np.where(outline.full, np.where(np.isfinite(surface.range_m), surface.range_m, frame.range_m), 0.0)
     shown = simulate(clean, recording, sensor)
-    box = _box(outline.full)
+    box = box_of(outline.full, _MARGIN) or np.s_[:, :]
     near, far = (float(np.quantile(clean[clean > 0], share)) for share in (0.01, 0.99))
     residual = max(3 * sigma, 0.003)
     real: Floats = np.where(outline.full, frame.range_m.astype(np.float64), 0.0)
@@ -89,16 +88,6 @@ def _marked(picture: NDArray[np.uint8], measured: Mask, full: Mask) -> NDArray[n
     picture[~measured] = _EMPTY
     picture[~measured & full] = _LOST
     return picture
-
-
-def _box(mask: Mask) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return np.s_[:, :]
-    return (
-        slice(max(int(rows[0]) - _MARGIN, 0), int(rows[-1]) + _MARGIN),
-        slice(max(int(columns[0]) - _MARGIN, 0), int(columns[-1]) + _MARGIN),
-    )
 
 
 def _beside(panels: list[tuple[str, NDArray[np.uint8]]]) -> Image.Image:

@@ -17,6 +17,7 @@ from bodyseg_model.recordings.recording import Frame as RecordedFrame
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.sensor_fit.masks import closing
+from bodyseg_model.sensor_fit.surfaces import third_differences
 
 MOST_FRAMES: Final = 40
 """The most frames that are measured: of a longer recording, pairs of neighbours spread evenly over it."""
@@ -49,6 +50,12 @@ class Frame:
     def room(self) -> Mask:
         """Measured pixels that show no body, bool [H, W]."""
         return (self.range_m > 0) & ~self.body
+
+    @cached_property
+    def noise_m(self) -> float:
+        """A robust standard deviation of the body's noise, metres, by `third_differences`; 0 where there are none."""
+        values, _ = third_differences(self.range_m, self.body)
+        return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import Recording
-from bodyseg_model.sensor_fit.surfaces import third_differences
 
 LEAST_EDGES: Final = 200
 """Fewest edges at which one surface ends beside a farther one, both measured, for a verdict."""
@@ -34,9 +33,7 @@ def measure_mixed_pixels(recording: Recording) -> Finding:
     """
     mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
     for frame in recording.frames:
-        values, _ = third_differences(frame.range_m, frame.body)
-        sigma = float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
-        jump = max(JUMP_M, _NOISES * sigma)
+        jump = max(JUMP_M, _NOISES * frame.noise_m)
         for image, body in ((frame.range_m, frame.body), (frame.range_m.T, frame.body.T)):
             gaps_mixed, gaps_plain = _edges(image.astype(np.float64), body, jump)
             mixed += len(gaps_mixed)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.rig import Camera
 
 Mask = NDArray[np.bool_]
@@ -43,7 +44,7 @@ def smooth_surface(range_m: NDArray[np.floating], known: Mask, camera: Camera, r
 
     range_m: [H, W], metres. known: bool [H, W], the pixels to fit, of one continuous surface as far as can be told.
     """
-    inside = _bounding_box(known, radius)
+    inside = box_of(known, radius)
     if inside is None:
         empty = np.full(range_m.shape, np.nan)
         return Surface(empty, empty.copy(), empty.copy(), empty.copy())
@@ -120,13 +121,3 @@ def _along(image: Floats, kernel: Floats, axis: int) -> Floats:
     for shift, factor in enumerate(kernel):
         total += factor * (padded[shift : shift + size] if axis == 0 else padded[:, shift : shift + size])
     return total
-
-
-def _bounding_box(mask: Mask, margin: int) -> tuple[slice, slice] | None:
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return None
-    return (
-        slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1),
-        slice(max(int(columns[0]) - margin, 0), int(columns[-1]) + margin + 1),
-    )

@@ -100,7 +100,14 @@ def _frame(
         towards = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
         facing[-1].ravel()[rendered.pixels] = towards
     info = SampleInfo(
-        source, ref.subset, ref.subject, ref.mesh, ref.pose, view.distance_cm, view.azimuth_deg, ref.split
+        source=source,
+        subset=ref.subset,
+        subject=ref.subject,
+        mesh=ref.mesh,
+        pose=ref.pose,
+        split=ref.split,
+        distance_cm=view.distance_cm,
+        azimuth_deg=view.azimuth_deg,
     )
     camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
     second = facing[1] if len(facing) == 2 else None

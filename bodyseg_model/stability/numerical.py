@@ -14,12 +14,12 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.training.distributed import threads
 
 BATCH_SIZES: Final = (2, 7, 16)
 
@@ -76,7 +76,7 @@ def numerical(
         if progress is not None:
             progress(done, total)
 
-    with threads(1):
+    with torch_threads(1):
         baseline = _one_by_one(functools.partial(_labels, network), range_m)
         found = {}
         for name, computation in computations.items():
@@ -113,7 +113,7 @@ def _computations(network: Network, device: str) -> dict[str, Computation]:
         return lambda range_m: _labels(converted, range_m.to(dtype))
 
     def two_threads(range_m: torch.Tensor) -> torch.Tensor:
-        with threads(2):
+        with torch_threads(2):
             return _labels(network, range_m)
 
     def channels_last(range_m: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.artifacts.occlusion import lit_pixels
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -186,8 +186,7 @@ class _PosedBody:
         """Image of a rig, with the shadows of its projector."""
         sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
-        lit = shadow_test(rig).lit(sample.range, sample.occluder_range(), sample.faces_projector)
-        return labelled_image(sample.range * lit, rig.range_step_m, sample.labels)
+        return labelled_image(sample.range * lit_pixels(rig, sample), rig.range_step_m, sample.labels)
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:

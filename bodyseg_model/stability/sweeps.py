@@ -17,6 +17,7 @@ from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.losses import SHAPES, lost
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.artifacts.variants import shown_with
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import generator
@@ -138,11 +139,10 @@ def _depth_steps(sample: Sample, bits: float, step_m: float) -> NDArray[np.uint1
 
 def _crop(image: NDArray[np.uint16], share: float, from_end: bool = False) -> NDArray[np.uint16]:
     """Remove a share of the rows that the body covers, from the top or the bottom of the body."""
-    rows = np.flatnonzero(image.any(axis=1))
-    first, end = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
-    removed = round(share * (end - first))
+    rows, _ = box_of(image) or np.s_[0:0, 0:0]
+    removed = round(share * (rows.stop - rows.start))
     cropped = image.copy()
-    cropped[slice(end - removed, None) if from_end else slice(first + removed)] = 0
+    cropped[slice(rows.stop - removed, None) if from_end else slice(rows.start + removed)] = 0
     return cropped
 
 

@@ -68,17 +68,6 @@ def use_threads(count: int | None) -> None:
     torch.set_num_threads(count)
 
 
-@contextlib.contextmanager
-def threads(count: int) -> Iterator[None]:
-    """Set the number of threads in which torch computes while the context lasts."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def find_device(name: str | None = None) -> torch.device:
     """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's local rank, else the processor.
 

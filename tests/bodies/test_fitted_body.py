@@ -8,7 +8,6 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from bodyseg_data.bodies.anny.library import one_thread  # noqa: E402
 from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.fitted import POOR_M, FittedBody, gap_m  # noqa: E402
@@ -16,6 +15,7 @@ from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.core.parts import LANDMARKS  # noqa: E402
+from bodyseg_data.core.system.torch_threads import torch_threads  # noqa: E402
 from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 
 _SHAPES = 14  # principal components; lengths come after them
@@ -23,7 +23,7 @@ _SHAPES = 14  # principal components; lengths come after them
 
 @pytest.fixture(scope="module")
 def body() -> FittingBody:
-    with one_thread():
+    with torch_threads(1):
         return fitting_body()
 
 

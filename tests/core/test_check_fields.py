@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_data.core.views import Drawn, View, ViewGrid
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_model.networks.compact import CompactSettings
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation

@@ -17,7 +17,7 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate, open_images
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS, count_kinds, kinds_of, told_kinds
+from bodyseg_model.evaluation.mistakes import KINDS, count_kinds, kinds_of, told_kinds
 from bodyseg_model.evaluation.report import report
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.network import Network
@@ -67,8 +67,8 @@ def test_the_kinds_of_33_parts_are_as_they_were() -> None:
             elif any({truth.label, predicted.label} <= region for region in regions) and truth.face != predicted.face:
                 swapped = {truth.side, predicted.side} == {"left", "right"}
                 expected = "both" if swapped else "front/back"
-            assert KINDS[KIND_OF[truth.label, predicted.label]] == expected
-    assert kinds_of(PARTS33) is KIND_OF and not KIND_OF.flags.writeable
+            assert KINDS[kinds_of(PARTS33)[truth.label, predicted.label]] == expected
+    assert not kinds_of(PARTS33).flags.writeable
     assert told_kinds(PARTS33) == set(KINDS)
 
 

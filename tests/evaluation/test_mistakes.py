@@ -3,12 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS, REGIONS, count_kinds
+from bodyseg_model.evaluation.mistakes import KINDS, REGIONS, count_kinds, kinds_of
 
 
 def kind(truth: str, predicted: str) -> str:
-    return KINDS[KIND_OF[LANDMARKS.index(truth), LANDMARKS.index(predicted)]]
+    return KINDS[kinds_of(PARTS33)[LANDMARKS.index(truth), LANDMARKS.index(predicted)]]
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ def test_kinds_are_counted_from_a_confusion_matrix() -> None:
     confusion = np.zeros((33, 33), np.int64)
     confusion[0, 0], confusion[4, 5], confusion[0, 1], confusion[7, 12], confusion[3, 6] = 10, 4, 3, 2, 1
     assert count_kinds(confusion) == {"right": 10, "left/right": 4, "front/back": 3, "both": 2, "other": 1}
-    pairs = {name: int(np.sum(KINDS.index(name) == KIND_OF)) for name in KINDS}
+    pairs = {name: int(np.sum(KINDS.index(name) == kinds_of(PARTS33))) for name in KINDS}
     assert pairs["right"] == 33
     assert pairs["left/right"] == 26
     # Of the trunk's 6 front and 6 back parts 2 and 2 are on the right and as many on the left: 36 pairs, 8 of them on

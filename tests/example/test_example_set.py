@@ -17,7 +17,8 @@ from bodyseg_data import RangeImages, example_set
 from bodyseg_data.commands import shard
 from bodyseg_data.commands.options import parse
 from bodyseg_data.commands.verify import Options, run
-from bodyseg_data.packing.pack import Packing, pack, render_run
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, render_run
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_model.commands.cli import main
 

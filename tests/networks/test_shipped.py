@@ -10,7 +10,8 @@ from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
 

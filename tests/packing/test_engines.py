@@ -35,10 +35,10 @@ from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.engines import cluster, workers
 from bodyseg_data.packing.engines.engine import Engine, check_engine, open_engine
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing, forget_sources
+from bodyseg_data.packing.pack import pack
 from bodyseg_data.packing.state import STATE_NAME
 
 PACKING = Packing("open", views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as the fixture figures_set
@@ -342,7 +342,7 @@ def test_running_workers_read_changed_landmarks(nodes: Nodes, tmp_path: Path) ->
                 keep(swapped, "cluster", there)
             keep(swapped, "processes", here)
             keep(swapped, "threads", Engine(thread, 1))
-    packing.forget_sources()
+    forget_sources()
     with ThreadPoolExecutor(1) as thread:
         keep(True, "afresh", Engine(thread, 1))
     before, after = found[False][0], found[True][-1]

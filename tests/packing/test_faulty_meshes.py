@@ -24,7 +24,8 @@ from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 from bodyseg_data.packing.engines.processes import processes
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_data.packing.skipping import FaultyMeshes, OnFaults, SkipList
 from bodyseg_data.packing.state import STATE_NAME
 from bodyseg_data.shards.manifest import Manifest, read_manifest

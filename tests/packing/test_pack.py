@@ -28,7 +28,8 @@ from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.views import Drawn, ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.pack import Packing, evenly_sampled, plan
+from bodyseg_data.packing.options import Packing, evenly_sampled
+from bodyseg_data.packing.pack import plan
 from bodyseg_data.packing.state import STATE_NAME, claimed
 from bodyseg_data.shards.manifest import read_manifest
 

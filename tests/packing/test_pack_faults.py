@@ -20,8 +20,8 @@ from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing import pack as packing
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_model.commands.cli import main
 
 SMALL = Packing("open", views=ViewGrid(count=1), shard_samples=2)
@@ -233,7 +233,7 @@ def test_a_report_that_does_not_fit_leaves_the_set_whole(
 
     def packed(engine: str, workers: int | None, asked: Packing, out: Path, *rest: object) -> object:
         with ThreadPoolExecutor(1) as executor:
-            return packing.pack(SMALL, out, executor, 1)
+            return pack(SMALL, out, executor, 1)
 
     monkeypatch.setattr(shard, "pack_on", packed)
     monkeypatch.setattr(shard, "provenance", lambda command: {})

@@ -18,7 +18,7 @@ from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_model.commands import cli
 

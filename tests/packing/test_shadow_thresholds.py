@@ -45,7 +45,7 @@ from bodyseg_data.artifacts import occlusion
 from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.packing import pack as packing
+from bodyseg_data.packing import options, pack
 from bodyseg_data.packing.occluder_range import occluder_range
 
 device = Camera(6, 8, 10.0, (4.0, 3.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
@@ -62,9 +62,9 @@ check_against_whole_frames(RIG, mesh, parts, View(215, 60))
 ranges, projected, _, facing = take_whole_frames(RIG, mesh, parts, View(215, 60))
 test = occlusion.ShadowTest(RIG)
 assert (occlusion_compiled.lit(test, ranges, projected, facing) == test.lit(ranges, projected, facing)).all()
-packing.open_source = lambda *where: Figures()
+options.open_source = lambda *where: Figures()
 views = ViewGrid(span_deg=360, count=4)
-packing.pack(packing.Packing("open", meshes=2, views=views), out, ThreadPoolExecutor(1), 1)
+pack.pack(options.Packing("open", meshes=2, views=views), out, ThreadPoolExecutor(1), 1)
 """
 
 

@@ -26,14 +26,15 @@ from bodyseg_data.core.views import View
 from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.solids import Solid, cuboid, together
-from bodyseg_data.packing.pack import Packing, plan
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import plan
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, in_front, nearest
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
-from bodyseg_data.shards.tar import find_faults
 from bodyseg_model.networks.registry import build
 from bodyseg_model.training.loss import NetworkWithLoss
 

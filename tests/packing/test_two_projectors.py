@@ -21,8 +21,9 @@ from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.codecs import CODECS, CodecName
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import Manifest, read_manifest, write_manifest
-from bodyseg_data.shards.tar import ShardReader, find_faults
+from bodyseg_data.shards.tar import ShardReader
 
 VIEWS = ViewGrid(span_deg=360, count=3)
 

@@ -21,7 +21,7 @@ from bodyseg_model.sensor_fit.rounding import Steps, measure_steps
 
 def noise_of(recording: Recording, baseline_m: float | None = 0.075) -> dict[str, Finding]:
     steps, _ = measure_steps(recording, None)
-    found = measure_noise(residuals_of(recording)[0], steps, RIG.camera.focal_px, baseline_m, ragged=False)
+    found = measure_noise(residuals_of(recording), steps, RIG.camera.focal_px, baseline_m, ragged=False)
     return {finding.artifact: finding for finding in found}
 
 

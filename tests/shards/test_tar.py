@@ -20,9 +20,10 @@ from samples import GOOD
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadSample, BadShard
 from bodyseg_data.shards.codecs.png import encode_png
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import MANIFEST_NAME, _digest, read_manifest, record_from_json, record_to_json
 from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.shards.tar import ShardReader, ShardWriter, _read_header, find_faults, parse_members
+from bodyseg_data.shards.tar import ShardReader, ShardWriter, _read_header, parse_members
 
 
 @pytest.fixture

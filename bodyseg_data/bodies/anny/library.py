@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.system.torch_threads import torch_threads
 
 BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
@@ -43,7 +44,7 @@ def load_anny(progress: Callable[[int, int], None] | None = None) -> Any:
         from anny import Anny
     except ImportError as error:
         raise no_anny(error) from error
-    with one_thread(), _one_process(), _cache_faults(), _fast_parsing(progress):
+    with torch_threads(1), _one_process(), _cache_faults(), _fast_parsing(progress):
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
         return Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
@@ -98,19 +99,6 @@ def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:
     offsets = np.zeros((vertices, 3))
     offsets[indices] = numbers[:, 1:]
     return offsets
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one thread: its sums depend on the number of threads."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @contextmanager

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny, one_thread
+from bodyseg_data.bodies.anny.library import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.anny.people import Person
 from bodyseg_data.bodies.anny.posable import Posable
 from bodyseg_data.bodies.anny.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.clothes.outfits import Outfit
+from bodyseg_data.core.system.torch_threads import torch_threads
 
 if TYPE_CHECKING:
     import torch
@@ -60,7 +61,7 @@ class AnnyModel:
 
     def posable(self, who: Person) -> Posable:
         """Return a person's surface and skeleton at rest, to be posed without Anny."""
-        with one_thread(), self._torch.inference_mode():
+        with torch_threads(1), self._torch.inference_mode():
             shape = who.phenotype() | {"height": self._height(who)}
             unturned = self._torch.eye(4, dtype=self._torch.float64).repeat(1, len(self._bones), 1, 1)
             rest = self._anny(unturned, shape)
@@ -78,7 +79,7 @@ class AnnyModel:
         )
 
     def _posed(self, who: Person, pose: Pose) -> NDArray[np.float64]:
-        with one_thread(), self._torch.inference_mode():
+        with torch_threads(1), self._torch.inference_mode():
             shape = who.phenotype() | {"height": self._height(who)}
             output = self._anny(self._pose_parameters(pose), shape)
             vertices: NDArray[np.float64] = output["vertices"][0].numpy() @ BODY_FROM_ANNY.T

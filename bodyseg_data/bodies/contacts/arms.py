@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.skeleton import Arm
-from bodyseg_data.bodies.contacts.limbs import Side
+from bodyseg_data.bodies.contacts.limbs import Side, other
 from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.ranges import ARM, LOADED_WRIST, Ranges, chosen, uniform, within
-from bodyseg_data.bodies.contacts.reaching import Goal
+from bodyseg_data.bodies.contacts.ranges import ARM, LOADED_WRIST, Ranges, chosen, one_of, uniform, within
+from bodyseg_data.bodies.contacts.reaching import ALL_AXES, GAP_M, Goal
 
 Floats = NDArray[np.float64]
 
-_GAP_M: Final = 0.004
-_ALL: Final = np.ones(3)
 _UP: Final = np.array([0.0, 1.0, 0.0])
 _AROUND: Final = np.array([0.3, 1.0, 0.3])  # the height matters, the place not much
 _JITTER_DEG: Final = 12.0
@@ -72,21 +70,22 @@ _RELAXED: Final[Ranges] = {
 
 @dataclass(frozen=True)
 class Body:
-    """The posed body as an arm meets it. vertices, normals: [V, 3]. shoulder, chest: [3], metres. chest_turn: [3, 3].
-    floor: height, metres. seat: there is one at the height of the pelvis. other_placed: the other arm is in its place.
+    """The posed body as an arm meets it. vertices, normals: [V, 3]. pelvis, shoulder, chest: [3], metres. chest_turn:
+    [3, 3]. floor: height, metres. seat: there is one at the height of the pelvis. other_placed: the other arm is in its
+    place.
     """
 
     side: Side
     places: Places
     vertices: Floats
     normals: Floats
-    heads: Floats
+    pelvis: Floats
+    shoulder: Floats
+    chest: Floats
     chest_turn: Floats
     floor: float
     seat: bool
     other_placed: bool
-    shoulder: Floats
-    chest: Floats
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def drawn(kind: str, body: Body, draws: np.random.Generator) -> ArmTask:
     if kind == "other hand":
         by = "palm" if draws.random() < 0.7 else "fingertips"
         on = "palm" if draws.random() < 0.5 else "back of the hand"
-        return _touching(body, by, on, _across(body.side), draws)
+        return _touching(body, by, on, other(body.side), draws)
     if kind == "free":
         relaxed = Arm(**within(_RELAXED, draws))
         return ArmTask("free", [], uniform(draws, 0, 0.6), (relaxed,), ARM)
@@ -135,7 +134,7 @@ def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:
     weights |= {(name, body.side): weight for name, weight in _SAME.items()}
     arm = ("upper arm", "elbow", "forearm")
     weights |= {
-        (name, _across(body.side)): weight for name, weight in _ACROSS.items() if body.other_placed or name not in arm
+        (name, other(body.side)): weight for name, weight in _ACROSS.items() if body.other_placed or name not in arm
     }
     name, side = chosen({f"{name}/{side}": weight for (name, side), weight in weights.items()}, draws).split("/")
     return _touching(body, chosen(_BY, draws), name, side, draws)
@@ -143,31 +142,31 @@ def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:
 
 def _touching(body: Body, by: str, name: str, side: str, draws: np.random.Generator) -> ArmTask:
     own, on = body.places.on(by, body.side), body.places.on(name, side)
-    at = int(on[int(draws.random() * len(on))])
-    vertex = int(own[int(draws.random() * len(own))])
-    goal = Goal(vertex, body.vertices[at] + _GAP_M * body.normals[at], _ALL, -body.normals[at])
+    at = one_of(on, draws)
+    vertex = one_of(own, draws)
+    goal = Goal(vertex, body.vertices[at] + GAP_M * body.normals[at], ALL_AXES, -body.normals[at])
     fist = uniform(draws, *_FISTS.get(by, (0.0, 1.0)))
     return ArmTask(f"{by} on {name}", [goal], fist, tuple(_PRESETS.values()), ARM)
 
 
 def _on_floor(body: Body, draws: np.random.Generator) -> ArmTask:
     place = body.shoulder + np.array([uniform(draws, -0.3, 0.3), 0, uniform(draws, -0.35, 0.35)])
-    place[1] = body.floor + _GAP_M
+    place[1] = body.floor + GAP_M
     ranges = ARM | {"wrist": LOADED_WRIST}
     if draws.random() < 0.75:
         by, fist = "palm", uniform(draws, 0, 0.15)
     else:
         by, fist = "inner forearm", uniform(draws, 0, 0.8)
     own = body.places.on(by, body.side)
-    goal = Goal(int(own[int(draws.random() * len(own))]), place, _AROUND, -_UP)
+    goal = Goal(one_of(own, draws), place, _AROUND, -_UP)
     return ArmTask(f"{by} on the floor", [goal], fist, tuple(_PRESETS.values()), ranges)
 
 
 def _on_seat(body: Body, draws: np.random.Generator) -> ArmTask:
     sign = 1 if body.side == "L" else -1
-    place = body.heads[0] + [sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)]
+    place = body.pelvis + np.array([sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)])
     own = body.places.on("palm", body.side)
-    goal = Goal(int(own[int(draws.random() * len(own))]), place, _AROUND, -_UP)
+    goal = Goal(one_of(own, draws), place, _AROUND, -_UP)
     return ArmTask(
         "palm on the seat", [goal], uniform(draws, 0, 0.4), tuple(_PRESETS.values()), ARM | {"wrist": LOADED_WRIST}
     )
@@ -177,9 +176,5 @@ def _in_the_air(body: Body, draws: np.random.Generator) -> ArmTask:
     sign = 1 if body.side == "L" else -1
     reach = [sign * uniform(draws, -0.25, 0.55), uniform(draws, -0.3, 0.6), uniform(draws, 0.08, 0.6)]
     own = body.places.on("palm", body.side)
-    goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, _ALL)
+    goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, ALL_AXES)
     return ArmTask("in the air", [goal], uniform(draws, 0, 1), tuple(_PRESETS.values()), ARM)
-
-
-def _across(side: Side) -> Side:
-    return "R" if side == "L" else "L"

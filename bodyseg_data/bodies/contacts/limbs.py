@@ -141,3 +141,8 @@ def _spread(points: Floats, among: NDArray[np.int64], count: int) -> NDArray[np.
         chosen.append(int(among[nearest.argmax()]))
         nearest = np.minimum(nearest, np.linalg.norm(points[among] - points[chosen[-1]], axis=1))
     return np.array(chosen)
+
+
+def other(side: Side) -> Side:
+    """Return the opposite side."""
+    return "R" if side == "L" else "L"

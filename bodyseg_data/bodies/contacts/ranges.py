@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 Name = TypeVar("Name", bound=str)
 
@@ -43,6 +44,11 @@ def mostly_middle(ranges: Ranges, draws: np.random.Generator) -> dict[str, Any]:
 def uniform(draws: np.random.Generator, low: float, high: float) -> float:
     """Draw a number from `low` to `high`."""
     return float(low + (high - low) * draws.random())
+
+
+def one_of(vertices: NDArray[np.int64], draws: np.random.Generator) -> int:
+    """Draw one of some vertices, each as likely."""
+    return int(vertices[int(draws.random() * len(vertices))])
 
 
 def chosen(weights: dict[Name, float], draws: np.random.Generator) -> Name:

@@ -20,11 +20,16 @@ from bodyseg_data.bodies.contacts.surface import Skin
 
 Floats = NDArray[np.float64]
 
+GAP_M: Final = 0.004
+"""Gap between skin and skin that touch, and between skin and floor, metres."""
+
+ALL_AXES: Final = np.ones(3)
+"""Axes of a goal that matters alike in all directions."""
+
 _NEAR_M: Final = 0.01  # a point this far from its goal counts as much as one residual
 _FACING: Final = 1.2  # weight of skin that lies flat on its goal
 _PREFERRED_DEG: Final = 90.0  # so far from the preferred posture counts as much as a point 1 cm from its goal
 _RAISED_DEG: Final = 10.0
-_GAP_M: Final = 0.004  # between skin and skin, and between skin and floor
 _RESTING: Final = 0.7  # weight of the height above the floor of what rests on it, as flesh gives way there
 _ROUNDS: Final = 14
 _STEP_DEG: Final = 0.5
@@ -136,7 +141,7 @@ class Reach:
             facing = self._points.facing(turns)
             parts.append(np.array([_FACING * (1 - float(facing[index] @ look)) for index, look in self._looks]))
         probes = self._probes.moved(turns, heads)
-        parts.append(np.maximum(_GAP_M - self._obstacles.heights(probes), 0) / _NEAR_M)
+        parts.append(np.maximum(GAP_M - self._obstacles.heights(probes), 0) / _NEAR_M)
         parts.append(np.maximum(self._floor - probes[:, 1], 0) / _NEAR_M)
         parts.append(self._above_floor(turns, heads) / _NEAR_M)
         if isinstance(angles, Arm):

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny.posable import Posable
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.contacts import arms
-from bodyseg_data.bodies.contacts.limbs import Base, Limb, Side
+from bodyseg_data.bodies.contacts.limbs import Base, Limb, Side, other
 from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, mostly_middle, uniform, within
-from bodyseg_data.bodies.contacts.reaching import Goal, Reach
+from bodyseg_data.bodies.contacts.ranges import (
+    ARM,
+    CROSSED_TWIST,
+    LEG,
+    LOADED_WRIST,
+    mostly_middle,
+    one_of,
+    uniform,
+    within,
+)
+from bodyseg_data.bodies.contacts.reaching import ALL_AXES, GAP_M, Goal, Reach
 from bodyseg_data.bodies.contacts.stances import STANCES, LegTask, Stance
 from bodyseg_data.bodies.contacts.surface import Skin, deepest_m, vertex_normals
 
@@ -24,14 +33,12 @@ DEEPEST_M: Final = 0.012
 """Depth of skin in skin beyond which a pose is rejected."""
 
 _MISS_M: Final = 0.02  # of a foot or hand from its place
-_GAP_M: Final = 0.004
 _PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
 _BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
 _ATTEMPTS: Final = 40
 _ARM_TRIES: Final = 8
 _SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
 _ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
-_ALL: Final = np.ones(3)
 _CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
 _STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
 _KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
@@ -91,7 +98,7 @@ class Sampler:
         pose, floor = legs
         contacts: dict[Side, str] = {}
         first: Side = "L" if draws.random() < 0.5 else "R"
-        for side in (first, _other(first)):
+        for side in (first, other(first)):
             placed = self._with_arm(pose, side, stance, floor, contacts.get(first), draws)
             if placed is None:
                 return None
@@ -112,17 +119,17 @@ class Sampler:
         if trunk.roll:  # the leg on top lies on the other
             first = "R" if trunk.roll > 0 else "L"
         pair = stance.legs[int(draws.random() * len(stance.legs))]
-        tasks: dict[Side, LegTask] = {first: pair[0], _other(first): pair[1]}
+        tasks: dict[Side, LegTask] = {first: pair[0], other(first): pair[1]}
         starts = {side: Leg(**within(task.start, draws)) for side, task in tasks.items()}
         alike = pair[0] is pair[1] and draws.random() < _ALIKE
         if alike:
-            starts[_other(first)] = starts[first]
+            starts[other(first)] = starts[first]
         pose = Pose(trunk, Arm(), Arm(), starts["L"], starts["R"])
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
         shifts = {side: _shift(task, draws) for side, task in tasks.items()}
         if alike:
-            shifts[_other(first)] = shifts[first]
+            shifts[other(first)] = shifts[first]
         feet = {side: self._foot(shift, side, stance, heads) for side, shift in shifts.items()}
         if stance.pelvis is None:
             floor = float(vertices[self._resting, 1].min()) + _PRESSED_M
@@ -130,13 +137,13 @@ class Sampler:
             floor = float(heads[0, 1]) - uniform(draws, *stance.pelvis) * self._leg_m
             floor = max([floor, *(self._lowest(heads, side, tasks[side], feet[side]) for side in feet)])
         done = self._trunk.copy()
-        for side in (_other(first), first):  # the first one may touch the other
+        for side in (other(first), first):  # the first one may touch the other
             limb, task, at = self._legs[side], tasks[side], feet[side]
             vertices, normals = self._posed(pose)
             base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
             goals = []
             if at is not None:
-                goals.append(Goal(_middle(self._places.on("sole", side)), np.array([at[0], floor, at[1]]), _ALL))
+                goals.append(Goal(_middle(self._places.on("sole", side)), np.array([at[0], floor, at[1]]), ALL_AXES))
             if task.by:
                 goals.append(self._touch(task, side, limb.bones(starts[side], base), vertices, normals, draws))
             ranges = {name: LEG[name] for name in ("flex", "abduct", "twist", "knee")}
@@ -190,13 +197,13 @@ class Sampler:
     ) -> Goal:
         """Return the nearest of a few drawn pairs of a point of this leg and a point of the other one."""
         own = self._places.on(task.by, side)
-        on = self._places.on(task.touch[int(draws.random() * len(task.touch))], _other(side))
-        mine = np.array([_one_of(own, draws) for _ in range(_PAIRS)])
-        theirs = np.array([_one_of(on, draws) for _ in range(_PAIRS)])
+        on = self._places.on(task.touch[int(draws.random() * len(task.touch))], other(side))
+        mine = np.array([one_of(own, draws) for _ in range(_PAIRS)])
+        theirs = np.array([one_of(on, draws) for _ in range(_PAIRS)])
         here = self._legs[side].points(mine, self._normals[mine]).moved(*bones)
         best = int(np.linalg.norm(here - vertices[theirs], axis=1).argmin())
         at = theirs[best]
-        return Goal(int(mine[best]), vertices[at] + _GAP_M * normals[at], _ALL, -normals[at])
+        return Goal(int(mine[best]), vertices[at] + GAP_M * normals[at], ALL_AXES, -normals[at])
 
     def _with_arm(
         self, pose: Pose, side: Side, stance: Stance, floor: float, other_task: str | None, draws: np.random.Generator
@@ -205,20 +212,29 @@ class Sampler:
 
         other_task: what the other arm does, None if it is not in its place yet.
         """
-        limb, other = self._arms[side], self._arms[_other(side)]
+        limb, opposite = self._arms[side], self._arms[other(side)]
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
         normals = vertex_normals(vertices, self._person.faces)
         solid = self._places.solid & ~limb.vertices
         if other_task is None:
-            solid &= ~other.vertices
+            solid &= ~opposite.vertices
         obstacles = Skin(vertices, normals, solid)
         base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
         chest = self._person.numbers["spine02"]
         body = arms.Body(
-            side, self._places, vertices, normals, heads, turns[chest], floor, stance.seat, other_task is not None,
-            heads[self._person.numbers[f"upperarm01.{side}"]], heads[chest],
-        )  # fmt: skip
+            side=side,
+            places=self._places,
+            vertices=vertices,
+            normals=normals,
+            pelvis=heads[0],
+            shoulder=heads[self._person.numbers[f"upperarm01.{side}"]],
+            chest=heads[chest],
+            chest_turn=turns[chest],
+            floor=floor,
+            seat=stance.seat,
+            other_placed=other_task is not None,
+        )
         if other_task is not None and draws.random() < _ALIKE:
             same = pose.right_arm if side == "L" else pose.left_arm  # angles are those of a left arm for both
             reach = Reach(limb, base, self._normals, [], obstacles, floor)
@@ -251,14 +267,6 @@ def _with(pose: Pose, side: Side, angles: Arm | Leg) -> Pose:
     if isinstance(angles, Arm):
         return replace(pose, left_arm=angles) if side == "L" else replace(pose, right_arm=angles)
     return replace(pose, left_leg=angles) if side == "L" else replace(pose, right_leg=angles)
-
-
-def _other(side: Side) -> Side:
-    return "R" if side == "L" else "L"
-
-
-def _one_of(vertices: NDArray[np.int64], draws: np.random.Generator) -> int:
-    return int(vertices[int(draws.random() * len(vertices))])
 
 
 def _middle(vertices: NDArray[np.int64]) -> int:

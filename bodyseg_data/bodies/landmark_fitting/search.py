@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.bodies.anny.postures import POSTURES
 from bodyseg_data.bodies.landmark_fitting.fit import (
     FINE_REACH_M,
@@ -33,6 +32,7 @@ from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES
 from bodyseg_data.bodies.landmark_fitting.surface import Points, sample_surface
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
 from bodyseg_data.bodies.motions.legs import about_y
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.meshes.mesh import Mesh
 
 UPRIGHT: Final = (np.eye(3),)
@@ -72,14 +72,14 @@ def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Propo
     piece has fewer than 33 vertices, MissingLibrary without Anny or scipy, BadConfig if Anny's cache cannot be used.
     """
     largest_piece(mesh)  # before the work, not after it
-    with one_thread():
+    with torch_threads(1):
         body = fitting_body()
         return fit_body(body, mesh, tilts).proposal(body.landmark_vertices)
 
 
 def fit_body(body: FittingBody, mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> FittedBody:
     """Fit the open body to a mesh; see `propose`, which does this for one mesh alone."""
-    with one_thread():
+    with torch_threads(1):
         target = sample_surface(mesh, _FINE_POINTS)
         fit = _fit_to(body, target, tilts)
         return FittedBody(mesh, body, fit, gap_m(target, fitted_surface(body, fit)))

@@ -9,7 +9,7 @@ is drawn when its body is built, not when bodies are listed.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Final
@@ -24,7 +24,7 @@ from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.sampler import Drawn, Sampler
 from bodyseg_data.bodies.contacts.stances import STANCES
 from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources.open_bodies import MadeBodies, Maker
+from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 from bodyseg_data.bodies.worn.attire import Attire, drawn_attire, joined, put_on, under
 from bodyseg_data.bodies.worn.drapes import draped
 from bodyseg_data.bodies.worn.held import gripping
@@ -79,7 +79,7 @@ class EverydayBodies(MadeBodies):
         names = [(body.mesh, body.pose) for body in bodies]
         return hashlib.sha256(repr((self.shaping(), POSES_VERSION, CLOTHES_VERSION, names)).encode()).hexdigest()
 
-    def _listed(self) -> Iterator[tuple[BodyRef, Maker]]:
+    def _listed(self) -> Listed:
         for index in range(EVERYDAY):
             stance = [*STANCES][index % len(STANCES)]
             ref = BodyRef("everyday", f"E{index:04d}", f"everyday-{index:04d}", stance, "train")

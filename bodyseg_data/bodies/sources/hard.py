@@ -6,7 +6,6 @@ and one person turned through a full circle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -16,7 +15,7 @@ from bodyseg_data.bodies.anny.people import PEOPLE, person
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import MadeBodies
+from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 
 _HANGING: Final = Arm()
 _HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)
@@ -189,10 +188,7 @@ class HardBodies(MadeBodies):
         super().__init__("hard", dict([*_postures(), *_turned()]))
 
 
-_Listed = Iterator[tuple[BodyRef, Callable[[], Figure]]]
-
-
-def _postures() -> _Listed:
+def _postures() -> Listed:
     outfits = tuple(OUTFITS.values())
     for index, (name, pose) in enumerate(_POSES.items()):
         ref = BodyRef("hard", f"H{index:02d}", f"hard-{index:02d}", name, "test")
@@ -202,7 +198,7 @@ def _postures() -> _Listed:
         yield ref, partial(_figure, _FIRST_PERSON + index, pose, outfit)
 
 
-def _turned() -> _Listed:
+def _turned() -> Listed:
     number = len(_POSES)
     for step in range(_TURNS):
         degrees = step * 360 // _TURNS

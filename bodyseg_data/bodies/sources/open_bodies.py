@@ -22,9 +22,11 @@ from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.core.splits import split_by_motion, split_by_order
+from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
 from bodyseg_data.meshes.mesh import Mesh
 
 Maker = Callable[[], Figure]
+Listed = Iterator[tuple[BodyRef, Maker]]
 
 
 class MadeBodies(ListedBodies[Maker]):
@@ -47,8 +49,6 @@ class MadeBodies(ListedBodies[Maker]):
 
     def shaping(self) -> tuple[str, tuple[int, ...]]:
         """Return what shapes all made bodies: the version of Anny, and the landmarks. Raises MissingLibrary."""
-        from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-
         try:
             version = importlib.metadata.version("anny")
         except importlib.metadata.PackageNotFoundError as error:
@@ -69,8 +69,6 @@ class MadeBodies(ListedBodies[Maker]):
         of all bodies. dressed: False takes the outfit off and leaves the triangles. The same bits in every process.
         Raises BadConfig for a body of another source or if Anny's cache cannot be used, MissingLibrary without Anny.
         """
-        from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-
         figure = self.figure(body)
         vertices, faces = self.model.surface(figure, dressed)
         return Body(Mesh(body.mesh, vertices, faces), np.array(load_landmarks("open").vertices, np.int64))
@@ -94,21 +92,18 @@ class BareBodies(MadeBodies):
         super().__init__("bare", _figures(dressed=False))
 
 
-def _figures(dressed: bool) -> dict[BodyRef, Callable[[], Figure]]:
+def _figures(dressed: bool) -> dict[BodyRef, Maker]:
     moving = (each for subject in MOTIONS for each in _moving(subject, dressed))
     return dict([*_postures(), *moving, *_people()])
 
 
-_Listed = Iterator[tuple[BodyRef, Callable[[], Figure]]]
-
-
-def _postures() -> _Listed:
+def _postures() -> Listed:
     for index, (name, pose) in enumerate(POSTURES):
         ref = BodyRef("A", "A", f"posture-{index:02d}", name, split_by_order("A", index))
         yield ref, partial(Figure, SUBJECT_A, pose)
 
 
-def _moving(subject: Literal["B", "C"], dressed: bool) -> _Listed:
+def _moving(subject: Literal["B", "C"], dressed: bool) -> Listed:
     for name, motion in MOTIONS[subject].items():
         split = split_by_motion(subject, name)
         for index in range(motion.frames):
@@ -121,7 +116,7 @@ def _moved(subject: Literal["B", "C"], motion: Motion, index: int, outfit: Outfi
     return Figure(SUBJECTS[subject], frame.pose, frame.height_m, outfit)
 
 
-def _people() -> _Listed:
+def _people() -> Listed:
     for index in range(PEOPLE):
         ref = BodyRef("people", f"P{index:03d}", f"person-{index:03d}", "standing", split_by_order("people", index))
         yield ref, partial(_person, index)

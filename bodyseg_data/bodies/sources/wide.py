@@ -8,9 +8,8 @@ or chair is modelled, and limbs may touch or intersect a little.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,15 +17,14 @@ from bodyseg_data.bodies.anny.model import Figure
 from bodyseg_data.bodies.anny.people import person
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.clothes.outfits import OUTFITS
+from bodyseg_data.bodies.contacts.ranges import Ranges, within
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
+from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies, Maker, OpenBodies
 from bodyseg_data.core.randomness import generator
 
 WIDE: Final = 900
 _FIRST_PERSON: Final = 1000  # beyond those of the open and the hard set
 _DRESSED_EVERY: Final = 3
-
-Ranges = dict[str, tuple[float, float]]
 
 
 class Stance(NamedTuple):
@@ -110,11 +108,11 @@ class WideBodies(MadeBodies):
 
     def __init__(self) -> None:
         opened = OpenBodies()
-        figures: dict[BodyRef, Callable[[], Figure]] = {ref: partial(opened.figure, ref) for ref in opened.bodies()}
+        figures: dict[BodyRef, Maker] = {ref: partial(opened.figure, ref) for ref in opened.bodies()}
         super().__init__("wide", figures | dict(_drawn()))
 
 
-def _drawn() -> Iterator[tuple[BodyRef, Callable[[], Figure]]]:
+def _drawn() -> Listed:
     for index in range(WIDE):
         stance = [*STANCES][index % len(STANCES)]
         ref = BodyRef("wide", f"W{index:03d}", f"wide-{index:03d}", stance.replace(" ", "_"), "train")
@@ -135,14 +133,10 @@ def drawn_pose(index: int) -> Pose:
     """Draw the posture of body number `index`: stances take turns, everything else is random."""
     draws = generator(0, 0, f"wide/{index:03d}", "posture")
     stance = [*STANCES.values()][index % len(STANCES)]
-    trunk = Trunk(**_within(stance.trunk, draws))
+    trunk = Trunk(**within(stance.trunk, draws))
     if "roll" in stance.trunk:
         trunk = Trunk(**vars(trunk) | {"roll": float(np.copysign(90 + trunk.roll % 10 - 5, trunk.roll))})
-    left, right = (_within(stance.leg, draws) for _ in range(2))
+    left, right = (within(stance.leg, draws) for _ in range(2))
     kinds = [*ARMS.values()]
-    arms = [Arm(**_within(kinds[int(draws.random() * len(kinds))] | _HAND, draws)) for _ in range(2)]
+    arms = [Arm(**within(kinds[int(draws.random() * len(kinds))] | _HAND, draws)) for _ in range(2)]
     return Pose(trunk, arms[0], arms[1], Leg(**left), Leg(**(left if stance.alike else right)))
-
-
-def _within(ranges: Ranges, draws: np.random.Generator) -> dict[str, Any]:
-    return {joint: float(low + (high - low) * draws.random()) for joint, (low, high) in ranges.items()}

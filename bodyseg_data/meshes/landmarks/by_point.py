@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_landmark_names, check_names, json_table
+from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, check_keys, check_landmark_names, json_table
 from bodyseg_data.meshes.landmarks.coincident import separate
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
@@ -130,7 +130,7 @@ def parse_points(text: str, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
     tree = json_table(text, source)
-    check_names(list(tree), _KEYS, where, "key")
+    check_keys(tree, _KEYS, where)
     units, table = tree["units"], tree["points"]
     if not isinstance(units, str) or units not in METRES:
         raise BadLandmarks(f"{where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")

@@ -15,7 +15,6 @@ from __future__ import annotations
 import difflib
 import json
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -115,20 +114,21 @@ def parse_landmarks(text: str, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
     tree = json_table(text, source)
-    check_names(list(tree), _KEYS, where, "key")
+    check_keys(tree, _KEYS, where)
     if not isinstance(tree["topology"], str):
         raise BadLandmarks(f"{where}: 'topology' must be text, found {tree['topology']!r}")
     vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
     face_count = _whole(tree["face_count"], 1, None, f"{where}: 'face_count'")
-    vertices = _vertices(tree["landmarks"], vertex_count, where)
-    ignored = check_landmark_names(list(tree["landmarks"]), where)
-    return LandmarkSet(source, tree["topology"], vertex_count, face_count, vertices, ignored)
-
-
-def _vertices(table: Any, vertex_count: int, where: str) -> tuple[int, ...]:
+    table = tree["landmarks"]
     if not isinstance(table, dict):
         raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
-    check_landmark_names(list(table), where)
+    ignored = check_landmark_names(list(table), where)
+    return LandmarkSet(
+        source, tree["topology"], vertex_count, face_count, _vertices(table, vertex_count, where), ignored
+    )
+
+
+def _vertices(table: dict[str, Any], vertex_count: int, where: str) -> tuple[int, ...]:
     vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
     vertex, count = Counter(vertices).most_common(1)[0]
     if count > 2:
@@ -152,16 +152,6 @@ def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
     return tuple(others)
 
 
-def check_distinct(vertices: Sequence[int], where: str) -> None:
-    """Raise BadLandmarks, naming both, if two landmarks, in the order of `parts.LANDMARKS`, are the same vertex."""
-    first: dict[int, str] = {}
-    for name, vertex in zip(LANDMARKS, vertices, strict=True):
-        if first.setdefault(vertex, name) != name:
-            raise BadLandmarks(
-                f"{where}: landmarks must be different vertices, found {first[vertex]!r} and {name!r} at {vertex}"
-            )
-
-
 def json_table(text: str, source: str) -> dict[str, Any]:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
@@ -174,14 +164,14 @@ def json_table(text: str, source: str) -> dict[str, Any]:
     return tree
 
 
-def check_names(found: list[str], wanted: tuple[str, ...], where: str, kind: str) -> None:
-    """Raise BadLandmarks unless `found` are the names `wanted`. kind: of things named, for messages."""
-    unknown = [name for name in found if name not in wanted]
+def check_keys(tree: dict[str, Any], wanted: tuple[str, ...], where: str) -> None:
+    """Raise BadLandmarks unless the keys of a landmark file are those `wanted`."""
+    unknown = [key for key in tree if key not in wanted]
     if unknown:
-        raise BadLandmarks(f"{where}: unknown {kind} {', '.join(map(repr, unknown))}")
-    missing = [name for name in wanted if name not in found]
+        raise BadLandmarks(f"{where}: unknown key {', '.join(map(repr, unknown))}")
+    missing = [key for key in wanted if key not in tree]
     if missing:
-        raise BadLandmarks(f"{where}: {kind} {', '.join(map(repr, missing))} is missing")
+        raise BadLandmarks(f"{where}: key {', '.join(map(repr, missing))} is missing")
 
 
 def _whole(value: Any, low: int, high: int | None, what: str) -> int:

@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig, Unanswerable
 from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.repair import SAME_POINT_M
-from bodyseg_data.meshes.topology import Edges, components, find_edges
+from bodyseg_data.meshes.topology import Edges, components, face_components, find_edges
 
 GeodesicMethod = Literal["exact", "unfolded", "edges", "marching", "heat"]
 
@@ -102,7 +102,7 @@ def _exact(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources
     vertex = np.zeros(len(vertices) + pinches, np.int64)
     vertex[fans.ravel()] = faces.ravel()
     starts = np.flatnonzero(np.isin(vertex, sources))
-    sheet = components(len(vertex), fans[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    sheet = face_components(len(vertex), fans, _FEATURE)
     used, corners = np.unique(fans[np.isin(sheet[fans[:, 0]], sheet[starts])], return_inverse=True)
     within, nearest = _window_propagation(vertices[vertex[used]], corners.reshape(-1, 3), np.searchsorted(used, starts))
     order = np.argsort(-within, kind="stable")  # the shortest is written last

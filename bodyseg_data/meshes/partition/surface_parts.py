@@ -17,7 +17,7 @@ from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition.borders import Borders, find_borders
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, check_method, nearest_sources
 from bodyseg_data.meshes.partition.pieces import Piece, label_pieces
-from bodyseg_data.meshes.topology import components
+from bodyseg_data.meshes.topology import face_components
 
 _FEATURE: Final = "partitioning a body"
 
@@ -103,7 +103,7 @@ def _nearest_landmarks(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
     """Labels [V] and distances [V] from the landmarks along `surface`, and the method's note. Raises Unanswerable."""
     sources = surface.representative[landmarks]
-    piece = _connected(mesh, surface)
+    piece = face_components(len(mesh.vertices), surface.faces, _FEATURE)
     faces = surface.faces[np.isin(piece[surface.faces[:, 0]], piece[sources])]
     # Renumbered: no method accepts vertices without faces, and pieces without landmarks only cost time.
     used, corners = np.unique(faces, return_inverse=True)
@@ -112,11 +112,6 @@ def _nearest_landmarks(
     nearest = nearest_sources(method, mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, sources))
     distance[used], labels[used] = nearest.distance, nearest.source
     return labels[surface.representative], distance[surface.representative], nearest.note
-
-
-def _connected(mesh: Mesh, surface: MendedSurface) -> NDArray[np.int32]:
-    """Index of the connected piece of each vertex, int32 [V]."""
-    return components(len(mesh.vertices), surface.faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
 
 
 def _with_borders(
@@ -129,7 +124,8 @@ def _with_borders(
 ) -> Partition:
     reached = np.isfinite(distance)
     if pieces:
-        reached |= label_pieces(mesh, pieces, _connected(mesh, surface), labels, distance)
+        piece = face_components(len(mesh.vertices), surface.faces, _FEATURE)
+        reached |= label_pieces(mesh, pieces, piece, labels, distance)
     unreached = np.flatnonzero(~reached)
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)

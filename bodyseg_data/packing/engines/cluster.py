@@ -21,7 +21,7 @@ from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 
 CONNECT_TIMEOUT_S: Final = 5.0
 """The time that a scheduler may take to answer, and a first worker to appear."""

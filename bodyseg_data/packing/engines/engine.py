@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 
 PROCESSES: Final = "processes"
 _DASK: Final = re.compile(r"dask://(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+):(\d{1,5})")

@@ -17,7 +17,7 @@ from typing import Any, Final
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
-from bodyseg_data.packing.pack import PACKING_VERSION, Packing, evenly_sampled, forget_sources
+from bodyseg_data.packing.options import PACKING_VERSION, Packing, evenly_sampled, forget_sources
 from bodyseg_data.packing.skipping import SKIPPABLE
 
 _SHAPE_BYTES: Final = (

@@ -49,7 +49,7 @@ class CachedStore:
         return self._remote.read(name, offset, length) if data is None else data
 
     def read_file(self, name: str, limit: int) -> bytes | None:
-        """See `Store.whole`."""
+        """See `Store.read_file`."""
         return self._remote.read_file(name, limit)
 
     def size(self, name: str) -> int:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rigs.camera import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.runs import (
     ESCAPE,
@@ -35,9 +36,6 @@ from bodyseg_data.shards.codecs.runs import (
     to_byte_planes,
 )
 from bodyseg_data.shards.codecs.slopes import Slopes, decode_slopes, encode_slopes, foreground_runs
-
-MAX_SIDE: Final = 8192
-"""Longest side of an image, pixels; larger ones are refused before memory is allocated."""
 
 _MAGIC: Final = b"BSI2"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows

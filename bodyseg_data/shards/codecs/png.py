@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
+from bodyseg_data.core.rigs.camera import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.labels import split_labels
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary, Unreachable
+from bodyseg_data.core.errors import BadConfig, MissingLibrary, Unreachable, check_int
 from bodyseg_data.shards.stores.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
 
 _SHORTEST_SECRET: Final = 4
@@ -43,9 +43,7 @@ class RetryPolicy:
 
     def __post_init__(self) -> None:
         for name in ("tries", "progress_bytes"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise BadConfig(f"RetryPolicy: {name} must be a whole number of at least 1, found {value!r}")
+            check_int(f"RetryPolicy: {name}", getattr(self, name), 1)
         for name in ("total_s", "stall_s", "first_wait_s"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:

@@ -8,7 +8,7 @@ from typing import Final
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.shards.cache.addresses import open_store
+from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.store import Store
 from bodyseg_data.transfer.bundle import Bundle, set_bundle
 from bodyseg_data.transfer.targets import LocalTarget

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.shards.cache.addresses import open_store
 from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RemoteFolder
 from bodyseg_data.shards.stores.store import LocalFolder
 from bodyseg_data.transfer.bundle import set_bundle

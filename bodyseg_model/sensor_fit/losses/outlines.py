@@ -13,7 +13,7 @@ from bodyseg_data.core.rig import Camera
 from bodyseg_model.sensor_fit.masks import closing, connected, dilated, holes, opening
 from bodyseg_model.sensor_fit.noise.residuals import body_surface, mean_frame
 from bodyseg_model.sensor_fit.recording import Frame, Recording
-from bodyseg_model.sensor_fit.surfaces import Surface, third_differences
+from bodyseg_model.sensor_fit.surfaces import Surface
 
 RINGS: Final = 6
 """Pixels from the outline inwards that are counted ring by ring; beyond is the inside."""
@@ -74,7 +74,7 @@ def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[O
         rooms = sum(frame.room.astype(np.int64) for frame in recording.frames)
         shown = np.asarray(seen >= max(1.0, SEEN_SHARE * len(recording.frames)))
         room = np.asarray(rooms > len(recording.frames) // 2)
-        sigma = _noise(recording.frames[0]) / np.sqrt(len(recording.frames))
+        sigma = recording.frames[0].noise_m / np.sqrt(len(recording.frames))
         surface = body_surface(mean, known, sigma, recording)
         incidence, exact = _incidence(mean, known, surface, sigma, recording.camera)
         full = _without_gaps(_full(shown & ~room, room), known, incidence)
@@ -89,7 +89,7 @@ def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[O
     found = []
     for frame in recording.frames:
         if frame.body.any():
-            sigma = _noise(frame)
+            sigma = frame.noise_m
             surface = body_surface(frame.range_m, frame.body, sigma, recording)
             incidence = np.degrees(surface.incidence_rad)
             full = _without_gaps(_full(_bridged(frame.body), frame.room), frame.body, incidence)
@@ -144,11 +144,6 @@ def _without_gaps(full: Mask, known: Mask, incidence: NDArray[np.float64]) -> Ma
             kept &= ~dilated(hole, _CLOSED_PX) | known
         cores &= ~hole
     return kept
-
-
-def _noise(frame: Frame) -> float:
-    values, _ = third_differences(frame.range_m, frame.body)
-    return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
 
 
 def _full(body: Mask, room: Mask) -> Mask:
@@ -247,7 +242,7 @@ def _behind_edges(frame: Frame, camera: Camera, baseline_m: float | None) -> Mas
     before = np.take_along_axis(image, np.clip(left, 0, count - 1), 1)
     behind = np.take_along_axis(image, np.clip(right, 0, count - 1), 1)
     width = right - left - 1
-    found: Mask = (image == 0) & both & (width > 1) & (np.abs(before - behind) > _JUMP_M + 8 * _noise(frame))
+    found: Mask = (image == 0) & both & (width > 1) & (np.abs(before - behind) > _JUMP_M + 8 * frame.noise_m)
     if baseline_m is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             widest = camera.focal_px * baseline_m * np.abs(1 / before - 1 / behind)

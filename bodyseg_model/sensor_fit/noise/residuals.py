@@ -55,24 +55,23 @@ class Residuals:
         return float(1.4826 * np.median(size)) or float(np.sqrt(np.mean(size**2)))
 
 
-def residuals_of(recording: Recording) -> tuple[list[Residuals], Surface | None]:
-    """The residuals of all frames, and the surface of the still body where there is one.
+def residuals_of(recording: Recording) -> list[Residuals]:
+    """The residuals of all frames.
 
     Bodies that stand still are measured through time, others within each frame; the room behind only through time, as
     its shape is not known to be smooth.
     """
     found: list[Residuals] = []
-    surface = None
     if recording.still:
         mean, known = mean_frame(recording)
-        sigma = _first_guess(recording.frames[0].range_m, recording.frames[0].body) / np.sqrt(len(recording.frames))
+        sigma = recording.frames[0].noise_m / np.sqrt(len(recording.frames))
         surface = body_surface(mean, known, sigma, recording)
         found += [_temporal(recording, a, b, surface, body=True) for a, b in recording.pairs]
     else:
         found += [_spatial(recording, frame) for frame in recording.frames if frame.body.any()]
     if recording.still_room:
         found += list(_room(recording))
-    return [residuals for residuals in found if len(residuals.residual_m)], surface
+    return [residuals for residuals in found if len(residuals.residual_m)]
 
 
 def mean_frame(recording: Recording) -> tuple[Floats, Mask]:
@@ -103,13 +102,8 @@ def inner(range_m: NDArray[np.floating], known: Mask, sigma_m: float) -> Mask:
     return known & ~dilated(jumps, MARGIN_PX)
 
 
-def _first_guess(range_m: NDArray[np.floating], known: Mask) -> float:
-    values, _ = third_differences(range_m, known)
-    return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
-
-
 def _spatial(recording: Recording, frame: Frame) -> Residuals:
-    sigma = _first_guess(frame.range_m, frame.body)
+    sigma = frame.noise_m
     surface = body_surface(frame.range_m, frame.body, sigma, recording)
     usable = inner(frame.range_m, frame.body, sigma) & surface.at(frame.body)
     values, pixels = third_differences(frame.range_m, usable)

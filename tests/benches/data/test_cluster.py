@@ -10,7 +10,7 @@ from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # distributed closes its loops late

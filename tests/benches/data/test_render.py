@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera, axes_at
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
 VIEWS = list(PACKING.views)

@@ -16,8 +16,9 @@ from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_b
 from bodyseg_data.core.errors import BadShard
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import MANIFEST_NAME, write_manifest
-from bodyseg_data.shards.tar import find_faults, parse_members
+from bodyseg_data.shards.tar import parse_members
 
 
 @pytest.fixture(scope="module")

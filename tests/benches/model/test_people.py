@@ -22,13 +22,13 @@ from benches.model.people.scores import accuracy, by_groups  # noqa: E402
 from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
 
-from bodyseg_data.bodies.anny.library import one_thread  # noqa: E402
 from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.core.errors import BadConfig, BadLandmarks  # noqa: E402
 from bodyseg_data.core.parts import LANDMARKS, PARTS  # noqa: E402
+from bodyseg_data.core.system.torch_threads import torch_threads  # noqa: E402
 from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
 
 MOVED = LANDMARKS.index("Rt. Acromion")
@@ -36,7 +36,7 @@ MOVED = LANDMARKS.index("Rt. Acromion")
 
 @pytest.fixture(scope="module")
 def body() -> FittingBody:
-    with one_thread():
+    with torch_threads(1):
         return fitting_body()
 
 

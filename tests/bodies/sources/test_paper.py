@@ -19,8 +19,8 @@ from bodyseg_data.bodies.sources.scape import MESHES as SCAPE_MESHES
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadConfig, BadLandmarks
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing import pack as packing
-from bodyseg_data.packing.pack import Packing, plan
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, plan
 from bodyseg_data.shards.manifest import read_manifest
 
 
@@ -161,7 +161,7 @@ def test_a_part_packs_and_notes_what_was_mended(tmp_path: Path) -> None:
     write_mesh(root / "caesar" / "csr0001a.ply", PERSON.vertices @ turn("-x", "z") * 1000, faces)
     out = tmp_path / "shards"
     with ThreadPoolExecutor(1) as executor:
-        packing.pack(Packing("paper", root, views=ViewGrid(count=2), pymeshlab=True), out, executor, 1)
+        pack(Packing("paper", root, views=ViewGrid(count=2), pymeshlab=True), out, executor, 1)
     manifest = read_manifest(out)
     assert manifest.samples() == 8 and manifest.source == "paper"
     assert any(note.startswith("csr0001a: repaired: ") for shard in manifest.shards for note in shard.notes)

@@ -14,7 +14,8 @@ from benches.fuzzing.fuzzing import campaign
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, kill_at_instants
 from benches.measuring import Progress, silent
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 FLIPS: Final = 1000

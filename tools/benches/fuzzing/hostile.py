@@ -16,7 +16,7 @@ from typing import Any, Final
 import zstandard
 from numpy.random import Generator
 
-from bodyseg_data.shards.codecs.bodyseg_images import MAX_SIDE
+from bodyseg_data.core.rigs.camera import MAX_SIDE
 from bodyseg_data.shards.codecs.png import SIGNATURE, read_chunks
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"

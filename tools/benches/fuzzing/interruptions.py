@@ -25,8 +25,10 @@ import numpy as np
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BodysegError
 from bodyseg_data.core.views import View
-from bodyseg_data.packing.pack import Packing, Rendered, pack, render_run
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, render_run
 from bodyseg_data.packing.state import STATE_NAME
+from bodyseg_data.packing.writing import Rendered
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 Trouble = Literal["killed", "disk full", "read-only", "folder gone"]

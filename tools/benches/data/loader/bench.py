@@ -48,7 +48,8 @@ from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.transforms import Flip
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 
 _BATCH: Final = 20
 _ROUNDS: Final = 7

@@ -19,7 +19,7 @@ from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.rendering import RENDERERS, open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 

@@ -28,7 +28,8 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.pack import Packing, pack, render_run
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, render_run
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
 

@@ -11,7 +11,8 @@ from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.engines.engine import open_engine
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 _BODIES: Final = 40

@@ -22,7 +22,7 @@ from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.sampler import sample_key
 
 import_module("bodyseg_data.rendering.opengl")  # lets pyrender draw without a display, or says what is absent

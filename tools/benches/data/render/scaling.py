@@ -14,8 +14,10 @@ from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.packing.engines.engine import open_engine
-from bodyseg_data.packing.pack import Packing, Rendered, pack, render_run
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack, render_run
 from bodyseg_data.packing.sampler import sample_key
+from bodyseg_data.packing.writing import Rendered
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
 _BODIES: Final = 8

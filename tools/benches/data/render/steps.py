@@ -26,7 +26,7 @@ from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.occluder_range import occluder_range
-from bodyseg_data.packing.pack import Packing
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer

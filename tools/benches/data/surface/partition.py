@@ -23,7 +23,7 @@ from bodyseg_data.core.errors import Unanswerable
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
-from bodyseg_data.packing.pack import evenly_sampled
+from bodyseg_data.packing.options import evenly_sampled
 
 METHODS: Final[tuple[GeodesicMethod, ...]] = get_args(GeodesicMethod)
 DEFAULT: Final[GeodesicMethod] = "exact"

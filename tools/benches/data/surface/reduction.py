@@ -28,7 +28,7 @@ from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.meshes.repair import load_pymeshlab
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
-from bodyseg_data.packing.pack import Packing, evenly_sampled
+from bodyseg_data.packing.options import Packing, evenly_sampled
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer

@@ -31,7 +31,8 @@ from bodyseg_data.core.errors import BadSample
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 
 _BATCH: Final = 20
 _ROUNDS: Final = 7

@@ -26,7 +26,7 @@ from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.packing.pack import evenly_sampled
+from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample
 from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
-from bodyseg_model.evaluation.mistakes import KIND_OF, KINDS
+from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
 
 About = Literal["a place", "a mistake", "an image"]
 
@@ -184,7 +185,7 @@ def holds(prediction: Prediction, camera: Camera) -> NDArray[np.bool_]:
 
     near = parts_within(clean.labels, NEAR_PX).ravel()[where]
     measured = window_sums(shown.labels != BACKGROUND, NEAR_PX)
-    kinds = KIND_OF[truth, predicted]
+    kinds = kinds_of(PARTS33)[truth, predicted]
     wrong = kinds != KINDS.index("right")
     moved = wrong & ((_BITS[predicted] & near) != 0)
     with np.errstate(invalid="ignore"):

@@ -11,7 +11,8 @@ from bodyseg_data.artifacts.variants import Augmentation
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import metres
-from bodyseg_data.packing.pack import Packing, render_run
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import render_run
 from bodyseg_data.shards.sample_codec import decode_sample
 
 SENSOR_SIZE = (1920, 988)

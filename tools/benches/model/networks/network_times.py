@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from torch.utils.flop_counter import FlopCounterMode
 
 from benches.model.networks.network_frames import as_batch
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.training.distributed import threads
 
 Task = Literal["scores", "labels"]
 Precision = Literal["float32", "bfloat16"]
@@ -56,7 +56,7 @@ def time_cell(
     device = torch.device(cell.device)
     names = list(networks)
     # Layers' weights are rounded once: autocast forgets the rounded ones where its context ends.
-    with threads(cell.threads), torch.autocast(device.type, torch.bfloat16, enabled=cell.precision == "bfloat16"):
+    with torch_threads(cell.threads), torch.autocast(device.type, torch.bfloat16, enabled=cell.precision == "bfloat16"):
         for name in names:
             _milliseconds(_job(cell.task, networks[name], batches[0]), device)
         start = time.perf_counter()

@@ -20,6 +20,7 @@ from benches.measuring import Progress, silent
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from bodyseg_data.core.errors import MissingLibrary, check_int
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
@@ -30,7 +31,6 @@ from bodyseg_model.runtimes.onnx_files import Precision, export_trained
 from bodyseg_model.runtimes.onnx_runtime import OnnxRuntime
 from bodyseg_model.runtimes.quantisation import IMAGES, calibrated
 from bodyseg_model.runtimes.runtime import RuntimeNetwork
-from bodyseg_model.training.distributed import threads
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"
@@ -129,7 +129,7 @@ def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], coun
     """
     clock: dict[str, list[float]] = {name: [] for name in networks}
     processor: dict[str, list[float]] = {name: [] for name in networks}
-    with threads(count):
+    with torch_threads(count):
         for network in networks.values():
             predict(network, images[0])
         for number in range(ROUNDS):

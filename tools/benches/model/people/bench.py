@@ -14,9 +14,9 @@ from benches.measuring import Progress, silent
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.landmarks import fitted_to, measured
 from benches.model.people.scores import VARIANTS, packed_views, scored
-from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.bodies.landmark_fitting.template import fitting_body
 from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 
 _POSES: Final = 10
@@ -49,7 +49,7 @@ def bench_people(
         "views": views,
     }
     if not alone:
-        with one_thread():
+        with torch_threads(1):
             open_body = fitting_body()
             fits = []
             for number, body in enumerate(bodies, start=1):

@@ -20,9 +20,9 @@ from benches.model.people.intervals import interval, summed
 from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody
 from bodyseg_data.bodies.landmark_fitting.search import fit_body
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody
+from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import LANDMARKS, PARTS
 from bodyseg_data.meshes.landmarks.by_point import snap
-from bodyseg_data.meshes.landmarks.by_vertex import check_distinct
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 
 _MIRROR: Final = [part.mirror for part in PARTS]
@@ -67,7 +67,11 @@ def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
         if part.landmark.startswith("Rt."):
             there = body.mesh.vertices[vertices[part.label]] * _ACROSS
             vertices[part.mirror] = body.skin[tree.query(there)[1]]
-    check_distinct(vertices.tolist(), "landmarks placed by people's")
+    shared = [name for name, vertex in zip(LANDMARKS, vertices, strict=True) if np.sum(vertices == vertex) > 1]
+    if shared:
+        raise BadLandmarks(
+            f"landmarks placed by people's must be different vertices, found {', '.join(shared)} together"
+        )
     return vertices
 
 

@@ -18,7 +18,8 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.views import ViewGrid, split_key
 from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
-from bodyseg_data.packing.pack import Packing, pack
+from bodyseg_data.packing.options import Packing
+from bodyseg_data.packing.pack import pack
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_model.evaluation.evaluation import Extra, PredictedImage, evaluate, open_images
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of

@@ -20,10 +20,10 @@ from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, resid
 from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
 from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
@@ -80,7 +80,7 @@ def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progr
     shadow, mirrored = settled(stored)
     turned = [frame.mirrored() for frame in stored] if mirrored else stored
     placements = placements.mirrored() if mirrored else placements
-    with one_thread():
+    with torch_threads(1):
         rough = fuse(turned)
         frames = fitted(turned, rough)
         fused = fuse(frames)

@@ -13,7 +13,7 @@ from benches.model.real.recording import Floats, Frame
 from bodyseg_data.bodies.contacts.surface import vertex_normals
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.meshes.topology import components, find_edges
+from bodyseg_data.meshes.topology import components, face_components, find_edges
 
 VOXEL_M: Final = 0.004
 
@@ -59,7 +59,7 @@ def fuse(frames: Sequence[Frame], voxel_m: float = VOXEL_M) -> FusedSurface:
     ends = [np.clip(np.rint(points + sign * 0.499).astype(int), 0, np.array(known.shape) - 1) for sign in (-1, 1)]
     seen = known[tuple(ends[0].T)] & known[tuple(ends[1].T)]  # both ends of the edge of the grid that a vertex is on
     faces = faces[seen[faces].all(axis=1)].astype(np.int64)
-    piece = components(len(points), faces[:, [0, 1, 1, 2]].reshape(-1, 2), _FEATURE)
+    piece = face_components(len(points), faces, _FEATURE)
     faces = faces[piece[faces[:, 0]] == np.bincount(piece[faces[:, 0]]).argmax()]
     used, corners = np.unique(faces, return_inverse=True)
     vertices = low + voxel_m * points[used].astype(np.float64)

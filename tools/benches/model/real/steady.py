@@ -20,9 +20,9 @@ from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.bodies.anny.library import one_thread
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
@@ -92,7 +92,7 @@ def still_person(trained: Trained, folder: Path, views: int, progress: Progress 
     stored = read_recording(folder, views)
     _, mirrored = settled(stored)
     placements = load_placements(folder)
-    with one_thread():
+    with torch_threads(1):
         turned = [frame.mirrored() for frame in stored] if mirrored else stored
         frames = fitted(turned, fuse(turned))
         fused = fuse(frames)
