@@ -167,4 +167,5 @@ def _pick(image: Floats, corner: tuple[int, int], down: Floats, across: Floats) 
         np.clip(np.floor(points) - start, 0, side - 1).astype(np.intp)
         for points, start, side in zip((down, across), corner, image.shape, strict=True)
     )
-    return image.ravel()[row * image.shape[1] + column]
+    picked: Floats = image.ravel()[row * image.shape[1] + column]
+    return picked
