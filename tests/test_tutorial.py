@@ -35,7 +35,6 @@ def test_the_tutorial_runs_from_a_recording_to_labels(
     monkeypatch.chdir(tmp_path)
     for command in tutorial.commands:
         assert bodyseg_main(smaller(command, SIZES)) == 0, (command, capfd.readouterr().err)
-    assert "no pixel with a confidence above 70 %" in capfd.readouterr().out, "after two steps of training"
     card = json.loads((tmp_path / "my_network.json").read_text())
     assert (card["rig"]["name"], card["sensor"]["name"]) == ("my_rig", "my_sensor")
     for out in ("labelled", "labelled_again"):

@@ -115,7 +115,7 @@ def run(options: Options) -> int:
         if drawn is not None:
             written.append(options.figures / "samples.png")
             save_picture(drawn, written[-1])
-    sys.stderr.write(f"{_headline(scores)}\nwrote {', '.join(map(str, written))}\n")
+    sys.stderr.write(f"{headline(scores)}\nwrote {', '.join(map(str, written))}\n")
     return 0
 
 
@@ -252,7 +252,9 @@ def _count(images: RangeImages, count: int | None) -> int:
     return len(images) if count is None else min(count, len(images))
 
 
-def _headline(scores: dict[str, Any]) -> str:
+def headline(scores: dict[str, Any]) -> str:
+    """Scores of an evaluation in one line: accuracy of all pixels, and of those with a confidence above 70 %."""
+
     def percent(share: float | None) -> str:
         return "-" if share is None else f"{100 * share:.1f} %"
 

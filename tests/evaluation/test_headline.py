@@ -1,0 +1,21 @@
+"""The line of scores that `bodyseg evaluate` prints."""
+
+from __future__ import annotations
+
+from bodyseg_model.commands.evaluate import headline
+
+
+def line(above: dict[str, float | None]) -> str:
+    return headline({"images": 2, "average_per_class_accuracy": 0.436, "confidence": {"above_70_percent": above}})
+
+
+def test_confident_pixels_are_scored_apart() -> None:
+    found = line({"average_per_class_accuracy": 0.9, "share_of_pixels": 0.25})
+    assert found == (
+        "2 images: average per-class accuracy 43.6 %, 90.0 % where confidence is above 70 % (25.0 % of pixels)"
+    )
+
+
+def test_an_unsure_network_has_no_confident_pixels() -> None:
+    found = line({"average_per_class_accuracy": None, "share_of_pixels": 0.0})
+    assert found == "2 images: average per-class accuracy 43.6 %, no pixel with a confidence above 70 %"
