@@ -59,6 +59,20 @@ def defined_in(body: Sequence[ast.stmt]) -> Iterator[tuple[str, Sequence[ast.stm
             yield from defined_in([*node.body, *node.orelse])
 
 
+@cache
+def module_body(file: Path) -> Sequence[ast.stmt]:
+    return ast.parse(file.read_text()).body
+
+
+def classes_in(body: Sequence[ast.stmt]) -> Iterator[ast.ClassDef]:
+    """Classes that statements define, at any depth."""
+    for node in body:
+        if isinstance(node, ast.ClassDef):
+            yield node
+        yield from classes_in(getattr(node, "body", ()))
+
+
+@cache
 def is_defined(name: str) -> bool:
     """Whether a dotted name is a package, a module, or what one of them defines, down to a class's members."""
     parts = name.split(".")
@@ -67,7 +81,7 @@ def is_defined(name: str) -> bool:
         file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
         if not file.is_file():
             continue
-        body: Sequence[ast.stmt] = ast.parse(file.read_text()).body
+        body = module_body(file)
         for part in parts[end:]:
             members = dict(defined_in(body))
             if part not in members:
@@ -114,10 +128,9 @@ def members() -> dict[str, set[str]]:
     own: dict[str, set[str]] = {}
     bases: dict[str, set[str]] = {}
     for path in python_files():
-        for node in ast.walk(ast.parse((ROOT / path[1:]).read_text())):
-            if isinstance(node, ast.ClassDef):
-                own.setdefault(node.name, set()).update(name for name, _ in defined_in(node.body))
-                bases.setdefault(node.name, set()).update(ast.unparse(base) for base in node.bases)
+        for node in classes_in(module_body(ROOT / path[1:])):
+            own.setdefault(node.name, set()).update(name for name, _ in defined_in(node.body))
+            bases.setdefault(node.name, set()).update(ast.unparse(base) for base in node.bases)
     for name, parents in bases.items():
         own[name] = own[name].union(*(own.get(parent, set()) for parent in parents))
     return own

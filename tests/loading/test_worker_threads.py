@@ -34,11 +34,17 @@ def worker_threads() -> list[threading.Thread]:
 
 @pytest.fixture(autouse=True)
 def _no_thread_is_left() -> Iterator[None]:
-    gc.collect()  # loaders of other files' tests
+    _collect()  # loaders of other files' tests
     assert worker_threads() == []
     yield
-    gc.collect()
+    _collect()
     assert worker_threads() == []
+
+
+def _collect() -> None:
+    """Collect garbage if it may hold a loader: a collection takes a quarter of a second in a process of many tests."""
+    if worker_threads():
+        gc.collect()
 
 
 def threaded(images: RangeImages, batch_size: int = 3, workers: int = 2, **options: Any) -> Loader:
