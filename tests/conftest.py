@@ -17,11 +17,14 @@ from folders import SHARED_DATA, TESTS
 from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing import pack as packing
 
-# No test depends on how busy the machine is.
-hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+# No test depends on how busy the machine is. Examples are others in every run.
+hypothesis.settings.register_profile(
+    "untimed", max_examples=40, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
@@ -81,7 +84,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, Any, Any]:
-    """Without garbage collections: modules and tests, and later what is there by now, stay to the end."""
+    """Without garbage collections: modules and tests, and later what is there by now, stay to the end.
+
+    Later, too, garbage is looked for less often than usual: tests that depend on that collect it themselves.
+    """
+    gc.set_threshold(50_000, 20, 20)
     gc.disable()
     try:
         return (yield)
@@ -102,10 +109,13 @@ def mit_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def pack_figures() -> Callable[..., Path]:
-    """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
+    """Pack the plain figures of `fakes` into a folder, in this process and as the small rig sees them.
+
+    executor: what renders, if not a thread. options: those of a packing.
+    """
 
     def pack(out: Path, executor: Executor | None = None, **options: Any) -> Path:
-        wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
+        wanted = {"views": ViewGrid(span_deg=360, count=4), "rig": SMALL, **options}
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
             patch.setitem(SOURCES, "open", FiguresEntry())
             packing.pack(packing.Packing("open", **wanted), out, executor or thread, 1)
@@ -122,5 +132,11 @@ def figures_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable
 
 @pytest.fixture(scope="session")
 def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    """The same samples in a sixteenth of the pixels, for trainings; in shards of 8. Tests must not change it."""
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, shard_samples=8)
+    """The same samples in shards of 8. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", shard_samples=8)
+
+
+@pytest.fixture(scope="session")
+def paper_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    """The samples of `figures_set` as the paper's rig sees them: 16 times the pixels. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("paper") / "shards", rig=load_rig(), shard_samples=5)
