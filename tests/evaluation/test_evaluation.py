@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.sensor_model import sensor_model_names
@@ -63,7 +64,8 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "context": False})
     folder = tmp_path_factory.mktemp("runs") / "tiny"
     folder.mkdir()
-    save_network(folder / "network.safetensors", small, "compact", {"variant": "all", "seed": 3})
+    facts = {"variant": "all", "seed": 3, "rig": SMALL.to_json()}
+    save_network(folder / "network.safetensors", small, "compact", facts)
     return folder
 
 
@@ -444,8 +446,8 @@ def test_an_interrupted_evaluation_leaves_no_file(
 
 
 def test_without_a_run_the_network_that_ships_is_judged(
-    figures_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    paper_set: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(command, "shipped_network", lambda: load_network(run_folder))
-    assert call("--data", figures_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
+    assert call("--data", paper_set, "--json", tmp_path / "x.json", "--frames", 0, "--num-workers", 0) == 0
     assert json.loads((tmp_path / "x.json").read_text())["run"] is None
