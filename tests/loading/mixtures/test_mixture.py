@@ -302,9 +302,9 @@ def test_a_mixture_prints_in_one_line(mixture: Mixture) -> None:
 
 
 def test_sets_that_differ_in_what_a_batch_needs_are_refused(
-    known: RangeImages, small_set: Path, figures_set: Path
+    known: RangeImages, small_set: Path, paper_set: Path
 ) -> None:
-    large = RangeImages(figures_set, "all", "train")
+    large = RangeImages(paper_set, "all", "train")
     size = r"^a mixture needs images of one size: .* has \(160, 82\), .* has \(640, 329\)"
     with pytest.raises(BadConfig, match=size):
         Mixture([(known, 1), (large, 1)])
