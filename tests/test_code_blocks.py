@@ -135,7 +135,13 @@ test_tutorial.py runs those of tutorial.md. Those of all other documents take mi
 every option and value, as the command itself reads them.
 """
 
-SIZES: Final = {"shard --views": "1", "shard --distances": "255", "shard --workers": "1", "gallery --views": "2"}
+SIZES: Final = {
+    "shard --views": "1",
+    "shard --distances": "255",
+    "shard --workers": "1",
+    "shard --geodesics": "edges",
+    "gallery --views": "2",
+}
 """Options that make the commands short."""
 
 

@@ -17,6 +17,7 @@ SIZES: Final = {
     "shard --meshes": "6",
     "shard --views": "1",
     "shard --workers": "1",
+    "shard --geodesics": "edges",
     "train --steps": "2",
     "train --batch-size": "2",
     "train --num-workers": "0",
