@@ -21,7 +21,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BodysegError, WorkerLost
 from bodyseg_data.loading.loader import Loader
 
-EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "5"))
+EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "3"))
 
 WITHIN_S = 60
 """How long what should happen at once may take on a busy machine."""

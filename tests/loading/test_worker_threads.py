@@ -199,6 +199,7 @@ def test_epochs_leave_nothing_behind(small_set: Path) -> None:
     def open_files() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))
 
+    gc.collect()  # files of other tests
     images = RangeImages(small_set, "all")
     before = open_files()
     batches: Any = threaded(images)
