@@ -175,14 +175,8 @@ def test_farthest_points_are_far_from_each_other() -> None:
     assert len(farthest(line[:3], 5)) == 3
 
 
-@pytest.fixture
-def few_postures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search begins from every fifth posture: it tries all directions and limbs all the same."""
-    monkeypatch.setattr(proposal_module, "POSTURES", POSTURES[::5])
-
-
-@pytest.fixture
-def person(few_postures: None) -> tuple[Mesh, np.ndarray, Proposal]:
+@pytest.fixture(scope="module")
+def person() -> tuple[Mesh, np.ndarray, Proposal]:
     """Another shape than the open body's mean, decimated, shuffled, turned."""
     source = open_source("open")
     built = source.build(next(ref for ref in source.bodies() if ref.mesh == "person-100"))
@@ -203,7 +197,6 @@ def test_a_person_of_the_open_set_is_found_whatever_the_numbering(person: tuple[
     assert (proposal.landmarks.vertex_count, proposal.landmarks.face_count) == (len(mesh.vertices), len(mesh.faces))
 
 
-@pytest.mark.usefixtures("few_postures")
 def test_a_clothed_man_as_scanned_is_found(mit_folder: Path, body: FittingBody) -> None:
     source = open_source("mit", mit_folder)
     built = source.build(next(ref for ref in source.bodies() if ref.mesh == "I_crane_0000"))
