@@ -12,6 +12,7 @@ from typing import Any, Final
 import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
 import hypothesis
 import pytest
+import shared_anny  # noqa: F401  # before anything imports what loads the body model
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
 from small_rig import SMALL
