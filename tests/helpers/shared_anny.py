@@ -18,6 +18,7 @@ def shared(load: Callable[..., Any]) -> Callable[..., Any]:
 
     def load_shared(progress: Callable[[int, int], None] | None = None) -> Any:
         try:
+            import anny  # noqa: F401  # which a test may have made absent, though its modules are loaded
             from anny.paths import get_anny_cache_path
         except ImportError:
             return load(progress)
