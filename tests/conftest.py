@@ -13,12 +13,14 @@ from typing import Any, Final
 import checked_arrays  # noqa: F401  # checks the arrays of all that is imported from here on
 import hypothesis
 import pytest
+import shared_anny  # noqa: F401  # before anything imports what loads the body model
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
 from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.repair import load_pymeshlab
 from bodyseg_data.packing.options import Packing
@@ -27,35 +29,44 @@ from bodyseg_data.packing.pack import pack
 # Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
 sys.modules["pymeshlab"] = None  # type: ignore[assignment]
 
-# No test depends on how busy the machine is.
-hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+# No test depends on how busy the machine is. Examples are others in every run.
+hypothesis.settings.register_profile(
+    "untimed", max_examples=40, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
-    "packing/test_engines.py",
     "bodies/test_landmark_fitting.py",
-    "packing/test_pack.py",
-    "test_tutorial.py",
+    "packing/test_engines.py",
     "loading/test_loader_faults.py",
-    "benches/data/test_workers.py",
-    "bodies/test_motions.py",
+    "test_tutorial.py",
+    "training/test_torchrun.py",
     "commands/test_cli.py",
+    "packing/test_pack.py",
+    "bodies/test_motions.py",
+    "bodies/sources/test_open_bodies.py",
+    "bodies/sources/test_everyday.py",
+    "shards/test_stores.py",
+    "benches/fuzzing/test_fuzz.py",
+    "loading/test_arguments.py",
+    "test_notebooks.py",
+    "packing/test_mesh_reduction.py",
+    "benches/results/test_running.py",
+    "sensor_fit/test_fit.py",
+    "loading/test_worker_threads.py",
+    "runtimes/test_runtimes.py",
+    "packing/test_faulty_meshes.py",
+    "benches/data/test_workers.py",
     "benches/model/test_real.py",
     "training/test_loop.py",
-    "training/test_torchrun.py",
     "benches/data/test_loader.py",
     "artifacts/test_occlusion.py",
     "rendering/test_renderers.py",
     "test_wheel.py",
-    "benches/fuzzing/test_fuzz.py",
-    "loading/test_arguments.py",
-    "bodies/sources/test_open_bodies.py",
-    "shards/test_stores.py",
     "rendering/test_missing.py",
     "rendering/test_views.py",
     "networks/test_registry.py",
     "loading/test_loader.py",
-    "benches/data/test_scaling.py",
     "evaluation/test_evaluation.py",
     "meshes/partition/test_geodesics.py",
     "loading/test_range_images.py",
@@ -63,7 +74,6 @@ _LONG_FILES: Final = (
     "training/test_train_command.py",
     "bodies/test_clothes.py",
     "evaluation/test_code_digest.py",
-    "evaluation/test_result_cache.py",
     "core/test_kernels.py",
     "benches/model/test_sensor_fit.py",
     "benches/model/test_people.py",
@@ -72,6 +82,11 @@ _LONG_FILES: Final = (
     "benches/model/test_ablation.py",
     "test_structure.py",
     "packing/test_shadow_thresholds.py",
+    "packing/test_two_projectors.py",
+    "packing/test_pack_faults.py",
+    "segmentation/test_segment_command.py",
+    "sensor_fit/test_losses.py",
+    "sensor_fit/test_range_noise.py",
 )
 """Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
 
@@ -88,7 +103,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, Any, Any]:
-    """Without garbage collections: modules and tests, and later what is there by now, stay to the end."""
+    """Without garbage collections: modules and tests, and later what is there by now, stay to the end.
+
+    Later, too, garbage is looked for less often than usual: tests that depend on that collect it themselves.
+    """
+    gc.set_threshold(50_000, 20, 20)
     gc.disable()
     try:
         return (yield)
@@ -130,10 +149,13 @@ def pymeshlab(_loaded_pymeshlab: Any) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def pack_figures() -> Callable[..., Path]:
-    """Pack the plain figures of `fakes` into a folder, in this process; executor: what renders, if not a thread."""
+    """Pack the plain figures of `fakes` into a folder, in this process and as the small rig sees them.
+
+    executor: what renders, if not a thread. options: those of a packing.
+    """
 
     def pack_into(out: Path, executor: Executor | None = None, **options: Any) -> Path:
-        wanted = {"views": ViewGrid(span_deg=360, count=4), **options}
+        wanted = {"views": ViewGrid(span_deg=360, count=4), "rig": SMALL, **options}
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
             patch.setitem(SOURCES, "open", FiguresEntry())
             pack(Packing("open", **wanted), out, executor or thread, 1)
@@ -150,5 +172,11 @@ def figures_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable
 
 @pytest.fixture(scope="session")
 def small_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
-    """The same samples in a sixteenth of the pixels, for trainings; in shards of 8. Tests must not change it."""
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, shard_samples=8)
+    """The same samples in shards of 8. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", shard_samples=8)
+
+
+@pytest.fixture(scope="session")
+def paper_set(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
+    """The samples of `figures_set` as the paper's rig sees them: 16 times the pixels. Tests must not change it."""
+    return pack_figures(tmp_path_factory.mktemp("paper") / "shards", rig=load_rig(), shard_samples=5)

@@ -83,10 +83,10 @@ def examples(document: Path) -> list[str]:
 
 
 @pytest.fixture
-def workplace(figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def workplace(paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with all that the documents' code reads, as the current one."""
     for name in ("shards", "my-camera", "my-shards"):
-        (tmp_path / name).symlink_to(figures_set)
+        (tmp_path / name).symlink_to(paper_set)
     (tmp_path / "my_sensor.toml").write_text(load_sensor_model("kinect_v1").to_toml())
     shutil.copy(ROOT / "bodyseg_data" / "core" / "labels" / "limbs14.toml", tmp_path / "my_classes.toml")
     run = tmp_path / "runs" / "all-0"
@@ -134,7 +134,13 @@ test_tutorial.py runs those of tutorial.md. Those of all other documents take mi
 every option and value, as the command itself reads them.
 """
 
-SIZES: Final = {"shard --views": "1", "shard --distances": "255", "shard --workers": "1", "gallery --views": "2"}
+SIZES: Final = {
+    "shard --views": "1",
+    "shard --distances": "255",
+    "shard --workers": "1",
+    "shard --geodesics": "edges",
+    "gallery --views": "2",
+}
 """Options that make the commands short."""
 
 

@@ -34,6 +34,7 @@ FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/
 PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")
 DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+(?!/)")
 MEMBER = re.compile(r"`([A-Z]\w+)\.([a-z]\w*)")
+CLASS = re.compile(r"^ *class (\w+)", re.MULTILINE)
 BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z_]+)")
 COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
 """A command's name, which is no folder, file or format ("bodyseg shards 5"), and the rest of its line."""
@@ -59,6 +60,20 @@ def defined_in(body: Sequence[ast.stmt]) -> Iterator[tuple[str, Sequence[ast.stm
             yield from defined_in([*node.body, *node.orelse])
 
 
+@cache
+def module_body(file: Path) -> Sequence[ast.stmt]:
+    return ast.parse(file.read_text()).body
+
+
+def classes_in(body: Sequence[ast.stmt]) -> Iterator[ast.ClassDef]:
+    """Classes that statements define, at any depth."""
+    for node in body:
+        if isinstance(node, ast.ClassDef):
+            yield node
+        yield from classes_in(getattr(node, "body", ()))
+
+
+@cache
 def is_defined(name: str) -> bool:
     """Whether a dotted name is a package, a module, or what one of them defines, down to a class's members."""
     parts = name.split(".")
@@ -67,7 +82,7 @@ def is_defined(name: str) -> bool:
         file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
         if not file.is_file():
             continue
-        body: Sequence[ast.stmt] = ast.parse(file.read_text()).body
+        body = module_body(file)
         for part in parts[end:]:
             members = dict(defined_in(body))
             if part not in members:
@@ -109,18 +124,26 @@ def python_files() -> list[str]:
 
 
 @cache
-def members() -> dict[str, set[str]]:
-    """Class -> what its body and those of its bases in the project define, together for classes of one name."""
-    own: dict[str, set[str]] = {}
-    bases: dict[str, set[str]] = {}
+def homes_of_classes() -> dict[str, list[Path]]:
+    """Class -> the files of the project that define one of this name."""
+    homes: dict[str, list[Path]] = {}
     for path in python_files():
-        for node in ast.walk(ast.parse((ROOT / path[1:]).read_text())):
-            if isinstance(node, ast.ClassDef):
-                own.setdefault(node.name, set()).update(name for name, _ in defined_in(node.body))
-                bases.setdefault(node.name, set()).update(ast.unparse(base) for base in node.bases)
-    for name, parents in bases.items():
-        own[name] = own[name].union(*(own.get(parent, set()) for parent in parents))
-    return own
+        file = ROOT / path[1:]
+        for name in CLASS.findall(file.read_text()):
+            homes.setdefault(name, []).append(file)
+    return homes
+
+
+@cache
+def members(kind: str) -> frozenset[str]:
+    """Names that a class's body and those of its bases in the project define, together for classes of one name."""
+    found: set[str] = set()
+    for file in homes_of_classes().get(kind, ()):
+        for node in classes_in(module_body(file)):
+            if node.name == kind:
+                found.update(name for name, _ in defined_in(node.body))
+                found.update(*(members(base) for base in map(ast.unparse, node.bases) if base != kind))
+    return frozenset(found)
 
 
 def wrong_names(text: str, folder: Path) -> list[str]:
@@ -131,7 +154,9 @@ def wrong_names(text: str, folder: Path) -> list[str]:
         f"file {name}" for name in PYTHON_FILE.findall(text) if not any(path.endswith(f"/{name}") for path in known)
     ]
     wrong += [f"name {name}" for name in [*DOTTED_NAME.findall(text), *imported(text)] if not is_defined(name)]
-    wrong += [f"name {kind}.{name}" for kind, name in MEMBER.findall(text) if name not in members().get(kind, {name})]
+    for kind, name in MEMBER.findall(text):
+        if kind in homes_of_classes() and name not in members(kind):
+            wrong.append(f"name {kind}.{name}")
     wrong += [f"command {name}" for name, _ in COMMAND.findall(text) if not (ROOT / "tools" / name).exists()]
     wrong += [f"bench {name}" for name in BENCH.findall(text) if name not in BENCHES and f"bench {name}" not in ALL]
     links = LINK.findall(COMMENT.sub("", text))

@@ -27,16 +27,25 @@ def with_parameters(source: str, values: dict[str, Any]) -> str:
     return "\n".join(f"{name} = {values[name]!r}" for name in names)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def with_short_parameters(notebook: Any, shards: Path) -> list[Any]:
+    """The cells of code, the one of parameters changed to a small set and a short training."""
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    (parameters,) = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+    parameters.source = with_parameters(parameters.source, {"SHARDS": str(shards), **SHORT})
+    return cells
+
+
+def test_the_notebooks_run(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One after the other in one kernel, whose start takes seconds, each without the names of the others."""
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(tmp_path)  # where kernel and client meet, by files
-    notebook = read(path)
-    (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ()))
-    parameters.source = with_parameters(parameters.source, {"SHARDS": str(figures_set), **SHORT})
+    cells = []
+    for path in NOTEBOOKS:
+        cells += [v4.new_code_cell("%reset -f"), *with_short_parameters(read(path), small_set)]
     over_files = Config({"KernelManager": {"transport": "ipc"}})  # not over ports, of which it warns
-    NotebookClient(notebook, timeout=120, kernel_name="python3", config=over_files).execute()
-    assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
+    whole = v4.new_notebook(cells=cells)
+    NotebookClient(whole, timeout=120, kernel_name="python3", config=over_files).execute()
+    assert len(NOTEBOOKS) == 3 and all(cell.execution_count for cell in whole.cells)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

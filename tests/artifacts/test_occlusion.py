@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches.data.occlusion.views import exact_view, exact_views, postures
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from shadow_reference import lit_by_pixel
@@ -273,7 +273,6 @@ def assert_forms_agree(rig: Rig, images: tuple[NDArray[np.uint16], NDArray[np.ui
     return lit
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     rows=st.integers(1, 14),
@@ -308,7 +307,6 @@ def sparse_images(rig: Rig, draws: np.random.Generator) -> tuple[NDArray[np.uint
     return images[0], images[1], draws.random(images[0].shape) < 0.95
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     rows=st.integers(1, 60),

@@ -286,5 +286,5 @@ def test_images_samples_and_augmentations_are_shown_in_a_line(figures_set: Path)
     assert repr(image) == f"RangeImage({sample.key!r}, {size}, {body} pixels measured, sigma_mm 5)"
     assert repr(sample).startswith(f"Sample({sample.key!r}, camera {size}, projector {size}, SampleInfo(source=")
     assert "projector no," in repr(replace(sample, projector_range=None))
-    assert repr(images.augmentation) == f"Augmentation(rig 'paper', 'noise', seed=0, {images.augmentation.sensor})"
+    assert repr(images.augmentation) == f"Augmentation(rig 'small', 'noise', seed=0, {images.augmentation.sensor})"
     assert isinstance(sample, Sample) and json.dumps(images.identity())

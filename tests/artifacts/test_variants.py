@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import keys
@@ -148,7 +148,6 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
     return rig, Sample(draw(keys), seen, projected, labels, facing, _info(), faces_second=others[0] if others else None)
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     scene=scenes(),
     noise=st.sampled_from([Noise(), Noise(0.0, 0.0), Noise(1000.0, 1000.0)]),

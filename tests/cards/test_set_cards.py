@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
@@ -56,7 +55,7 @@ def described(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture(scope="module")
 def pictures(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A set whose images are PNGs, without cards."""
-    return pack_figures(tmp_path_factory.mktemp("pictures") / "pictures", rig=SMALL, codec="png")
+    return pack_figures(tmp_path_factory.mktemp("pictures") / "pictures", codec="png")
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from fakes import FiguresEntry
 from PIL import Image
+from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
@@ -23,7 +24,8 @@ WHERE = ["subset=A", "azimuth_deg=-100..90"]
 def run_folder(tmp_path: Path) -> Path:
     folder = tmp_path / "tiny"
     folder.mkdir()
-    save_network(folder / "network.safetensors", build("compact", SETTINGS, 0), "compact", {"variant": "all"})
+    facts = {"variant": "all", "rig": SMALL.to_json()}
+    save_network(folder / "network.safetensors", build("compact", SETTINGS, 0), "compact", facts)
     return folder
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.sensor_model import sensor_model_names
@@ -63,7 +64,8 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "context": False})
     folder = tmp_path_factory.mktemp("runs") / "tiny"
     folder.mkdir()
-    save_network(folder / "network.safetensors", small, "compact", {"variant": "all", "seed": 3})
+    facts = {"variant": "all", "seed": 3, "rig": SMALL.to_json()}
+    save_network(folder / "network.safetensors", small, "compact", facts)
     return folder
 
 

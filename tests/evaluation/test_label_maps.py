@@ -11,6 +11,7 @@ import pytest
 import torch
 from label_networks import Places
 from PIL import Image
+from small_rig import SMALL
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
@@ -152,7 +153,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         folders[label_map.name] = tmp_path_factory.mktemp("runs") / label_map.name
         folders[label_map.name].mkdir()
         settings = {"patch": 16, "widths": [8], "blocks": [0], "context": False, "classes": len(label_map)}
-        facts = {} if label_map == PARTS33 else {"labels": label_map.to_json()}
+        facts = {"rig": SMALL.to_json()} | ({} if label_map == PARTS33 else {"labels": label_map.to_json()})
         network = build("compact", settings, seed=1)
         save_network(folders[label_map.name] / "network.safetensors", network, "compact", facts)
     return folders

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -15,6 +15,7 @@ from bodyseg_model.evaluation.result_cache import FORMAT, ResultCache, network_i
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build
 
+FORK: Final = get_context("fork")  # its processes need not load PyTorch again
 SUBJECT = {"weights": "abc"}
 QUESTION = {"images": {"set": "x", "strengths": (1, 2.5)}, "count": 3}
 RESULT = {"accuracy": 0.1 + 0.2, "subsets": {"A": None}}
@@ -51,33 +52,31 @@ def test_a_result_is_of_one_subject(module: str, tmp_path: Path) -> None:
 
 
 def test_a_result_is_of_some_code(module: str, tmp_path: Path) -> None:
+    """Asked by processes of their own, begun before this one reads the module's code: each reads it once."""
     file = tmp_path / "results.json"
-    measured_by = f"""
-import os, sys
-from pathlib import Path
-sys.path.insert(0, {str(tmp_path)!r})
-from bodyseg_model.evaluation.result_cache import ResultCache
-for line in sys.stdin:
-    if not os.fork():  # a process of its own, which has read no code yet
-        print(ResultCache(Path({str(file)!r}), {SUBJECT!r}, {module!r}).get({QUESTION!r}), flush=True)
-        os._exit(0)
-    os.wait()
-"""
-    process = subprocess.Popen([sys.executable, "-c", measured_by], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
-    def found() -> str:
-        assert process.stdin is not None and process.stdout is not None
-        process.stdin.write(b"\n")
-        process.stdin.flush()
-        return process.stdout.readline().decode().strip()
+    def answer(end: Connection) -> None:
+        end.recv()
+        end.send(ResultCache(file, SUBJECT, module).get(QUESTION))
+
+    pipes = [FORK.Pipe() for _ in range(2)]
+    processes = [FORK.Process(target=answer, args=(end,)) for _, end in pipes]
+    for process in processes:
+        process.start()
+
+    def found(number: int) -> Any:
+        pipes[number][0].send("ask")
+        assert pipes[number][0].poll(60)
+        return pipes[number][0].recv()
 
     ResultCache(file, SUBJECT, module).put(QUESTION, RESULT)
     (tmp_path / f"{module}.py").write_text("# Half.\nSHARE = 0.5\n")
-    assert found() == str(RESULT)
+    assert found(0) == RESULT
     (tmp_path / f"{module}.py").write_text("SHARE = 0.6\n")
-    assert found() == "None"
-    process.communicate(timeout=60)
-    assert process.returncode == 0
+    assert found(1) is None
+    for process in processes:
+        process.join(60)
+        assert process.exitcode == 0
 
 
 def test_results_of_two_ways_to_measure_do_not_replace_each_other(module: str, tmp_path: Path) -> None:
@@ -93,19 +92,19 @@ def test_results_of_two_ways_to_measure_do_not_replace_each_other(module: str, t
 
 def test_two_processes_lose_nothing(tmp_path: Path) -> None:
     file, count, names = tmp_path / "results.json", 15, ("first", "second")
-    writing = f"""
-import os, sys
-from pathlib import Path
-from bodyseg_model.evaluation.result_cache import ResultCache
-cache = ResultCache(Path({str(file)!r}), {SUBJECT!r}, "bodyseg_data.core.errors")
-other = os.fork()  # both begin when all is loaded
-for number in range({count}):
-    cache.put({{"by": {names!r}[other == 0], "number": number}}, {{"number": number}})
-    cache.put({{"by": "both", "number": number}}, {{"number": number}})
-if other:
-    sys.exit(os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]))
-"""
-    subprocess.run([sys.executable, "-c", writing], check=True, timeout=100)
+    cache = ResultCache(file, SUBJECT, "bodyseg_data.core.errors")
+
+    def write(name: str) -> None:
+        for number in range(count):
+            cache.put({"by": name, "number": number}, {"number": number})
+            cache.put({"by": "both", "number": number}, {"number": number})
+
+    processes = [FORK.Process(target=write, args=(name,)) for name in names]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(100)
+        assert process.exitcode == 0
     cache = ResultCache(file, SUBJECT, "bodyseg_data.core.errors")
     for name in (*names, "both"):
         assert [cache.get({"by": name, "number": n}) for n in range(count)] == [{"number": n} for n in range(count)]

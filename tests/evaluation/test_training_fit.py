@@ -120,13 +120,13 @@ def test_artifacts_that_are_not_installed_are_told() -> None:
 
 
 def test_evaluate_tells_refuses_and_goes_on(
-    figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    paper_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     torch.manual_seed(1)
     small = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "context": False})
     facts = {"variant": "all", "rig": SMALL.to_json(), "sensor": MODEL.with_artifacts(Noise(0.0, 5.0)).to_json()}
     save_network(tmp_path / "network.safetensors", small, "compact", facts)
-    words = ["evaluate", "--run", tmp_path, "--data", figures_set, "--json", tmp_path / "x.json", "--images", 1]
+    words = ["evaluate", "--run", tmp_path, "--data", paper_set, "--json", tmp_path / "x.json", "--images", 1]
     words += ["--frames", 0, "--num-workers", 1, "--worker-method", "process"]
     assert cli.main(list(map(str, words))) == 2
     told = "shards is of rig paper, the network was trained for rig small: bodies have 4 times as many pixels a metre"

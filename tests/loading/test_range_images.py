@@ -35,14 +35,14 @@ def keys(batches: Iterable[Batch]) -> list[str]:
     return [key for batch in batches for key in batch["key"]]
 
 
-def test_a_batch_is_what_the_documentation_says(figures_set: Path) -> None:
-    batch = next(iter(loader(RangeImages(figures_set, variant="none"), batch_size=3)))
+def test_a_batch_is_what_the_documentation_says(paper_set: Path) -> None:
+    batch = next(iter(loader(RangeImages(paper_set, variant="none"), batch_size=3)))
     assert batch["range"].dtype == torch.float32
     assert batch["range"].shape == (3, 1, 640, 329)
     assert batch["labels"].dtype == torch.uint8
     assert batch["labels"].shape == (3, 640, 329)
     assert len(batch["key"]) == 3
-    images = RangeImages(figures_set)
+    images = RangeImages(paper_set)
     steps = images.clean(0).range.astype(np.float32)
     assert images.step_m == images.manifest.rig.range_step_m
     assert np.array_equal(batch["range"][0, 0].numpy(), steps * np.float32(images.step_m))
@@ -51,10 +51,10 @@ def test_a_batch_is_what_the_documentation_says(figures_set: Path) -> None:
     assert torch.equal(foreground[:, 0], batch["labels"] != 255)
 
 
-def test_the_public_classes_print_in_one_readable_line(figures_set: Path) -> None:
-    images = RangeImages(figures_set, "noise", split="test", seed=3, only=["*"])
+def test_the_public_classes_print_in_one_readable_line(paper_set: Path) -> None:
+    images = RangeImages(paper_set, "noise", split="test", seed=3, only=["*"])
     count = len(images)
-    where = f"{str(figures_set)!r}, variant='noise', split='test', seed=3"
+    where = f"{str(paper_set)!r}, variant='noise', split='test', seed=3"
     held = f"only=['*'], samples={count}, image='640 x 329', rig='paper', sensor='paper'"
     shown = f"RangeImages({where}, epoch=0, {held})"
     assert repr(images) == shown

@@ -66,7 +66,7 @@ def test_a_batch_of_bad_samples_is_empty_not_gone(spoil: Callable[..., RangeImag
     images = spoil(("test-00000.tar", 0), ("test-00000.tar", 1), split="test")
     batches = list(loader(images, 2, on_error="skip", skip_budget=0.25))
     assert [batch["key"] for batch in batches] == [[], images.keys[2:4], images.keys[4:6], images.keys[6:]]
-    assert batches[0]["range"].shape == (0, 1, 640, 329)
+    assert batches[0]["range"].shape == (0, 1, 160, 82)
     with pytest.raises(BadShard, match="has lost 1 samples before"):
         list(loader(images, 2, on_error="skip", skip_budget=0.24))
 

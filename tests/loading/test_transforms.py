@@ -157,15 +157,15 @@ RETURNS: list[tuple[Callable[[CameraImage], Any], str]] = [
     (lambda image: replace(image, key="other"), "must keep the key, found 'other'"),
     (
         lambda image: replace(image, range=image.metres),
-        "must return range as uint16 (640, 329), found float32 (640, 329)",
+        "must return range as uint16 (160, 82), found float32 (160, 82)",
     ),
     (
         lambda image: replace(image, labels=image.labels[1:]),
-        "must return labels as uint8 (640, 329), found uint8 (639, 329)",
+        "must return labels as uint8 (160, 82), found uint8 (159, 82)",
     ),
     (
-        lambda image: replace(image, range=torch.zeros(640, 329)),
-        "must return range as uint16 (640, 329), found Tensor",
+        lambda image: replace(image, range=torch.zeros(160, 82)),
+        "must return range as uint16 (160, 82), found Tensor",
     ),
     (
         lambda image: replace(image, labels=np.full_like(image.labels, 33)),
@@ -256,7 +256,7 @@ class Flat(Transform):
         (Plain(), "a transform must be a frozen dataclass, found Plain"),
         (Table(np.zeros(3)), "transform 'table': a parameter must be plain JSON: Object of type ndarray"),
         (Table(float("nan")), "transform 'table': a parameter must be plain JSON: Out of range float values"),
-        (Flat(), r"transform 'flat': 'shape' must give two whole numbers above 0, found \(0, 329\)"),
+        (Flat(), r"transform 'flat': 'shape' must give two whole numbers above 0, found \(0, 82\)"),
     ],
 )
 def test_what_is_no_transform_is_refused(figures_set: Path, given: Any, message: str) -> None:

@@ -29,6 +29,7 @@ from fakes import Figures, FiguresEntry
 from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
 from processes import start_interruptible
+from small_rig import SMALL, SMALL_FILE
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES
@@ -41,7 +42,7 @@ from bodyseg_data.packing.options import Packing, forget_sources
 from bodyseg_data.packing.pack import pack
 from bodyseg_data.packing.state import STATE_NAME
 
-PACKING = Packing("open", views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as the fixture figures_set
+PACKING = Packing("open", rig=SMALL, views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as figures_set
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -429,6 +430,7 @@ COMMAND = "import figure_worker; from bodyseg_data.commands.cli import main; rai
 
 def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
     words = ["shard", "--source", "open", "--views", "4", "--azimuth-span", "360", "--shard-samples", "5"]
+    words += ["--rig", str(SMALL_FILE)]
     return start_interruptible(
         [sys.executable, "-c", COMMAND, *words, "--engine", nodes.engine, "--out", str(out)],
         env=os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)},

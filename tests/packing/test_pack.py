@@ -19,7 +19,7 @@ import pytest
 from fakes import Figures
 from folders import HELPERS
 from processes import start_interruptible
-from small_rig import SMALL
+from small_rig import SMALL_FILE
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -60,7 +60,7 @@ def test_shard_size_changes_how_samples_are_cut_and_nothing_else(
 
 def test_views_drawn_from_ranges_are_the_same_however_they_are_packed(tmp_path: Path, pack_figures: Pack) -> None:
     views = ViewGrid(span_deg=360, count=3, pitch_deg=Drawn(-30, 10), roll_deg=(0, 5), height_cm=Drawn(-20, 20))
-    wanted: dict[str, Any] = {"views": views, "rig": SMALL, "meshes": 3, "shard_samples": 4}
+    wanted: dict[str, Any] = {"views": views, "meshes": 3, "shard_samples": 4}
     once = pack_figures(tmp_path / "once", **wanted)
     rendered: dict[Any, Any] = {}
     with pytest.raises(Interrupted):
@@ -360,7 +360,7 @@ def test_views_are_options_of_the_command(
 
 
 FIGURES = [str(HELPERS / "figure_command.py"), "shard", "--source", "open", "--views", "4", "--azimuth-span", "360"]
-FIGURES += ["--shard-samples", "5"]  # as the fixture figures_set
+FIGURES += ["--rig", str(SMALL_FILE), "--shard-samples", "5"]  # as the fixture figures_set
 
 
 def _shard(out: Path, workers: int) -> list[str]:
@@ -378,7 +378,9 @@ def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path:
     assert contents(tmp_path / "two") == contents(figures_set)
 
 
-def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
+def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
+    figures_set: Path, tmp_path: Path, pack_figures: Pack
+) -> None:
     out = tmp_path / "shards"
     command, environment = _shard(out, 2), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
     (tmp_path / "slow").touch()
@@ -396,15 +398,13 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(figures_set: 
     while any(_alive(child) for child in children):
         assert time.monotonic() < deadline, "workers outlive the process that started them"
         time.sleep(0.05)
-    (tmp_path / "slow").unlink()
-    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=200)
+    pack_figures(out, shard_samples=5)
     assert contents(out) == contents(figures_set)
 
 
 @pytest.mark.parametrize(
     ("signals", "said", "status"),
     [
-        ([signal.SIGINT], "interrupted", 130),
         ([signal.SIGINT] * 6, "interrupted", 130),
         ([signal.SIGTERM], "terminated", 143),
     ],

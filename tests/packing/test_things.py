@@ -163,7 +163,7 @@ def test_stored_samples_are_the_same_after_reading() -> None:
 
 @pytest.fixture(scope="module")
 def among_things(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pack_figures(tmp_path_factory.mktemp("things") / "shards", rig=SMALL, things="both")
+    return pack_figures(tmp_path_factory.mktemp("things") / "shards", things="both")
 
 
 def test_a_set_with_things_is_streamed_in_every_variant(among_things: Path) -> None:
@@ -212,7 +212,7 @@ def test_a_gallery_shows_things_in_grey(among_things: Path, tmp_path: Path) -> N
 def test_a_plan_with_things_is_another_one(
     among_things: Path, pack_figures: Callable[..., Path], tmp_path: Path
 ) -> None:
-    plain = read_manifest(pack_figures(tmp_path / "plain", rig=SMALL))
+    plain = read_manifest(pack_figures(tmp_path / "plain"))
     assert plain.plan != read_manifest(among_things).plan
     assert plan(Packing("open", meshes=1, things="both")) == plan(Packing("open", meshes=1))
     with pytest.raises(BadConfig, match="things must be 'none' or 'before' or 'behind' or 'both', found 'above'$"):

@@ -97,7 +97,10 @@ def test_inspect_draws_and_counts_a_set(
 def test_more_is_lit_than_by_one_projector_whose_set_is_the_same_else(
     sets: dict[CodecName, Path], tmp_path: Path, pack_figures: Callable[..., Path]
 ) -> None:
-    two, one = RangeImages(sets["bsi"], "occ"), RangeImages(pack_figures(tmp_path, meshes=2, views=VIEWS), "occ")
+    two, one = (
+        RangeImages(sets["bsi"], "occ"),
+        RangeImages(pack_figures(tmp_path, meshes=2, views=VIEWS, rig=load_rig()), "occ"),
+    )
     assert two.keys == one.keys
     more = 0
     for index in range(len(two)):
@@ -128,7 +131,7 @@ def test_a_set_that_claims_another_number_of_projectors_is_refused(
         ShardReader(tmp_path / "fewer", fewer).read(0, 0)
     faults = [fault.problem for shard in fewer.shards for fault in find_faults(tmp_path / "fewer", fewer, shard)]
     assert len(faults) == 6 and all(fault.startswith("labels must be 0 to 32, found 1") for fault in faults)
-    single = pack_figures(tmp_path / "single", meshes=2, views=VIEWS)
+    single = pack_figures(tmp_path / "single", meshes=2, views=VIEWS, rig=load_rig())
     more = claimed(single, two_projectors(), tmp_path / "more")
     with pytest.raises(BadShard, match=size.format(1240, 640)):
         ShardReader(tmp_path / "more", more).read(0, 0)

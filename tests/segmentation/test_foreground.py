@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from skimage.measure import label
@@ -126,7 +126,6 @@ def on_one_surface(a: float, b: float) -> bool:
     return bool((np.diff(ends) / np.maximum(JUMP_M, JUMP_SHARE * middles)).sum() <= 1)
 
 
-@settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 7), st.integers(1, 14)),
     st.integers(0, 2**32 - 1),

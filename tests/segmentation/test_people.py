@@ -228,7 +228,7 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
     (maker, _) = rooms_of("open", "test", seed=7, parts=False, most=6)
     segmenter = Segmenter(shipped_network().network, maker.camera, people=shipped_score())
     people = lost = things = labelled = 0
-    for number in range(10):
+    for number in range(6):
         room = maker(number)
         result = segmenter(room.range_m)
         for body, kept in [(body, True) for body in result.bodies] + [(body, False) for body in result.things]:
@@ -236,7 +236,7 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
             people, lost = people + (share > 0.5), lost + (share > 0.5 and not kept)
             things, labelled = things + (share < 0.1), labelled + (share < 0.1 and kept)
     torch.set_num_threads(before)
-    assert people >= 8 and things >= 8 and lost <= 1 and labelled <= things / 3
+    assert people >= 5 and things >= 5 and lost <= 1 and labelled <= things / 3
 
 
 REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))

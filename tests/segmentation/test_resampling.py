@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from shapes import figure
@@ -150,7 +150,6 @@ bodies = st.tuples(
 )
 
 
-@settings(max_examples=80)
 @given(bodies)
 def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, float, float, float, int, bool]) -> None:
     rows, columns, scale, middle, filled, seed, mirrored = case

@@ -19,6 +19,7 @@ from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 from pngs import png
+from small_rig import SMALL
 
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
@@ -59,8 +60,9 @@ def recording(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     """Stands in for the network that ships: parts from the top down. One thread is enough for images this small."""
-    places = Places(axis=0, step=20)
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, {"network": "places", "seed": 3}))
+    places = Places(axis=0, step=5)
+    card = {"network": "places", "seed": 3, "rig": SMALL.to_json()}
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, card))
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield places
@@ -112,14 +114,15 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
         assert (getattr(animation, "n_frames"), animation.info["duration"]) == (5, 200)  # noqa: B009  not in its type
 
     facts = report(out)
-    assert facts["network"] == {"file": "shipped", "network": "places", "seed": 3}
+    rig = json.loads(json.dumps(SMALL.to_json()))
+    assert facts["network"] == {"file": "shipped", "network": "places", "seed": 3, "rig": rig}
     assert (
         facts["camera"]["focal_px"] == 100 and facts["camera"]["origin"] == "given" and not facts["camera"]["mirrored"]
     )
     assert facts["labels"] == {"name": "parts33", "classes": list(PARTS33.names)}
     assert facts["unit_m"] == 0.001 and facts["background"]["mode"] == "people"
     assert facts["peak_mb"] > 50, "this process alone takes more"
-    assert facts["resampling"]["rig"] == "paper"
+    assert facts["resampling"]["rig"] == "small"
     assert facts["resampling"]["distance_m"] == 2.5 and facts["preview"] == {"frames": 5, "frames_per_second": 5.0}
     assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
     assert [frame["name"] for frame in facts["each"]] == names
@@ -166,8 +169,8 @@ def test_a_unit_and_a_rig_may_be_given(tmp_path: Path, network: Places) -> None:
     assert run(tmp_path / "a.png", "--units", "0.1mm", "--rig", "paper", "--out", tmp_path / "out") == 0
     (body,) = report(tmp_path / "out")["each"][0]["bodies"]
     assert (body["pixels"], body["box"]) == (30300, [100, 114, 400, 215])
-    assert (body["range_m"], body["turn_deg"], body["scale"]) == (2.5, 0.0, 1.0)
-    assert tuple(network.seen[0].shape) == (1, 1, 640, 329)
+    assert (body["range_m"], body["turn_deg"], body["scale"]) == (2.5, 0.0, 0.25)
+    assert tuple(network.seen[0].shape) == (1, 1, 160, 82)
 
 
 def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
@@ -232,7 +235,8 @@ def test_frames_may_have_cameras_of_their_own(recording: Path, tmp_path: Path, n
     facts = report(out)
     assert facts["camera"] == {"origin": "each frame's own", "frames_with_their_own": 5, "mirrored": False}
     assert [frame["camera"]["focal_px"] for frame in facts["each"]] == [100, 100, 150, 100, 100]
-    assert [frame["bodies"][0]["scale"] for frame in facts["each"][::2]] == pytest.approx([6.06, 4.04, 6.06], rel=0.03)
+    scales = [frame["bodies"][0]["scale"] for frame in facts["each"]]
+    assert scales[::2] == pytest.approx([1.515, 1.01, 1.515], rel=0.03)
     assert facts["preview"]["frames"] == 4, "those of one size"
     assert facts["each"][1]["flicker"] is None and facts["each"][3]["flicker"] is not None
     lens = cameras_beside(find_frames([recording / "8.png"]))[0]
@@ -449,7 +453,8 @@ def test_things_of_other_classes_are_told_by_their_shape(
 ) -> None:
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
     halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"labels": halves.to_json()}))
+    card = {"labels": halves.to_json(), "rig": SMALL.to_json()}
+    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, card))
     assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
     assert report(tmp_path / "out")["person_score"]["model"] == "shape"
     assert report(tmp_path / "out")["things"] == 5

@@ -55,10 +55,10 @@ def fill(cache: ShardCache, shard: ShardRecord, age_s: float = 0.0) -> bool:
 
 
 @pytest.fixture
-def memory(figures_set: Path) -> str:
+def memory(paper_set: Path) -> str:
     """The set behind an address that needs no server."""
     files = fsspec.filesystem("memory")
-    for file in figures_set.iterdir():
+    for file in paper_set.iterdir():
         files.pipe_file(f"/sets/figures/{file.name}", file.read_bytes())
     return "memory://sets/figures"
 
@@ -109,9 +109,9 @@ def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, A
         RangeImages(path, **options)
 
 
-def test_cache_options_are_checked(figures_set: Path, memory: str, tmp_path: Path) -> None:
+def test_cache_options_are_checked(paper_set: Path, memory: str, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="cache and cache_bytes are for remote sets, found them given for"):
-        RangeImages(figures_set, cache=tmp_path)
+        RangeImages(paper_set, cache=tmp_path)
     for wrong in (-1, 1.5, True, "10"):
         with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
@@ -147,8 +147,8 @@ def test_a_filesystem_without_its_package_is_one_line() -> None:
         open_store("gs://bucket/shards")
 
 
-def test_whatever_fsspec_knows_is_read_with_the_same_bits(memory: str, figures_set: Path, tmp_path: Path) -> None:
-    local = RangeImages(figures_set, "noise")
+def test_whatever_fsspec_knows_is_read_with_the_same_bits(memory: str, paper_set: Path, tmp_path: Path) -> None:
+    local = RangeImages(paper_set, "noise")
     some = local.manifest.shards[0].size + 1000
     for options in ({"cache": tmp_path}, {"cache_bytes": 0}, {"cache": tmp_path, "cache_bytes": some}):
         images = RangeImages(f"{memory}/t*.tar", "noise", **options)  # type: ignore[arg-type]  # of three kinds
@@ -157,7 +157,7 @@ def test_whatever_fsspec_knows_is_read_with_the_same_bits(memory: str, figures_s
             assert images.image(index).range.tobytes() == local.image(index).range.tobytes()
 
 
-def test_a_filesystem_that_is_not_asynchronous_is_used_by_one_thread(memory: str, figures_set: Path) -> None:
+def test_a_filesystem_that_is_not_asynchronous_is_used_by_one_thread(memory: str, paper_set: Path) -> None:
     """It may talk over a single connection, as those of FTP and SFTP do."""
     users: dict[int, set[int]] = {}
 
@@ -180,14 +180,14 @@ def test_a_filesystem_that_is_not_asynchronous_is_used_by_one_thread(memory: str
     assert all(len(threads) == 1 for threads in users.values())
 
 
-def test_files_are_read_in_order_and_to_their_end(memory: str, figures_set: Path) -> None:
-    whole = (figures_set / "train-00000.tar").read_bytes()
-    for store in (LocalFolder(figures_set), open_store(memory)[0]):
+def test_files_are_read_in_order_and_to_their_end(memory: str, paper_set: Path) -> None:
+    whole = (paper_set / "train-00000.tar").read_bytes()
+    for store in (LocalFolder(paper_set), open_store(memory)[0]):
         assert store.size("train-00000.tar") == len(whole)
         with open_file(store, "train-00000.tar") as file:
             assert file.read(1000) + file.read() + file.read() == whole
         assert store.read_file("nothing.json", 10) is None
-        assert store.read_file("manifest.json", 1 << 20) == (figures_set / "manifest.json").read_bytes()
+        assert store.read_file("manifest.json", 1 << 20) == (paper_set / "manifest.json").read_bytes()
 
 
 class Stricter:
@@ -205,8 +205,8 @@ class Stricter:
 
 
 @pytest.mark.parametrize("remote", [False, True])
-def test_a_manifest_larger_than_any_is_not_read(remote: bool, memory: str, figures_set: Path) -> None:
-    store = open_store(memory if remote else str(figures_set))[0]
+def test_a_manifest_larger_than_any_is_not_read(remote: bool, memory: str, paper_set: Path) -> None:
+    store = open_store(memory if remote else str(paper_set))[0]
     with pytest.raises((BadShard, Unreachable), match=r"manifest.json.*at most 1000 bytes are read, found more"):
         read_manifest(Stricter(store))
 
@@ -344,13 +344,13 @@ def test_a_fork_while_a_shard_is_fetched_keeps_nobody_waiting(tmp_path: Path) ->
 
 
 @pytest.fixture
-def manifest(figures_set: Path) -> Manifest:
-    return read_manifest(figures_set)
+def manifest(paper_set: Path) -> Manifest:
+    return read_manifest(paper_set)
 
 
 @pytest.mark.parametrize("where", ["write", "fsync", "open"])
 def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
-    where: str, memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    where: str, memory: str, manifest: Manifest, paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -365,13 +365,13 @@ def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
             patch.setattr(os, where, fail)
         with pytest.warns(RuntimeWarning, match=f"^{tmp_path}: No space left on device: shards are no longer kept"):
             read = ShardReader(store, manifest).read(0, 0)
-    assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
+    assert (read.range == ShardReader(paper_set, manifest).read(0, 0).range).all()
     assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0, "what was begun takes no room"
     ShardReader(store, manifest).read(1, 0)
     assert not list(tmp_path.glob("*.tar"))
 
 
-def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path) -> None:
+def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, paper_set: Path, tmp_path: Path) -> None:
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)], capture_output=True, text=True
     )
@@ -381,7 +381,7 @@ def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, figures_set
         store = with_cache(open_store(memory)[0], manifest.shards, tmp_path, None)
         with pytest.warns(RuntimeWarning, match="No space left on device"):
             read = ShardReader(store, manifest).read(0, 0)
-        assert (read.range == ShardReader(figures_set, manifest).read(0, 0).range).all()
+        assert (read.range == ShardReader(paper_set, manifest).read(0, 0).range).all()
         assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0
     finally:
         subprocess.run(["umount", str(tmp_path)], check=True)
@@ -397,7 +397,7 @@ def test_a_cache_that_cannot_be_is_said_at_once(memory: str, tmp_path: Path) -> 
 
 
 def test_two_sets_never_mix_though_their_shards_have_the_same_names(
-    memory: str, manifest: Manifest, figures_set: Path, tmp_path: Path
+    memory: str, manifest: Manifest, paper_set: Path, tmp_path: Path
 ) -> None:
     """As when a set behind an address is replaced by another one."""
     RangeImages(memory, cache=tmp_path).clean(0)

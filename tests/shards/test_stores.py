@@ -32,17 +32,17 @@ QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
 
 
 @pytest.fixture(scope="module")
-def server(figures_set: Path) -> Iterator[WebServer]:
+def server(paper_set: Path) -> Iterator[WebServer]:
     pytest.importorskip("aiohttp")
-    with web_server(figures_set) as running:
+    with web_server(paper_set) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def bucket(figures_set: Path) -> Iterator[WebServer]:
+def bucket(paper_set: Path) -> Iterator[WebServer]:
     """An S3-compatible server behind one that answers two requests in five with 503."""
     pytest.importorskip("s3fs")
-    with s3_server(figures_set, "bucket", "shards") as port, web_server(figures_set, port) as running:
+    with s3_server(paper_set, "bucket", "shards") as port, web_server(paper_set, port) as running:
         yield running
 
 
@@ -63,8 +63,8 @@ def web(server: WebServer) -> WebServer:
 
 
 @pytest.fixture(scope="module")
-def manifest(figures_set: Path) -> Manifest:
-    return read_manifest(figures_set)
+def manifest(paper_set: Path) -> Manifest:
+    return read_manifest(paper_set)
 
 
 def bits(images: RangeImages) -> list[tuple[str, bytes, bytes]]:
@@ -74,8 +74,8 @@ def bits(images: RangeImages) -> list[tuple[str, bytes, bytes]]:
 
 
 @pytest.fixture(scope="module")
-def expected(figures_set: Path) -> list[tuple[str, bytes, bytes]]:
-    return bits(RangeImages(figures_set, "noise"))
+def expected(paper_set: Path) -> list[tuple[str, bytes, bytes]]:
+    return bits(RangeImages(paper_set, "noise"))
 
 
 def cached(
@@ -110,8 +110,8 @@ def contents(store: Any, manifest: Manifest) -> list[bytes]:
 
 
 @pytest.fixture(scope="module")
-def stored(figures_set: Path, manifest: Manifest) -> list[bytes]:
-    return contents(LocalFolder(figures_set), manifest)
+def stored(paper_set: Path, manifest: Manifest) -> list[bytes]:
+    return contents(LocalFolder(paper_set), manifest)
 
 
 @pytest.mark.parametrize("location", ["failing", "limited", "moved", "slow"])
@@ -184,7 +184,7 @@ def test_replies_that_break_do_not_show(
     web: WebServer,
     manifest: Manifest,
     tmp_path: Path,
-    figures_set: Path,
+    paper_set: Path,
 ) -> None:
     web.faults.act = act
     url = web.url("faulty")
@@ -193,7 +193,7 @@ def test_replies_that_break_do_not_show(
         RemoteFolder(url, {}, retry_policy) if direct else cached(url, manifest, tmp_path, retry_policy=retry_policy)
     )
     reader = ShardReader(store, manifest)
-    local = ShardReader(figures_set, manifest)
+    local = ShardReader(paper_set, manifest)
     for shard, record in enumerate(manifest.shards[:2]):
         for index in range(len(record)):
             ours, theirs = reader.read(shard, index), local.read(shard, index)
@@ -371,10 +371,10 @@ def test_options_of_the_filesystem_and_of_requests_are_told_apart(web: WebServer
 
 
 def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
-    web: WebServer, figures_set: Path, tmp_path: Path
+    web: WebServer, paper_set: Path, tmp_path: Path
 ) -> None:
     for choice in ("", "train-*.tar", "test-00001.tar", "manifest.json"):
-        ours, theirs = RangeImages(web.url(f"good/{choice}"), cache=tmp_path), RangeImages(figures_set / choice)
+        ours, theirs = RangeImages(web.url(f"good/{choice}"), cache=tmp_path), RangeImages(paper_set / choice)
         assert ours.keys == theirs.keys
         assert [url.rpartition("/")[2] for url in ours.urls()] == [url.rpartition("/")[2] for url in theirs.urls()]
     assert len(web.log()) == 4, "nothing but manifests is fetched before it is needed"

@@ -365,7 +365,7 @@ def test_headers_say_what_tarfile_says_whoever_wrote_them(change: dict[str, Any]
     ("change", "problem"),
     [
         ({"labels": np.full_like(GOOD.labels, 3)}, "labels must be 255 exactly where range is 0"),
-        ({}, "range must be 640 x 329 as in the rig, found (2, 2)"),
+        ({}, "range must be 160 x 82 as in the rig, found (2, 2)"),
     ],
 )
 def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_right(
@@ -390,10 +390,10 @@ def test_a_sample_of_another_rig_is_not_given_though_its_checksums_are_right(fig
     assert writer.record is not None
     reader = ShardReader(tmp_path, replace(good, shards=(writer.record,)))
     with pytest.raises(
-        BadShard, match=rf"^train-00000.tar: {GOOD.key}: offset 0: .*range must be 640 x 329 as in the rig"
+        BadShard, match=rf"^train-00000.tar: {GOOD.key}: offset 0: .*range must be 160 x 82 as in the rig"
     ):
         reader.read(0, 0, projector=False)
-    with pytest.raises(BadShard, match=r"labels must be 640 x 329 as in the rig, found \(1, 1\)"):
+    with pytest.raises(BadShard, match=r"labels must be 160 x 82 as in the rig, found \(1, 1\)"):
         reader.read(0, 1)
 
 

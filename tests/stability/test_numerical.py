@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import torch
-from small_rig import SMALL
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -30,7 +29,7 @@ AS_MANY = {"two threads", "channels last"}
 @pytest.fixture(scope="module")
 def shards(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> Path:
     views = ViewGrid((215, 295), span_deg=360, azimuths=3, count=3)
-    return pack_figures(tmp_path_factory.mktemp("small") / "shards", rig=SMALL, meshes=2, views=views)
+    return pack_figures(tmp_path_factory.mktemp("small") / "shards", meshes=2, views=views)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,8 @@ RIG = load_rig()
 def images(pack_figures: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> RangeImages:
     """Views from the stand-off, which is where scenes are drawn from."""
     grid = ViewGrid(distances_cm=(250,), azimuths=4, span_deg=360)
-    return RangeImages(pack_figures(tmp_path_factory.mktemp("stand_off") / "shards", views=grid), "none", "test")
+    packed = pack_figures(tmp_path_factory.mktemp("stand_off") / "shards", views=grid, rig=RIG)
+    return RangeImages(packed, "none", "test")
 
 
 @pytest.fixture

@@ -32,8 +32,8 @@ def _together(data: Path, out: Path) -> list[str]:
 
 
 def _ending(data: Path, out: Path) -> list[str]:
-    more = ["--val-share", "0.5", "--val-every", "1", "--patience", "2", "--lr", "1e-9", "--ema", "0.5"]
-    return _train(data, out, *more, "--accumulate", "1", "--steps", "50", "--log-every", "1")
+    more = ["--val-share", "0.5", "--val-images", "2", "--val-every", "1", "--patience", "2", "--log-every", "1"]
+    return _train(data, out, *more, "--lr", "1e-9", "--ema", "0.5", "--accumulate", "1", "--steps", "50")
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-import subprocess
-import sys
 import time
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -33,14 +31,13 @@ def test_a_killed_training_carries_on(small_set: Path, tmp_path: Path) -> None:
     more = [*VALIDATED, "--ema", "0.9", "--patience", "9", "--steps", "6", "--checkpoint-every", "1"]
     more += ["--num-workers", "1"]
     assert main(command(small_set, tmp_path / "whole", *more)) == 0
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bodyseg_model", *command(small_set, tmp_path / "cut", *more)], stderr=subprocess.PIPE
-    )
+    process = get_context("fork").Process(target=main, args=(command(small_set, tmp_path / "cut", *more),))
+    process.start()
     deadline = time.monotonic() + 100
     while not (tmp_path / "cut" / "best.json").exists() and time.monotonic() < deadline:
         time.sleep(0.005)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
+    process.kill()
+    process.join()
     assert main(command(small_set, tmp_path / "cut", *more, "--resume")) == 0
     whole, cut = written(tmp_path / "whole"), written(tmp_path / "cut")
     assert whole.keys() == cut.keys() == {"best.json", "best.safetensors", "network.json", "network.safetensors"}

@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import pytest
 from servers import WebServer, s3_server, web_server
-from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
@@ -204,7 +203,7 @@ def test_a_push_checks_what_it_sends_and_what_arrives(mine: Path, breaking: type
 def test_another_set_is_replaced_only_when_asked_and_leaves_nothing_behind(
     mine: Path, pack_figures: Callable[..., Path], breaking: type[Breaking], tmp_path: Path
 ) -> None:
-    whole = pack_figures(tmp_path / "whole", rig=SMALL)
+    whole = pack_figures(tmp_path / "whole")
     pushed(mine, "breaking://box/set")
     with pytest.raises(BadConfig, match=r"breaking://box/set holds another manifest\.json: choose another place, or"):
         pushed(whole, "breaking://box/set")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from dataclasses import fields
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
 
 Vector = NDArray[np.float64]
+
+_NUMBERS: Final = {kind: attrgetter(*(field.name for field in fields(kind))) for kind in (Trunk, Arm, Leg)}
+"""Part of a pose -> what gives its angles, in their order."""
 
 _SPREAD: Final = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 
@@ -72,7 +76,8 @@ class PoseTrack:
 
 def angles(pose: Pose) -> Vector:
     """Return all joint angles [37] of a pose: trunk, left and right arm, left and right leg."""
-    return np.concatenate([astuple(getattr(pose, field.name)) for field in fields(pose)])
+    parts = (pose.trunk, pose.left_arm, pose.right_arm, pose.left_leg, pose.right_leg)
+    return np.array([number for part in parts for number in _NUMBERS[type(part)](part)])
 
 
 def from_angles(values: Vector, decimals: int | None = None) -> Pose:

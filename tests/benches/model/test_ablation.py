@@ -212,7 +212,7 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
         assert np.array_equal(ours.labels, np.where(gone, 255, usual.labels))
         if kind == "grazing":
             lost = lost_grazing(clean.range, 0.3, plain.manifest.rig.camera)
-            assert lost.sum() == round(0.3 * (clean.range > 0).sum())
+            assert abs(lost.sum() - 0.3 * (clean.range > 0).sum()) < 1
             assert np.array_equal(gone, lost & (usual.range > 0)) and gone.any()
         image, labels = np.full_like(ours.range, 7), np.full_like(ours.labels, 7)
         fewer.write(3, 0, image, labels)

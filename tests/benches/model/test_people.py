@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,6 +31,7 @@ from bodyseg_data.core.errors import BadConfig, BadLandmarks  # noqa: E402
 from bodyseg_data.core.parts import LANDMARKS, PARTS  # noqa: E402
 from bodyseg_data.core.system.torch_threads import torch_threads  # noqa: E402
 from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
+from bodyseg_data.meshes.partition.surface_parts import partition  # noqa: E402
 
 MOVED = LANDMARKS.index("Rt. Acromion")
 
@@ -145,6 +147,7 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
         write(tmp_path, name, Mesh(name, vertices, body.mesh.faces), vertices[true])
     monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fits[mesh.name], 0.06))
     monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 10)))
+    monkeypatch.setattr(landmarks, "partition", partial(partition, method="edges"))  # six times, of 13 718 vertices
     steps: list[tuple[int, int]] = []
     figures = bench_people(str(tmp_path), views=1, poses=1, progress=lambda done, total: steps.append((done, total)))
     assert (figures["bodies"], figures["people"], figures["network"]) == (2, 2, "shipped")

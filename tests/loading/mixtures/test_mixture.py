@@ -110,7 +110,7 @@ def test_the_number_of_samples_is_by_default_that_of_the_sets(known: RangeImages
 def test_one_set_may_come_twice(figures_set: Path) -> None:
     clean, noisy = (RangeImages(figures_set, variant, "test") for variant in ("none", "noise"))
     mixture = Mixture([(clean, 1), (noisy, 1)])
-    assert (mixture.variant, mixture.split, mixture.shape) == ("none, noise", "test", (640, 329))
+    assert (mixture.variant, mixture.split, mixture.shape) == ("none, noise", "test", (160, 82))
     assert (mixture.step_m, mixture.label_map, len(mixture.sets)) == (clean.step_m, clean.label_map, 2)
     seen = samples_of(loader(mixture, 8))
     assert [key for key, _ in seen] == clean.keys * 2, "a test split is not shuffled"
@@ -302,9 +302,9 @@ def test_a_mixture_prints_in_one_line(mixture: Mixture) -> None:
 
 
 def test_sets_that_differ_in_what_a_batch_needs_are_refused(
-    known: RangeImages, small_set: Path, figures_set: Path
+    known: RangeImages, small_set: Path, paper_set: Path
 ) -> None:
-    large = RangeImages(figures_set, "all", "train")
+    large = RangeImages(paper_set, "all", "train")
     size = r"^a mixture needs images of one size: .* has \(160, 82\), .* has \(640, 329\)"
     with pytest.raises(BadConfig, match=size):
         Mixture([(known, 1), (large, 1)])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bodyseg_data import RangeImages
@@ -44,7 +44,6 @@ def test_any_stretch_of_the_sequence_can_be_asked_for(images: RangeImages, weigh
         assert taken(stream, start, count, shuffle) == whole[start : start + count]
 
 
-@settings(max_examples=60)
 @given(weights=st.lists(st.floats(0, 1e6), min_size=16, max_size=16).filter(any), number=st.integers(0, 10**9))
 def test_a_sample_comes_floor_or_ceil_of_its_expected_number(
     images: RangeImages, weights: list[float], number: int

@@ -30,7 +30,7 @@ PROGRAMS: Final = {
 }
 """First word of a step -> the program of this checkout. Any other word is a program of the system."""
 
-_CHECK_S: Final = 0.2
+_FIRST_CHECK_S, _CHECK_S = 0.01, 0.2  # each pause is twice the one before: short steps are seen at once
 _PATIENCE_S: Final = 60.0  # in which a step that is interrupted may end in order
 
 
@@ -151,8 +151,10 @@ class Runner:
 
     def _wait(self) -> None:
         """Wait until a step has ended, and keep what it made."""
+        pause_s = _FIRST_CHECK_S
         while not (ended := [each for each in self._running if each.process.poll() is not None]):
-            time.sleep(_CHECK_S)
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, _CHECK_S)
         for each in ended:
             self._running.remove(each)
             self._end(each)

@@ -23,6 +23,14 @@ from bodyseg_data.shards.manifest import MANIFEST_NAME
 _BODIES: Final = 8
 _WRITTEN_BODIES: Final = 80
 _SENT_BODIES: Final = 40
+CLUSTER: Final[dict[str, Any]] = {
+    "n_workers": 1,
+    "threads_per_worker": 1,
+    "dashboard_address": None,
+    "silence_logs": 50,
+    "scheduler_kwargs": {"dashboard_address": ":0"},  # any free port: another cluster may hold the usual one
+}
+"""Options of the cluster over whose connections samples are sent."""
 
 
 def bench_scaling(views: int = 54, progress: Progress = silent) -> dict[str, Any]:
@@ -95,10 +103,8 @@ def _fetch(packing: Packing, rendered: Rendered) -> float:
         message = f"bench scaling needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
         raise MissingLibrary(message) from error
     sizes = tuple(tuple(map(len, members.values())) for _, members in rendered.samples)
-    options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-    options["scheduler_kwargs"] = {"dashboard_address": ":0"}  # any free port: another cluster may hold the usual one
     with (
-        distributed.LocalCluster(**options) as nodes,
+        distributed.LocalCluster(**CLUSTER) as nodes,
         open_engine(nodes.scheduler_address.replace("tcp", "dask", 1), 1, packing) as engine,
     ):
         engine.executor.submit(stand_in, sizes).result()

@@ -41,6 +41,7 @@ VARIANTS: Final[tuple[VariantName, ...]] = ("all", "none")
 TRAINING_STEPS: Final = 8
 TRAINING_BATCH: Final = 4
 _TRAININGS: Final = 3
+START_METHOD: Final = "spawn"  # of the processes that hold a loader each
 _WAIT_S: Final = 0.01
 _SEED: Final = 0
 
@@ -126,7 +127,7 @@ def _setups(variant: VariantName, num_workers: Sequence[int]) -> Iterator[Setup]
 @contextmanager
 def _started(target: Callable[..., None], *arguments: Any) -> Iterator[tuple[Any, int]]:
     """A process of its own that gets a pipe and the arguments; yields our end of the pipe, and its id."""
-    context = multiprocessing.get_context("spawn")
+    context: Any = multiprocessing.get_context(START_METHOD)
     ours, theirs = context.Pipe()
     process = context.Process(target=target, args=(theirs, *arguments))
     process.start()

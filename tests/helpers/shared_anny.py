@@ -1,0 +1,47 @@
+"""The body model Anny is loaded once a process: importing this module makes all sources of bodies share it.
+
+Loading takes two seconds, cutting an outfit one, and dozens of tests open a source of their own. Nothing changes a
+model that is loaded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bodyseg_data.bodies.anny import library, model
+
+
+def shared(load: Callable[..., Any]) -> Callable[..., Any]:
+    """The function `load_anny`, which keeps the model of each folder of Anny's cache, unless progress is asked for."""
+    models: dict[Any, Any] = {}
+
+    def load_shared(progress: Callable[[int, int], None] | None = None) -> Any:
+        try:
+            import anny  # noqa: F401  # which a test may have made absent, though its modules are loaded
+            from anny.paths import get_anny_cache_path
+        except ImportError:
+            return load(progress)
+        folder = get_anny_cache_path()
+        if progress is not None or folder not in models:
+            models[folder] = load(progress)
+        return models[folder]
+
+    return load_shared
+
+
+def shared_model(make: Callable[[], Any]) -> Callable[[], Any]:
+    """The class `AnnyModel` as a function that makes one of each Anny."""
+    made: dict[Any, Any] = {}
+
+    def make_shared() -> Any:
+        anny = library.load_anny()
+        if anny not in made:
+            made[anny] = make()
+        return made[anny]
+
+    return make_shared
+
+
+library.load_anny = model.load_anny = shared(library.load_anny)
+model.AnnyModel = shared_model(model.AnnyModel)  # type: ignore[assignment,misc]
