@@ -176,7 +176,7 @@ def test_farthest_points_are_far_from_each_other() -> None:
 
 
 @pytest.fixture(scope="module")
-def person() -> tuple[Mesh, np.ndarray, Proposal]:
+def person(pymeshlab: object) -> tuple[Mesh, np.ndarray, Proposal]:
     """Another shape than the open body's mean, decimated, shuffled, turned."""
     source = open_source("open")
     built = source.build(next(ref for ref in source.bodies() if ref.mesh == "person-100"))
