@@ -38,7 +38,7 @@ else:
 def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
     """A network, in evaluation mode, whose scores a backend computes in a precision; as it is for torch in float32.
 
-    None: torch and float32; of a `RuntimeNetwork`, its runtime and its graph's precision. Raises BadConfig for an
+    None: torch and float32; of a `RuntimeNetwork`, its own runtime and precision. Raises BadConfig for an
     unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
     the extra.
     """
@@ -46,7 +46,10 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
         name: str = backend or network.identity["backend"]
         if name == TORCH:
             raise BadConfig(f"an ONNX file is computed by {' or '.join(RUNTIMES)}, found the backend {name}")
-        return RuntimeNetwork(network.model, name, _runtime(name), precision or network.model.facts.precision)
+        asked: Precision = precision or network.identity["precision"]
+        if (name, asked) == (network.identity["backend"], network.identity["precision"]):
+            return network
+        return RuntimeNetwork(network.model, name, _runtime(name), asked)
     name, chosen = backend or TORCH, precision or "float32"
     if name == TORCH:
         if chosen == "int8":

@@ -117,6 +117,15 @@ def test_a_segmenter_takes_a_backend() -> None:
     assert np.array_equal(*labels) and (labels[0] != 255).any()
 
 
+def test_a_network_on_a_backend_keeps_its_precision_where_none_is_asked_for() -> None:
+    """A segmenter asks for none: a network put on a backend before computes in what it was put on."""
+    pytest.importorskip("openvino")
+    network = on_backend(build("compact", TINY, seed=3).eval(), "openvino", "bfloat16")
+    assert on_backend(network) is network
+    assert backend_of(on_backend(network, "openvino"))["precision"] == "bfloat16"
+    assert backend_of(on_backend(network, "openvino", "float32"))["precision"] == "float32"
+
+
 def test_sessions_compute_in_as_many_threads_as_torch() -> None:
     network = on_backend(build("compact", TINY, seed=3).eval(), "onnxruntime")
     before = torch.get_num_threads()
