@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.alignment import (
     UPRIGHT_DEG,
     Alignment,
-    Units,
-    UpAxis,
-    check_alignment,
     check_size,
     check_standing,
     find_alignment,
     metres_a_unit,
 )
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.core.errors import BadLandmarks, BadMesh
 from bodyseg_data.core.parts import LANDMARKS
@@ -65,22 +63,13 @@ class MeshFile:
 
 
 class MeshBodies(ListedBodies[MeshFile]):
-    """Bodies read from mesh files. A source derives from it and lists the files.
-
-    pymeshlab: repair meshes with landmarks by coordinate that break a rule of `Mesh`, by that package (GPL-3.0).
-    """
+    """Bodies read from mesh files. A source derives from it and lists the files."""
 
     def __init__(
-        self,
-        files: Mapping[BodyRef, MeshFile],
-        missing: Sequence[str],
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
+        self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], options: MeshOptions = DEFAULTS
     ) -> None:
-        check_alignment(units, up)
         super().__init__(files, missing)
-        self._units, self._up, self._pymeshlab = units, up, pymeshlab
+        self._options = options
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
         self._alignments: dict[str, tuple[Alignment, Path]] = {}
@@ -91,7 +80,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         Raises BadLandmarks for bodies that have no usable landmark file, naming the first few and saying how many.
         """
         self._check_landmarks(bodies)
-        digest = hashlib.sha256(repr((self._units, self._up)).encode())
+        digest = hashlib.sha256(repr((self._options.units, self._options.up)).encode())
         for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
                 digest.update(str(self._group_alignment(group)[0]).encode())
@@ -121,7 +110,7 @@ class MeshBodies(ListedBodies[MeshFile]):
             built = Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
         else:
             landmarks = landmarks.transformed(1.0, alignment.rotation)
-            built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._pymeshlab)
+            built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
         return built
@@ -139,7 +128,7 @@ class MeshBodies(ListedBodies[MeshFile]):
             self.build(body)
             return
         vertices, faces, alignment = self._placed(body, landmarks)
-        if not self._pymeshlab:
+        if not self._options.pymeshlab:
             _mesh(body.mesh, vertices, faces, file.path, _REMEDY)
         surface = _used((vertices, faces))
         points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
@@ -158,10 +147,10 @@ class MeshBodies(ListedBodies[MeshFile]):
             alignment = self._alignment_of(landmarks, surface, file.path)
         else:
             alignment, decided_by = self._group_alignment(file.group)
-            if self._units == "auto":
+            if self._options.units == "auto":
                 check_size(_used(surface), alignment.scale, str(file.path), str(decided_by))
             else:
-                metres_a_unit(_used(surface), self._units, str(file.path))
+                metres_a_unit(_used(surface), self._options.units, str(file.path))
         return alignment.apply(surface[0]), surface[1], alignment
 
     def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
@@ -197,7 +186,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         """Turn points on the first of the meshes that share them into vertices of all of them."""
         body, file = next(item for item in self._entries.items() if item[1].landmarks == source)
         surface = read_mesh(file.path)
-        scale = metres_a_unit(_used(surface), self._units, str(file.path))
+        scale = metres_a_unit(_used(surface), self._options.units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
         points, unit_notes = _in_millimetres(points, mesh.surface_vertices)
         landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
@@ -234,7 +223,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         else:
             _check_counts(landmarks, surface, path)
             points = surface[0][list(landmarks.vertices)]
-        return find_alignment(_used(surface), points, self._units, self._up, str(path))
+        return find_alignment(_used(surface), points, self._options.units, self._options.up, str(path))
 
 
 def _load(landmarks: Path | str) -> LandmarkSet | PointLandmarks:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.bodies.mesh_options import MeshOptions
 from bodyseg_data.bodies.source import BodySource
 from bodyseg_data.core.errors import BadConfig
 
@@ -84,4 +85,4 @@ def open_source(
         raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
     if not path.is_dir():
         raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
-    return entry.open(path, landmarks, units, up, pymeshlab)
+    return entry.open(path, landmarks, MeshOptions(units, up, pymeshlab))

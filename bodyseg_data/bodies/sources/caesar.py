@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import LANDMARK_SUFFIXES, files_below, given_landmarks
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.names import key_name
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
@@ -39,14 +39,7 @@ class CaesarBodies(MeshBodies):
 
     name = "caesar"
 
-    def __init__(
-        self,
-        path: Path,
-        landmarks: Path | None = None,
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         meshes = _standing(path)
         points = _by_name(folder, _landmark_stem)
@@ -61,7 +54,7 @@ class CaesarBodies(MeshBodies):
             name = key_name(stem, _LONGEST)
             ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
             files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
-        super().__init__(files, (*missing, *MESHES[len(meshes) :]), units, up, pymeshlab)
+        super().__init__(files, (*missing, *MESHES[len(meshes) :]), options)
 
 
 def _standing(path: Path) -> dict[str, Path]:

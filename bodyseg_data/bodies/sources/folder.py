@@ -11,9 +11,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import files_below, given_landmarks, landmark_file, meshes_in
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.names import key_name
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
@@ -32,14 +32,7 @@ class FolderBodies(MeshBodies):
 
     name = "folder"
 
-    def __init__(
-        self,
-        path: Path,
-        landmarks: Path | None = None,
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         files: dict[BodyRef, MeshFile] = {}
         for parent in sorted({file.parent for file in files_below(path)}):
@@ -57,7 +50,7 @@ class FolderBodies(MeshBodies):
         if not files:
             raise BadConfig(f"the source 'folder' needs meshes (.ply, .obj, .off): found none in {path}")
         lacking = [f"landmarks of {body.mesh}" for body, file in files.items() if file.landmarks is None]
-        super().__init__(files, lacking, units, up, pymeshlab)
+        super().__init__(files, lacking, options)
 
 
 def _ref(inside: Path) -> BodyRef:

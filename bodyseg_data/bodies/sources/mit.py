@@ -8,12 +8,13 @@ their vertices alike. Landmarks of I_* ship with the package; those of D_* are t
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import given_landmarks, landmark_file, meshes_in
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import split_by_motion
@@ -46,14 +47,7 @@ class MitBodies(MeshBodies):
 
     name = "mit"
 
-    def __init__(
-        self,
-        path: Path,
-        landmarks: Path | None = None,
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         files: dict[BodyRef, MeshFile] = {}
         missing: list[str] = []
@@ -86,7 +80,7 @@ class MitBodies(MeshBodies):
                 "of subject B give a folder that holds landmarks_B.json"
             )
         # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
-        super().__init__(files, missing, units, "y" if up == "auto" else up, pymeshlab)
+        super().__init__(files, missing, replace(options, up="y") if options.up == "auto" else options)
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:

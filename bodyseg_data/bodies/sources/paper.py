@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.source import Body, BodyRef, BodySource, ListedBodies
 from bodyseg_data.bodies.sources import caesar, mit, scape
 from bodyseg_data.core.errors import BadConfig
 
-_Opened = Callable[[Path, Path | None, Units, UpAxis, bool], BodySource]
+_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
     "scape": (scape.ScapeBodies, scape.MESHES),
@@ -30,14 +30,7 @@ class PaperBodies(ListedBodies[BodySource]):
 
     name = "paper"
 
-    def __init__(
-        self,
-        path: Path,
-        landmarks: Path | None = None,
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         if landmarks is not None and not landmarks.is_dir():
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
         if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
@@ -50,7 +43,7 @@ class PaperBodies(ListedBodies[BodySource]):
             folder = _sub_folder(path, name)
             missing: Sequence[str] = complete
             if folder is not None:
-                source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, units, up, pymeshlab)
+                source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, options)
                 missing = source.missing()
                 for body in source.bodies():
                     sources[body] = source

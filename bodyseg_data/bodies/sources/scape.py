@@ -10,9 +10,9 @@ import re
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.file_search import given_landmarks, landmark_file, meshes_in
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
+from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import split_by_order
@@ -31,14 +31,7 @@ class ScapeBodies(MeshBodies):
 
     name = "scape"
 
-    def __init__(
-        self,
-        path: Path,
-        landmarks: Path | None = None,
-        units: Units = "auto",
-        up: UpAxis = "auto",
-        pymeshlab: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         labelled = given or landmark_file([folder], "landmarks")
         found: dict[int, Path] = {}
@@ -57,4 +50,4 @@ class ScapeBodies(MeshBodies):
             if number in found
         }
         missing = [name for number, name in zip(NUMBERS, MESHES, strict=True) if number not in found]
-        super().__init__(files, missing, units, up, pymeshlab)
+        super().__init__(files, missing, options)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, person, turn, write_by_vertex, write_lnd, write_mesh
 
+from bodyseg_data.bodies.mesh_options import MeshOptions
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.caesar import CaesarBodies
@@ -134,7 +135,7 @@ def test_a_scan_is_repaired_and_says_so(tmp_path: Path) -> None:
     source = CaesarBodies(tmp_path)
     with pytest.raises(BadMesh, match="--pymeshlab repairs most scans"):  # before the first view is rendered
         source.check(source.bodies()[0])
-    body = first(CaesarBodies(tmp_path, pymeshlab=True))
+    body = first(CaesarBodies(tmp_path, options=MeshOptions(pymeshlab=True)))
     assert len(body.notes) == 2 and body.notes[0].startswith("repaired: neighbouring faces must agree")
     near = body.mesh.vertices[body.landmarks] - PERSON.vertices[list(VERTICES)]
     assert np.abs(near).max() < 1e-5 and body.mesh.signed_volume() > 0
@@ -145,7 +146,7 @@ def test_stray_vertices_do_not_matter(tmp_path: Path) -> None:
     vertices = np.concatenate([PERSON.vertices @ TURN * 1000, [[np.nan] * 3, [1e6, 0, 0]]])
     write_mesh(tmp_path / "csr0001a.ply", vertices)
     write_lnd(tmp_path / "csr0001a.lnd", POINTS)
-    body = first(CaesarBodies(tmp_path, pymeshlab=True))
+    body = first(CaesarBodies(tmp_path, options=MeshOptions(pymeshlab=True)))
     assert len(body.mesh.vertices) == len(PERSON.vertices) and "coordinates must be finite" in body.notes[0]
 
 
@@ -181,7 +182,7 @@ def test_a_body_must_stand(tmp_path: Path, up: str) -> None:
     write_mesh(tmp_path / "csr0001a.ply", PERSON.vertices @ TURN * 1000)
     write_lnd(tmp_path / "csr0001a.lnd", points)
     with pytest.raises(BadMesh, match=r"csr0001a\.ply: a standing body has its head above its feet"):
-        first(CaesarBodies(tmp_path, up=up))  # type: ignore[arg-type]
+        first(CaesarBodies(tmp_path, options=MeshOptions(up=up)))  # type: ignore[arg-type]
 
 
 def test_subjects_that_cannot_be_labelled_are_named_before_anything_is_rendered(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, obj, turn, write_by_vertex, write_mesh
 from shapes import ball
 
+from bodyseg_data.bodies.mesh_options import MeshOptions
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
@@ -168,7 +169,7 @@ def test_bodies_of_no_human_size_or_inside_out_are_refused(labelled: Path) -> No
     write(labelled, "I_squat", 3, PERSON.vertices @ FACING * 1000)
     np.testing.assert_allclose(first(MitBodies(labelled)).mesh.vertices, PERSON.vertices, atol=1e-9)
     with pytest.raises(BadMesh, match="which would fit in mm"):
-        first(MitBodies(labelled, units="m"))
+        first(MitBodies(labelled, options=MeshOptions(units="m")))
 
 
 def test_a_file_that_vanished_is_refused(labelled: Path) -> None:
@@ -238,5 +239,5 @@ def test_real_frames(mit_folder: Path) -> None:
     assert np.abs(last.mesh.vertices - first.mesh.vertices).max() > 0.3
     # What is found is what is so: metres, y up.
     np.testing.assert_array_equal(
-        MitBodies(mit_folder, units="m", up="y").build(crane[-1]).mesh.vertices, last.mesh.vertices
+        MitBodies(mit_folder, options=MeshOptions("m", "y")).build(crane[-1]).mesh.vertices, last.mesh.vertices
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, person, turn, write_by_point, write_by_vertex, write_lnd, write_mesh
 
+from bodyseg_data.bodies.mesh_options import MeshOptions
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.scape import ScapeBodies
@@ -84,7 +85,7 @@ def test_all_postures_are_placed_alike(tmp_path: Path) -> None:
     for number, vertices in enumerate((lying, PERSON.vertices, lying, PERSON.vertices @ turn("-x", "y"))):
         write_mesh(tmp_path / f"mesh{number:03d}.ply", vertices @ TURN)
     write_by_vertex(tmp_path / "landmarks.json")
-    source = ScapeBodies(tmp_path, up="z")
+    source = ScapeBodies(tmp_path, options=MeshOptions(up="z"))
     built = [source.build(ref).mesh.vertices for ref in source.bodies()]
     for found, vertices in zip(built, (lying, PERSON.vertices, lying, PERSON.vertices @ turn("-x", "y")), strict=True):
         np.testing.assert_array_equal(found, vertices)
@@ -129,7 +130,7 @@ def test_the_fingerprint_follows_whatever_shapes_the_bodies(tmp_path: Path) -> N
     write_by_vertex(tmp_path / "landmarks.json")
 
     def fingerprint(**options: str) -> str:
-        source = ScapeBodies(tmp_path, **options)  # type: ignore[arg-type]
+        source = ScapeBodies(tmp_path, options=MeshOptions(**options))  # type: ignore[arg-type]
         return source.fingerprint(source.bodies()[1:])
 
     whole = fingerprint()
@@ -152,7 +153,7 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="landmarks are a file or a folder, found neither at"):
         ScapeBodies(tmp_path, tmp_path / "absent.json")
     with pytest.raises(BadConfig, match="units must be one of"):
-        ScapeBodies(tmp_path, units="feet")  # type: ignore[arg-type]
+        ScapeBodies(tmp_path, options=MeshOptions(units="feet"))  # type: ignore[arg-type]
     source = ScapeBodies(tmp_path)
     for use in (source.build, lambda body: source.fingerprint([body])):
         with pytest.raises(BadLandmarks, match=r"found none for the meshes in .*: put landmarks\.json there"):
