@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
-from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core.system.machine import hardware, processors
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
@@ -26,7 +26,7 @@ from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
 from bodyseg_model.recordings.camera_files import FrameCameras, find_cameras
 from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.recording import Frame
+from bodyseg_model.recordings.recording import Frame, Pixels, Stamp
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
@@ -44,10 +44,12 @@ from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
-from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.segmentation.read_ahead import read_ahead
+from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
+from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
@@ -87,11 +89,13 @@ class Options:
     no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif", 10.0)
+    threads: int | None = option("threads that compute the network on the processor (default: all)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
+    use_threads(options.threads)
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     trained = shipped_network() if options.run is None else load_run(options.run)
@@ -113,19 +117,25 @@ def run(options: Options) -> int:
         out.begin()
         first.prepare()
         start = time.perf_counter()
-        with Progress("segmenting", "frames") as progress, WriteBehind() as behind:
-            for number, file in enumerate(frames):
+        # One thread reads recordings, one writes results, and this one labels. All files are read by the first.
+        read = (_read(file, cameras, skipping, segmenters, messages is not None) for file in frames)
+        with (
+            contextlib.closing(read_ahead(read) if processors() > 1 else read) as coming,
+            Progress("segmenting", "frames") as progress,
+            WriteBehind() as behind,
+        ):
+            for number, (file, ready) in enumerate(zip(frames, coming, strict=True)):
                 if video is not None and number and file.sequence != frames[number - 1].sequence:
                     video.restart()
-                frame = _label(file, cameras, skipping, segmenters)
                 done = partial(progress.update, number + 1, len(frames))
-                if frame is None:
+                if ready is None:
                     behind.add(done)
                     continue
+                frame = _label(ready)
                 if frame.camera is None:
                     shadows.add(number, file.name, frame.range_m, [body.pixels for body in frame.result.bodies])
-                if messages is not None:  # here, as a recording is read by one thread
-                    messages.add(file, frame.result.labels)
+                if messages is not None:
+                    messages.add(file, frame.result.labels, ready.stamp)
                 behind.add(partial(_write, frame, results, done))
         seconds = time.perf_counter() - start
     labelled = len(frames) - len(skipping.skipped)
@@ -176,27 +186,55 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
     return labels_out(options.labels_out, label_map, options.fps)
 
 
-def _label(file: Frame, cameras: FrameCameras, skipping: Skipping, segmenters: Segmenters) -> LabelledFrame | None:
-    """Read and label one frame; None for one that is skipped. Raises BadConfig, naming it."""
+@dataclass(frozen=True)
+class _Ready:
+    """A frame that was read, [H, W], and its surfaces. camera: its entry in the summary, where it has one of its own.
+    stamp: of its message, where labels go out as messages.
+    """
+
+    file: Frame
+    pixels: Pixels
+    segmenter: Segmenter
+    found: FoundSurfaces
+    milliseconds: dict[str, float]
+    camera: dict[str, Any] | None
+    stamp: Stamp | None
+
+
+def _read(
+    file: Frame, cameras: FrameCameras, skipping: Skipping, segmenters: Segmenters, with_stamp: bool
+) -> _Ready | None:
+    """Read one frame and find its surfaces; None for one that is skipped. Raises BadConfig, naming it."""
     watch = Stopwatch((_READ,))
     with watch(_READ):
         pixels = skipping.read(file)
         if pixels is None:
             return None
         camera = cameras.of(file, (pixels.shape[0], pixels.shape[1]))
-        try:
+        with _naming(file):
             lens, segmenter = segmenters.of(camera.camera)
             if lens is not None:
                 pixels = lens(pixels)
             range_m = to_metres(pixels, file.step_m)
-        except BadConfig as error:
-            raise BadConfig(f"{file.where}: {error}") from error
+    with _naming(file):
+        found = segmenter.find(range_m)
+    own = camera.to_json() if cameras.is_own(file) else None
+    return _Ready(file, pixels, segmenter, found, watch.milliseconds, own, file.stamp() if with_stamp else None)
+
+
+def _label(ready: _Ready) -> LabelledFrame:
+    """Label the surfaces of one frame. Raises BadConfig, naming it."""
+    with _naming(ready.file):
+        result = ready.segmenter.label(ready.found)
+    return LabelledFrame(ready.file, ready.pixels, ready.found.range_m, result, ready.milliseconds, ready.camera)
+
+
+@contextlib.contextmanager
+def _naming(file: Frame) -> Iterator[None]:
     try:
-        result = segmenter(range_m)
+        yield
     except BadConfig as error:
         raise BadConfig(f"{file.where}: {error}") from error
-    own = camera.to_json() if cameras.is_own(file) else None
-    return LabelledFrame(file, pixels, range_m, result, watch.milliseconds, own)
 
 
 def _write(frame: LabelledFrame, results: FrameResults, done: Callable[[], None]) -> None:

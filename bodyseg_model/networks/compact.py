@@ -85,6 +85,8 @@ class Compact(Network):
         self._patch, self._shrink, self._cell = patch, shape.shrink, patch * shape.shrink
         self._fine = max(1, self._cell // self.output_stride)
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
+        # As the values between layers are laid out: else each convolution lays its weights out anew.
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Self:

@@ -26,7 +26,10 @@ RUNTIMES: Final[dict[str, str]] = {
 }
 """Name -> "module.Class" of this folder, imported when it is used."""
 
-BACKEND_HELP: Final = "what computes the network (default: torch; of an .onnx file, onnxruntime)"
+BACKEND_HELP: Final = (
+    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes about "
+    "0.8 times as long as torch, in bfloat16 0.6 times"
+)
 PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.undistortion import Undistortion
@@ -95,6 +96,30 @@ class Segmentation:
         return image
 
 
+@dataclass(frozen=True)
+class FoundSurface:
+    """A surface of a body's size, before a network has labelled it. pixels: as of `LabelledBody`.
+
+    shape: `shape_features`, float64 [16]; None where nobody tells people from things. thing: probability that it is a
+    person, where its shape alone tells that it is none, which no network will label.
+    """
+
+    pixels: NDArray[np.intp] = field(repr=False)
+    shape: NDArray[np.float64] | None = field(default=None, repr=False)
+    thing: float | None = None
+
+
+@dataclass(frozen=True)
+class FoundSurfaces:
+    """The surfaces of a frame, the largest first; range_m: the frame, float32 [H, W], metres. milliseconds: of each of
+    `STAGES` so far.
+    """
+
+    range_m: NDArray[np.float32] = field(repr=False)
+    surfaces: tuple[FoundSurface, ...]
+    milliseconds: dict[str, float]
+
+
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
@@ -141,7 +166,15 @@ class Segmenter:
     def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
         """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured.
 
-        Raises BadConfig for a frame of another size than the camera's, or a body too large for a view.
+        Raises BadConfig as `find` and `label`.
+        """
+        return self.label(self.find(range_m))
+
+    def find(self, range_m: NDArray[np.float32]) -> FoundSurfaces:
+        """Find the surfaces of a frame that the network is to label: all that is done before the network.
+
+        range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find the surfaces of the
+        next frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's.
         """
         if range_m.shape != (self.camera.rows, self.camera.columns):
             raise BadConfig(
@@ -149,20 +182,31 @@ class Segmenter:
                 f"found {' x '.join(map(str, range_m.shape))}"
             )
         watch = Stopwatch(STAGES)
+        with watch("background"):
+            surfaces = [FoundSurface(pixels) for pixels in find_bodies(range_m, self.camera, self.background)]
+        if self.people is not None:
+            with watch("shape"):
+                shapes = [shape_features(surface.pixels, range_m, self.camera) for surface in surfaces]
+                surfaces = [
+                    FoundSurface(surface.pixels, shape, self.people.of_thing(shape))
+                    for surface, shape in zip(surfaces, shapes, strict=True)
+                ]
+        return FoundSurfaces(range_m, tuple(surfaces), watch.milliseconds)
+
+    def label(self, found: FoundSurfaces) -> Segmentation:
+        """Label the surfaces of a frame. With `video`, frames must come in order. Raises BadConfig for a body too large
+        for a view.
+        """
+        range_m, watch = found.range_m, Stopwatch(STAGES)
+        watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
         things: list[Thing] = []
-        with watch("background"):
-            body_pixels = find_bodies(range_m, self.camera, self.background)
-        for pixels in body_pixels:
-            shape = None
-            if self.people is not None:
-                with watch("shape"):
-                    shape = shape_features(pixels, range_m, self.camera)
-                    told = self.people.of_thing(shape)
-                    if told is not None:
-                        things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), told))
-                        continue
+        for surface in found.surfaces:
+            pixels, shape = surface.pixels, surface.shape
+            if surface.thing is not None:
+                things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), surface.thing))
+                continue
             with watch("resample"):
                 view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
             with watch("network"):
@@ -187,18 +231,21 @@ class Segmenter:
             labels.ravel()[body.pixels[body.confidence < self.least_confidence]] = BACKGROUND
         return Segmentation(labels, tuple(bodies), watch.milliseconds, tuple(things))
 
-    def stream(self, frames: Iterable[NDArray[np.float32]]) -> Iterator[Segmentation]:
+    def stream(self, frames: Iterable[NDArray[np.float32]], ahead: bool = False) -> Iterator[Segmentation]:
         """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
         next.
 
         frames: float32 [H, W], metres, 0 = nothing measured, of the camera's size; they may never end. An answer has
         `labels`, uint8 [H, W], 255 where there is no body; `confidence`, float32 [H, W]; `bodies`, the people, with
         pixels, range and confidences of each; and `milliseconds` of every stage. Before the first frame is asked for,
-        `prepare` is called. Raises BadConfig as a call does.
+        `prepare` is called. ahead: a thread asks for the next frame and finds its surfaces while this one is labelled;
+        the same answers in the same order, more of them a second where a processor is free. Each frame then is an array
+        of its own, which no driver writes into again. Raises BadConfig as a call does.
         """
         self.prepare()
-        for range_m in frames:
-            yield self(range_m)
+        found = map(self.find, frames)
+        for each in read_ahead(found) if ahead else found:
+            yield self.label(each)
 
     def prepare(self) -> None:
         """Load the compiled loops and run the network once, so that the first frame takes no longer than others."""

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import tarfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from bodyseg_model.networks.checkpoints import Trained, save_network
 from bodyseg_model.networks.registry import build
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
+from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.undistortion import Undistortion
 
@@ -423,6 +425,43 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     monkeypatch.setattr(network, "scores", label)
     assert run(recording, "--focal", "100", "--out", out) == 0
     assert report(out)["frames"] == len(list((out / "labels").iterdir())) == 5
+
+
+def test_an_interruption_while_the_next_frame_is_read_leaves_this_one_whole(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = Skipping.read
+
+    def interrupted(skipping: Skipping, file: Any) -> Any:
+        if file.name == "10":
+            raise KeyboardInterrupt
+        return read(skipping, file)
+
+    monkeypatch.setattr(Skipping, "read", interrupted)
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 130
+    assert sorted(path.name for path in (tmp_path / "out/labels").iterdir()) == ["7.png", "8.png", "9.png"]
+
+
+def test_one_processor_reads_no_frame_ahead_and_gives_the_same_labels(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for count in (1, 2):
+        threads: set[str] = set()
+        read = Skipping.read
+
+        def noted(skipping: Skipping, file: Any, read: Any = read, threads: set[str] = threads) -> Any:
+            threads.add(threading.current_thread().name.partition("_")[0])
+            return read(skipping, file)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Skipping, "read", noted)
+            patched.setattr(segment, "processors", lambda count=count: count)
+            out = tmp_path / str(count)
+            assert run(recording, "--focal", "100", "--threads", "1", "--out", out) == 0
+        assert ("reading" in threads) == (count == 2)
+        found.append([pixels(file) for file in sorted((out / "labels").iterdir())])
+    np.testing.assert_array_equal(found[0], found[1])
 
 
 def test_a_block_is_no_person(

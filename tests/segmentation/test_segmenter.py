@@ -23,6 +23,7 @@ from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.overlay import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
@@ -172,6 +173,22 @@ def test_a_stream_answers_each_frame_before_it_asks_for_the_next() -> None:
         np.testing.assert_array_equal(confidence > 0.9, answer.labels != BACKGROUND)
         assert len(answer.bodies) == (number < 2)
     assert tuple(network.seen[0].shape) == (1, 1, 640, 329), "the network has run before the first frame"
+
+
+def test_a_stream_may_find_the_next_frames_surfaces_ahead() -> None:
+    frames = [standing(20, 2.0), np.zeros((60, 80), np.float32), standing(24, 2.0) + standing(50, 3.0, height=30)]
+    score = shipped_score("shape")
+    plain, ahead = (
+        list(Segmenter(Places(0, 10), LENS, people=score).stream(iter(frames), ahead=ahead)) for ahead in (False, True)
+    )
+    assert [len(answer.things) for answer in plain] == [1, 0, 2], "blocks are told by their shape"
+    for one, other in zip(plain, ahead, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        assert [thing.person for thing in one.things] == [thing.person for thing in other.things]
+    answers = Segmenter(Places(0, 10), LENS).stream([frames[0], frames[0].T], ahead=True)
+    assert next(answers).bodies
+    with pytest.raises(BadConfig, match="^a frame must have .* 60 x 80, found 80 x 60$"):
+        next(answers)
 
 
 def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> None:

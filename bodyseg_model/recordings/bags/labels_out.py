@@ -59,13 +59,13 @@ class LabelsOut:
         self._out, self._rate, self._count = out, frames_per_second, 0
         self._types = typestore("cdr").types
 
-    def add(self, frame: Frame, labels: NDArray[np.uint8]) -> None:
-        """Write the labels of a frame, uint8 [H, W], with time and coordinate frame of its message.
+    def add(self, frame: Frame, labels: NDArray[np.uint8], of_message: Stamp | None) -> None:
+        """Write the labels of a frame, uint8 [H, W], with time and coordinate frame of its message, `frame.stamp()`.
 
         A frame that is no message has its time alone; one without a time is `frames_per_second` from the one before.
         """
         time_ns = round(1e9 * (self._count / self._rate if frame.time_s is None else frame.time_s))
-        stamp = frame.stamp() or Stamp(time_ns, "")
+        stamp = of_message or Stamp(time_ns, "")
         seconds, rest = divmod(stamp.time_ns, 10**9)
         self._count += 1
         kinds = self._types

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from benches.model.segment import bench
 from benches.model.segment.bench import DROPPING, STAGES, WAYS, accuracy, bench_segment, cameras
 from benches.model.segment.figure import draw_segment
+from benches.model.segment.live import Sensor
 from label_networks import Places
 
 from bodyseg_data.core.parts import BACKGROUND
@@ -56,13 +58,27 @@ def test_people_found_and_labels_right_are_counted() -> None:
     assert accuracy([room], [less], 0.001)["people"] == 0, "too small to count"
 
 
+def test_a_sensor_gives_the_newest_frame_and_none_twice() -> None:
+    frames = [np.full((2, 2), number, np.float32) for number in range(3)]
+    sensor = Sensor(frames, count=4, rate=100.0)
+    seen = []
+    for number, frame in enumerate(sensor):
+        seen.append(frame[0, 0])
+        assert time.perf_counter() >= sensor.came[number]
+        if number == 1:
+            time.sleep(0.045)  # four frames pass
+    assert seen == [0, 1, 2, 0]
+    steps = np.rint(np.diff(sensor.came) * 100)
+    assert (steps >= 1).all() and steps[1] >= 4
+
+
 def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = Places(axis=0, step=20)
     monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"network": "places"}))
     monkeypatch.setattr(bench, "shipped_network", lambda: Trained(network, {"network": "places"}))
     monkeypatch.setattr(bench, "Rooms", MadeRooms)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
-    assert len(ways_by_torch) == len(WAYS) - 2
+    assert len(ways_by_torch) == len(WAYS) - 3
     monkeypatch.setattr(bench, "WAYS", ways_by_torch)
     lens = Camera(120, 160, 131.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert [(camera.rows, camera.columns) for camera in cameras().values()] == [(480, 640), (1024, 1024)]
@@ -75,6 +91,8 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
         ways = size["ways"]
         assert set(ways) == set(ways_by_torch)
         assert list(size["after"]) == list(DROPPING)
+        for way in (size["live"]["one by one"], size["live"]["ahead"]):
+            assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"] < 40
         surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
         assert size["after"]["people"]["people_found"] == ways["default"]["found"]

@@ -1,8 +1,8 @@
 """`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
 
 The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
-of its loops, with a label on every surface, without pictures, and with the network on OpenVINO. docs/segment.md says
-how to read the results.
+of its loops, with a label on every surface, without pictures, and with the network on OpenVINO. `live` gives the age of
+a live sensor's frames when their labels are there. docs/segment.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.measuring import Progress, silent
+from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.kernels import VARIABLE, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
@@ -61,6 +62,7 @@ WAYS: Final = {
     "no pictures": Way(options={"no_overlay": True}),
     "OpenVINO": Way(options={"backend": "openvino"}),
     "OpenVINO, bfloat16": Way(options={"backend": "openvino", "precision": "bfloat16"}),
+    "OpenVINO, bfloat16, one thread": Way(options={"backend": "openvino", "precision": "bfloat16", "threads": 1}),
 }
 """Name -> way, the default first."""
 
@@ -89,7 +91,14 @@ def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any
                 ways[way] = _measured(facts, frames, Path(folder) / way, camera, rooms)
                 done += 1
                 progress(done, total)
-        sizes[name] = {"focal_px": camera.focal_px, "after": left_after(rooms, camera), "ways": ways}
+        trained = shipped_network()
+        segmenter = Segmenter(trained.network, camera, rig=trained.rig, people=shipped_score())
+        sizes[name] = {
+            "focal_px": camera.focal_px,
+            "after": left_after(rooms, camera),
+            "live": live(segmenter, [room.range_m for room in rooms]),
+            "ways": ways,
+        }
     return {
         "default": next(iter(WAYS)),
         "rooms": views,
@@ -122,8 +131,10 @@ def _rooms(camera: Camera, count: int) -> Iterator[Room]:
 def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Room]) -> dict[str, Any]:
     """Times of every stage, frames a second, and accuracy of one call of the command."""
     options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
+    threads = torch.get_num_threads()
     with _loops(way.loops), contextlib.redirect_stderr(io.StringIO()):
         segment.run(options)
+    torch.set_num_threads(threads)
     summary = json.loads((out / "summary.json").read_text())
     labels = []
     for number in range(len(rooms)):

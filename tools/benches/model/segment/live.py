@@ -1,0 +1,72 @@
+"""Frames of a live sensor: how old a frame is when its labels are there, with and without reading ahead."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_model.segmentation.segmenter import Segmenter
+
+RATE: Final = 30.0
+"""Frames a second of the sensor, as most range sensors give."""
+
+_ROUNDS: Final = 2
+
+
+class Sensor:
+    """Yields `count` frames, each the newest that there is when it is asked for, and none twice.
+
+    frames: float32 [H, W] each, again from the first after the last. came: of each frame that was yielded, the time at
+    which the sensor had it, seconds of `time.perf_counter`.
+    """
+
+    def __init__(self, frames: Sequence[NDArray[np.float32]], count: int, rate: float = RATE) -> None:
+        self._frames, self._count, self._rate = frames, count, rate
+        self.came: list[float] = []
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        start, last = time.perf_counter(), -1
+        for number in range(self._count):
+            newest = int((time.perf_counter() - start) * self._rate)
+            if newest == last:
+                newest += 1
+                time.sleep(max(0.0, start + newest / self._rate - time.perf_counter()))
+            last = newest
+            self.came.append(start + newest / self._rate)
+            yield self._frames[number % len(self._frames)]
+
+
+def live(segmenter: Segmenter, frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
+    """Age of frames when their labels are there, ms, and frames a second, with and without `ahead`, in turns.
+
+    Every frame is shown `_ROUNDS` times each way; the first of each round is left out. processor_ms: processor time of
+    a frame, of all threads.
+    """
+    ages: dict[bool, list[float]] = {False: [], True: []}
+    seconds, processor_s = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+    for _ in range(_ROUNDS):
+        for ahead in ages:
+            sensor = Sensor(frames, len(frames) + 1)
+            stream = segmenter.stream(sensor, ahead=ahead)
+            next(stream)
+            start, busy = time.perf_counter(), time.process_time()
+            for number, _answer in enumerate(stream, 1):
+                ages[ahead].append(time.perf_counter() - sensor.came[number])
+            seconds[ahead] += time.perf_counter() - start
+            processor_s[ahead] += time.process_time() - busy
+    return {
+        "sensor_rate": RATE,
+        **{
+            name: {
+                "frames_per_second": round(len(ages[ahead]) / seconds[ahead], 2),
+                "p50_ms": round(1000 * float(np.median(ages[ahead])), 1),
+                "p95_ms": round(1000 * float(np.quantile(ages[ahead], 0.95)), 1),
+                "processor_ms": round(1000 * processor_s[ahead] / len(ages[ahead]), 1),
+            }
+            for name, ahead in (("one by one", False), ("ahead", True))
+        },
+    }
