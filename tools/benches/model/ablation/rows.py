@@ -35,8 +35,8 @@ RULE: Final = (
     f"An effect pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
     "deviations of the difference above that without it, on at least one kind of test images that it is meant to help. "
     f"Undecided: more than {LEAST_POINTS:g} points above, but within those deviations, so more seeds are wanted. "
-    "It harms where accuracy is as much lower with it, on images with all artifacts or with none. Of one training of the "
-    "base the deviation is not known, and no difference between trainings says more than undecided."
+    "It harms where accuracy is as much lower with it, on images with all artifacts or with none. "
+    "Of one training of the base the deviation is not known, so differences between trainings are undecided at most."
 )
 
 
