@@ -103,6 +103,16 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     return signed
 
 
+def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel of a purpose, [count]; see `Draws.pixels`."""
+    if use_compiled():
+        bits: NDArray[Any] = import_module("bodyseg_data.artifacts.loops.philox").bits_of(
+            draws.stream(purpose), count, kind
+        )
+        return bits
+    return draws.pixels(purpose, count, kind)
+
+
 def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:
     """One standard normal for each 32 random bits of a purpose, float32 [N]; see `normals`."""
     if use_compiled():
