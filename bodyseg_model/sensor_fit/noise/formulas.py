@@ -28,9 +28,7 @@ LEAST_PX: Final = 0.3
 NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
 
 _RELIEF_PX: Final = 0.25  # less growth with slope within one frame, as if pixels had moved, may be the shape of limbs
-_RELIEF_PART: Final = (
-    0.1  # of the noise in pixels: edges that it hides are in the residuals, more by more
-)
+_RELIEF_PART: Final = 0.1  # of the noise in pixels: edges that it hides are in the residuals, more by more
 _WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _ANY_BASELINE_M: Final = 0.1
