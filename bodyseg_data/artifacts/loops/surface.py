@@ -71,14 +71,15 @@ def _incidence(image: Any, rows: Any, columns: Any, focal: Any, x: Any, y: Any, 
             above = _known(image[up + i]) if has_above else FAR
             below = _known(image[down + i]) if has_below else FAR
             found[to + i] = _angle(np.float32(image[at + i]), left, right, above, below, focal, x[ray + i], y_row)
-        for i in (np.uint64(0), np.uint64(length - 1)):
-            if begin <= i < end:
+        for border in (np.uint64(0), np.uint64(length - 1)):
+            if begin <= border < end:
                 continue  # not at the image's border
-            left = _known(image[at + i - np.uint64(1)]) if column + np.int64(i) > 0 else FAR
-            right = _known(image[at + i + np.uint64(1)]) if column + np.int64(i) < width - 1 else FAR
-            above = _known(image[up + i]) if has_above else FAR
-            below = _known(image[down + i]) if has_below else FAR
-            found[to + i] = _angle(np.float32(image[at + i]), left, right, above, below, focal, x[ray + i], y_row)
+            left = _known(image[at + border - np.uint64(1)]) if column + np.int64(border) > 0 else FAR
+            right = _known(image[at + border + np.uint64(1)]) if column + np.int64(border) < width - 1 else FAR
+            above = _known(image[up + border]) if has_above else FAR
+            below = _known(image[down + border]) if has_below else FAR
+            here = np.float32(image[at + border])
+            found[to + border] = _angle(here, left, right, above, below, focal, x[ray + border], y_row)
         point += length
 
 
@@ -100,12 +101,11 @@ def _silhouettes(image: Any, rows: Any, columns: Any, jump: Any, marked: Any) ->
             ends = _apart(here, image[up + i], jump) | _apart(here, image[down + i], jump)
             ends |= _apart(here, image[at + i - one], jump) | _apart(here, image[at + i + one], jump)
             marked[at + i] = ends & (here > 0)
-        for i in (np.uint64(0), width - one):
-            here = image[at + i]
-            ends = _apart(here, image[up + i], jump) | _apart(here, image[down + i], jump)
-            ends |= _apart(here, image[at + (i - one if i > 0 else i)], jump)
-            ends |= _apart(here, image[at + (i + one if i + one < width else i)], jump)
-            marked[at + i] = ends & (here > 0)
+        for border in (np.uint64(0), width - one):
+            here, left, right = image[at + border], max(border, one) - one, min(border + one, width - one)
+            ends = _apart(here, image[up + border], jump) | _apart(here, image[down + border], jump)
+            ends |= _apart(here, image[at + left], jump) | _apart(here, image[at + right], jump)
+            marked[at + border] = ends & (here > 0)
 
 
 @_kernel
