@@ -9,8 +9,11 @@ and draws loses the same pixels and more.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from functools import reduce
+from importlib import import_module
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.surface import Box, box_of, slants
 from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws, units
 from bodyseg_data.core.rig import Camera
 
@@ -93,15 +97,27 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     inside = range_image[box]
     pixels = np.flatnonzero(inside != 0)  # of bools: five times faster
     count, *chances = units(generator, 1 + 3 * MOST_PATCHES)
-    nearest = np.full(inside.shape, np.inf, np.float32)
+    down, along = [], []
     for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
         row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
         half = np.exp2(size) * LONGEST ** (length - 0.5)  # of its height; its width is the other way round
         other = np.exp2(size) / LONGEST ** (length - 0.5)
-        down = ((np.arange(inside.shape[0]) - row) / half) ** 2
-        along = ((np.arange(inside.shape[1]) - column) / other) ** 2
-        np.minimum(nearest, down.astype(np.float32)[:, None] + along.astype(np.float32), out=nearest)
-    return _lose_first(range_image, box, nearest, share)
+        down.append((((np.arange(inside.shape[0]) - row) / half) ** 2).astype(np.float32))
+        along.append((((np.arange(inside.shape[1]) - column) / other) ** 2).astype(np.float32))
+    return _lose_first(range_image.shape, box, pixels, _least_sums(pixels, down, along), share)
+
+
+def _least_sums(
+    pixels: NDArray[np.intp], down: Sequence[NDArray[np.float32]], along: Sequence[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
+    if use_compiled():
+        values = np.empty(len(pixels), np.float32)
+        _loops().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
+        return values
+    sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
+    least: NDArray[np.float32] = reduce(np.minimum, sums)
+    return least.ravel()[pixels]
 
 
 def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
@@ -146,28 +162,39 @@ def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) 
     box = box_of(range_image)
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
-    return _lose_first(range_image, box, -slants(range_image, camera, box), share)
+    pixels = np.flatnonzero(range_image[box] != 0)
+    order = -slants(range_image, camera, box)
+    return _lose_first(range_image.shape, box, pixels, order.ravel()[pixels], share)
 
 
 def _lose_first(
-    range_image: NDArray[np.uint16], box: Box, order: NDArray[np.float32], share: float
+    shape: tuple[int, ...], box: Box, pixels: NDArray[np.intp], values: NDArray[np.float32], share: float
 ) -> NDArray[np.bool_]:
-    """Mark the share of the foreground with the lowest `order` [h, w]; of equal pixels the first ones."""
-    lost = np.zeros(range_image.shape, np.bool_)
-    pixels = np.flatnonzero(range_image[box] != 0)
-    values = order.ravel()[pixels]
+    """Mark the share of the foreground with the lowest values, bool [H, W]; of equal pixels the first ones.
+
+    pixels: those of the foreground, flat indices in the box, [N]; values: of each.
+    """
+    lost = np.zeros(shape, np.bool_)
     count = _rounded(share, len(pixels))
     if count:
         limit = np.partition(values, count - 1)[count - 1]
+        if use_compiled():
+            _loops().mark_below(pixels, values, limit, count, lost[box])
+            return lost
         gone = values < limit
         gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
-        rows, columns = np.divmod(pixels[gone], order.shape[1])
+        rows, columns = np.divmod(pixels[gone], lost[box].shape[1])
         lost[box][rows, columns] = True
     return lost
 
 
 def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
+
+
+def _loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.loops.lost_pixels")
 
 
 def _check_share(share: float, what: str = "the share of lost pixels") -> None:

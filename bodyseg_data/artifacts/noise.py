@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from statistics import NormalDist
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,15 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     size = constant + offset * (linear + offset * bend)
     signed: NDArray[np.float32] = np.where(draws >> np.uint32(31), size, -size)
     return signed
+
+
+def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel of a purpose, [count]; see `Draws.pixels`."""
+    if use_compiled():
+        loops = import_module("bodyseg_data.artifacts.loops.philox")
+        found: NDArray[Any] = loops.bits_of(draws.stream(purpose), count, kind)
+        return found
+    return draws.pixels(purpose, count, kind)
 
 
 def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:

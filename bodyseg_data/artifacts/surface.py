@@ -88,9 +88,7 @@ def incidence(range_image: NDArray[np.uint16], camera: Camera, pixels: NDArray[n
     range_image: clean, uint16 [H, W], 0 is background. pixels: flat indices of the foreground in reading order, [N].
     """
     if use_compiled():
-        found: NDArray[np.float32] = import_module("bodyseg_data.artifacts.loops.surface").incidence(
-            range_image, camera, pixels
-        )
+        found: NDArray[np.float32] = _loops().incidence(range_image, camera, pixels)
         return found
     box = box_of(range_image)
     if box is None:
@@ -114,6 +112,9 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
     range_image: uint16 [H, W], 0 is background; jump: in its steps. Neighbours are those above, below, left and right;
     the image's border is none.
     """
+    if use_compiled():
+        found: NDArray[np.bool_] = _loops().silhouettes(range_image, jump)
+        return found
     z = range_image.astype(np.int32)
     marked = np.zeros(z.shape, np.bool_)
     for first, second, near, far in (
@@ -129,6 +130,9 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
 
 def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """Mark all pixels at most `pixels` rows and columns away from a marked one, [H, W]."""
+    if use_compiled():
+        compiled: NDArray[np.bool_] = _loops().widened(marked, pixels)
+        return compiled
     found = marked.copy()
     for _ in range(pixels):
         before = found.copy()
@@ -138,3 +142,8 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
         found[:, 1:] |= before[:, :-1]
         found[:, :-1] |= before[:, 1:]
     return found
+
+
+def _loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.loops.surface")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from known_sensors import recorded
 
@@ -9,7 +12,7 @@ from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
+from bodyseg_model.sensor_fit.finding import NEEDED, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.losses.outlines import outlines_of
 from bodyseg_model.sensor_fit.losses.pixel_losses import measure_losses
 from bodyseg_model.sensor_fit.recording import Recording
@@ -59,6 +62,26 @@ def test_stripes_and_their_direction(along: str) -> None:
     assert found["stripe_loss"].estimates["share"].value == pytest.approx(0.12, rel=0.15)
 
 
+def test_stripes_of_a_moving_body_are_filled_before_they_are_counted() -> None:
+    found = losses_of(recorded(StripeLoss(0.1, 0.1, "rows"), frames=8, moving=True))
+    assert found["stripe_loss"].strengths["along"] == "rows"
+    assert found["stripe_loss"].estimates["share"].value == pytest.approx(0.1, rel=0.1)
+
+
+def test_stripes_may_be_cut_by_the_ends_of_a_body() -> None:
+    recording = recorded(frames=2)
+    shape = recording.frames[0].body.shape
+    board, lost = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    board[40:440, 60:160] = True
+    lost[40:46] = lost[230:250] = lost[431:440] = True
+    frames = []
+    for frame, body in zip(recording.frames, (board, board & ~lost), strict=True):
+        range_m = np.where(body, np.float32(2), np.float32(0))
+        frames.append(replace(frame, stored=(20_000 * body).astype(np.uint16), range_m=range_m, body=body))
+    found = losses_of(replace(recording, frames=tuple(frames)))["stripe_loss"]
+    assert found.estimates["share"].value == pytest.approx(35 / 400 / 2, rel=0.05)
+
+
 @pytest.mark.parametrize(("width", "share"), [(1, 0.5), (2, 0.3)])
 def test_edges_of_a_still_body(width: int, share: float) -> None:
     found = losses_of(recorded(EdgeLoss(width, share), frames=8))
@@ -83,4 +106,5 @@ def test_noise_hides_which_surfaces_are_lost() -> None:
 def test_a_gap_between_limbs_is_no_loss() -> None:
     recording = recorded(frames=1)
     found = losses_of(recording)
-    assert found["patch_loss"].verdict == NOT_SEEN and needed(found) == []
+    assert found["patch_loss"].estimates["share"].value == 0 and needed(found) == []
+    assert found["patch_loss"].verdict == UNKNOWN and "cut the outline" in found["patch_loss"].reason

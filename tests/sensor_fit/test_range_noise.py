@@ -89,6 +89,18 @@ def test_limbs_are_no_noise_at_grazing_angles() -> None:
         assert (found["axial_noise"].verdict == NEEDED) is grows
 
 
+def test_edges_that_strong_noise_hides_are_no_noise_at_grazing_angles() -> None:
+    """A relief of half a pixel may be such edges beside 20 mm of noise, but not beside 5 mm."""
+    generator = np.random.default_rng(3)
+    angle = np.radians(np.repeat(np.arange(5, 78, 2), 8000)).astype(np.float64)
+    slope, z = 0.0038 * np.tan(angle), np.full(len(angle), 2.0)
+    for sigma_m, grows in ((0.02, False), (0.005, True)):
+        values = np.hypot(sigma_m, 0.5 * slope) * generator.standard_normal(len(angle))
+        residuals = [Residuals("spatial", True, values, z, slope, angle, 0.0)]
+        found = {each.artifact: each for each in measure_noise(residuals, Steps(1e-4), 525.0, 0.075, ragged=False)}
+        assert (found["axial_noise"].verdict == NEEDED) is grows
+
+
 def test_each_frame_may_have_a_deviation_of_its_own() -> None:
     found = noise_of(recorded(Noise(0.0, 40.0), frames=10))
     assert found["noise"].verdict == NEEDED and "its own deviation" in found["noise"].reason

@@ -11,8 +11,10 @@ from typing import Any, Final
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_data.core.randomness import Stream
 
 _llvm: Any = import_module("llvmlite.ir")  # has no types
 
@@ -59,3 +61,10 @@ def _raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> No
 
 
 raw_words: Any = compiled(_raw_words, "the compiled form of the artifacts")
+
+
+def bits_of(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel, as `randomness.pixel_draws`, [count]."""
+    words = np.empty(-(-count * np.dtype(kind).itemsize // 32) * 4, np.uint64)  # whole blocks of four words
+    raw_words(stream[0], stream[1], 0, len(words), words)
+    return words.view(kind)[:count]

@@ -51,7 +51,8 @@ class PatchLoss(Artifact):
         clean = scene.sample.range
         if self.parts:
             clean = np.where(np.isin(scene.sample.labels, [_LABELS[part] for part in self.parts]), clean, np.uint16(0))
-        image.range[lost_patches(clean, image.drawn["patch_share"], draws.generator("patch loss"))] = 0
+        lost = lost_patches(clean, image.drawn["patch_share"], draws.generator("patch loss"))
+        np.copyto(image.range, 0, where=lost)
 
 
 @dataclass(frozen=True)

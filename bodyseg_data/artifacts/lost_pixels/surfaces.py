@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import silhouettes, widened
 from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
 
@@ -35,9 +39,13 @@ class GrazingLoss(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
-        bits = draws.pixels("grazing loss", len(scene.pixels), np.uint16)
-        lost = (bits < self.share * 65536) & (scene.incidence > np.float32(math.radians(self.from_deg)))
-        image.range.reshape(-1)[scene.pixels[lost]] = 0
+        bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
+        ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
+        if use_compiled():
+            _loops().lose_steep(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest)
+            return
+        lost = (bits < limit) & (scene.incidence > steepest)
+        ranges[scene.pixels[lost]] = 0
 
 
 @dataclass(frozen=True)
@@ -68,9 +76,18 @@ class EdgeLoss(Artifact):
         """As `Artifact.apply`."""
         clean = scene.sample.range
         edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
-        bits = draws.pixels("edge loss", len(scene.pixels), np.uint16)
-        lost = (bits < self.share * 65536) & edge.reshape(-1)[scene.pixels]
-        image.range.reshape(-1)[scene.pixels[lost]] = 0
+        bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
+        ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
+        if use_compiled():
+            _loops().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
+            return
+        lost = (bits < limit) & marked[scene.pixels]
+        ranges[scene.pixels[lost]] = 0
+
+
+def _loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.loops.lost_pixels")
 
 
 def _check_share(what: str, share: float) -> None:

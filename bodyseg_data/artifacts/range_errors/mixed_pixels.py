@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.noise import as_range
+from bodyseg_data.artifacts.noise import as_range, drawn_bits
 from bodyseg_data.artifacts.range_errors.gaussian import loops
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
@@ -45,7 +45,7 @@ class MixedPixels(Artifact):
         """As `Artifact.apply`."""
         behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
         # The higher half of a draw chooses, the lower one is the position in the gap.
-        bits = draws.pixels("mixed pixels", len(scene.pixels), np.uint32)
+        bits = drawn_bits(draws, "mixed pixels", len(scene.pixels), np.uint32)
         if use_compiled():
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
             limits = self.share * 65536, behind, self.jump_mm, scene.step_m

@@ -27,6 +27,7 @@ _JUMP_M: Final = 0.03
 _FINE_M: Final = 1e-4  # steps in which surfaces are handed to the functions of artifacts
 _WIDER: Final = 1.3
 _FEWEST_BANDS: Final = 2  # one alone may be a patch across a limb, as may several of different widths
+_FEWEST_CUT: Final = 3  # where one alone is not cut off by an end of the body
 _ALIKE: Final = 0.6
 _RUN_PX: Final = 5  # lost in a row, that no chance makes
 _EXACT: Final = 0.04  # of the size of a pixel: the noise with which differences of neighbours still give slopes
@@ -92,7 +93,8 @@ def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[O
             sigma = frame.noise_m
             surface = body_surface(frame.range_m, frame.body, sigma, recording)
             incidence = np.degrees(surface.incidence_rad)
-            full = _without_gaps(_full(_bridged(frame.body), frame.room), frame.body, incidence)
+            bridged = _bridged(frame.body)  # bands are no holes, whatever the surface beside them
+            full = _without_gaps(_full(bridged, frame.room), bridged, incidence)
             behind = _behind_edges(frame, recording.camera, baseline_m)
             found.append(_outline(frame, full, behind, _rings(full, None), incidence, (False, False)))
     return found
@@ -205,9 +207,19 @@ def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], empty.astype(np.int8), [0]])))
     bands = [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
     bands = [(start, end) for start, end in bands if start > 0 and end < len(counts)]
+    return bands if _alike(bands, int(present[0]), int(present[-1]) + 1) else []
+
+
+def _alike(bands: list[tuple[int, int]], top: int, bottom: int) -> bool:
+    """Whether bands are of one width, as stripes are; one at an end of the body, from `top` to `bottom`, may be cut."""
     widths = np.array([end - start for start, end in bands])
-    alike = np.abs(widths - np.median(widths)) <= _CLOSED_PX if bands else widths > 0
-    return bands if np.count_nonzero(alike) >= max(_FEWEST_BANDS, _ALIKE * len(bands)) else []
+    cut = np.array([start == top or end == bottom for start, end in bands], np.bool_)
+    inner = np.count_nonzero(~cut)
+    if not inner or (inner == 1 and len(bands) < _FEWEST_CUT):
+        return False
+    beyond = widths - np.median(widths[~cut])
+    alike = (np.abs(beyond) <= _CLOSED_PX) | (cut & (beyond <= _CLOSED_PX))
+    return bool(np.count_nonzero(alike) >= max(_FEWEST_BANDS, _ALIKE * len(bands)))
 
 
 def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]:

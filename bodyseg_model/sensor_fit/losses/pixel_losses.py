@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -96,8 +97,13 @@ def _patches(outlines: Sequence[Outline], solid: Sequence[Mask]) -> Finding:
     shares = _shares(
         outlines, [patches & ~dilated(_striped(o), _SOLID_PX) for o, patches in zip(outlines, solid, strict=True)]
     )
-    missed = "" if outlines[0].still else "; at least, as patches that cut the outline are only seen on still bodies"
-    return _area_loss("patch_loss", "patches", shares, {}, _IN_FRAMES, missed)
+    if outlines[0].still:
+        return _area_loss("patch_loss", "patches", shares, {}, _IN_FRAMES, "")
+    unseen = "patches that cut the outline are only seen on still bodies"
+    found = _area_loss("patch_loss", "patches", shares, {}, _IN_FRAMES, f"; at least, as {unseen}")
+    if found.verdict == NOT_SEEN:
+        return replace(found, verdict=UNKNOWN, reason=f"{found.reason}; {unseen}")
+    return found
 
 
 def _stripes(outlines: Sequence[Outline]) -> Finding:

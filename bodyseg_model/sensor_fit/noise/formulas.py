@@ -28,6 +28,7 @@ LEAST_PX: Final = 0.3
 NAMES: Final = ("noise", "axial_noise", "stereo_noise", "lateral_noise")
 
 _RELIEF_PX: Final = 0.25  # less growth with slope within one frame, as if pixels had moved, may be the shape of limbs
+_RELIEF_PART: Final = 0.1  # of the noise in pixels: edges that it hides are in the residuals, more by more
 _WORTH: Final = 12.0  # of chi squared, that one more parameter must explain
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _ANY_BASELINE_M: Final = 0.1
@@ -129,7 +130,8 @@ def _chosen(
     _, base, fit = min(fits, key=lambda each: each[0])
     if "grazing_mm" in fit.parameters and any(each.kind == "spatial" for each in residuals):
         _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
-        if relief_px < _RELIEF_PX and relieved.chi2 < fit.chi2 + _WORTH:
+        noise_px = float(np.median(np.sqrt(np.maximum(bins.variance_mm2, 0)) / bins.range_m)) * focal_px / 1000
+        if relief_px < max(_RELIEF_PX, _RELIEF_PART * noise_px) and relieved.chi2 < fit.chi2 + _WORTH:
             base, fit = formula, relieved
     findings = _findings(base, fit, bins, residuals, focal_px, baseline_m, ragged)
     if base == "stereo_noise" and findings[base].verdict == NEEDED:

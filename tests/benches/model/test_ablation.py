@@ -266,6 +266,9 @@ def test_what_pays_and_what_does_not() -> None:
     turned = worth(lack, have, None)
     assert verdict(turned, ("x",)) == {"verdict": "pays", "pays_on": ["x"], "harms_on": ["all"]}
     assert worth(have, lack, None)["all"] == {"points": 1.0, "sd": None, "threshold": 0.3}
+    one_seed = {"verdict": "undecided", "pays_on": [], "harms_on": []}
+    assert verdict(turned, ("x",), decided=False) == one_seed
+    assert verdict(turned, ("all",), decided=False)["verdict"] == "does not pay"
     louder = worth(have, lack, {"all": 0.5, "x": 0.5, "y": 1})  # threshold 1.15
     assert verdict(louder, ("all", "x")) == {"verdict": "undecided", "pays_on": [], "harms_on": []}
     assert verdict(louder, ("x",))["verdict"] == "does not pay"

@@ -186,7 +186,7 @@ def _rows(
                 "accuracy": {name: over_seeds(values) for name, values in accuracies[row.name].items()},
                 "worth": value,
                 "helps": list(row.helps),
-                **verdict(value, row.helps),
+                **verdict(value, row.helps, decided=spread is not None or row.step_mm is not None),
                 "cost": costs_of(row, costs, amount["samples"], amounts[against]["samples"], bytes_a_sample),
             }
         )

@@ -35,7 +35,8 @@ RULE: Final = (
     f"An effect pays if accuracy with it is more than {LEAST_POINTS:g} points and more than {DEVIATIONS:g} standard "
     "deviations of the difference above that without it, on at least one kind of test images that it is meant to help. "
     f"Undecided: more than {LEAST_POINTS:g} points above, but within those deviations, so more seeds are wanted. "
-    "It harms where accuracy is as much lower with it, on images with all artifacts or with none."
+    "It harms where accuracy is as much lower with it, on images with all artifacts or with none. "
+    "Of one training of the base the deviation is not known, so differences between trainings are undecided at most."
 )
 
 
@@ -188,11 +189,12 @@ def worth(
     return found
 
 
-def verdict(found: Mapping[str, Tree], helps: Sequence[str]) -> Tree:
-    """`RULE` applied to what `worth` found."""
+def verdict(found: Mapping[str, Tree], helps: Sequence[str], decided: bool = True) -> Tree:
+    """`RULE` applied to what `worth` found. decided: False if the scatter of trainings is not known, but matters."""
     meant = [name for name in helps if name in found]
-    pays = [name for name in meant if found[name]["points"] > found[name]["threshold"]]
-    harms = [name for name in LOSSES_SOUGHT_ON if name in found and found[name]["points"] < -found[name]["threshold"]]
+    pays = [name for name in meant if decided and found[name]["points"] > found[name]["threshold"]]
+    sought = [name for name in LOSSES_SOUGHT_ON if decided and name in found]
+    harms = [name for name in sought if found[name]["points"] < -found[name]["threshold"]]
     perhaps = any(found[name]["points"] > LEAST_POINTS for name in meant)
     word = "pays" if pays else "undecided" if perhaps else "does not pay"
     return {"verdict": word, "pays_on": pays, "harms_on": harms}

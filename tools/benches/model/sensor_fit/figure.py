@@ -41,8 +41,14 @@ def draw_sensor_fit(figures: Tree, path: Path) -> None:
     axis.grid(axis="y", color="#eeeeee", linewidth=0.6)
     axis.spines[["top", "right"]].set_visible(False)
     handles = [
-        legend_line(f"{scene} frames", color=_COLOURS[place % len(_COLOURS)], marker="o", linestyle="")
+        legend_line(_caption(scene), color=_COLOURS[place % len(_COLOURS)], marker="o", linestyle="")
         for place, scene in enumerate(scenes)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
     save_chart(figure, path, dpi=110)
+
+
+def _caption(scene: str) -> str:
+    """A scene's name in the legend; of one frame, nothing can be said to move."""
+    count = scene.split()[0]
+    return "1 frame" if count == "1" else f"{scene.replace(' ', ' frames, ')}"
