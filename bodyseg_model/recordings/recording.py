@@ -163,6 +163,12 @@ class StoredFrame:
         return replace(self, name=name, sequence=sequence)
 
 
+def evenly_sampled(total: int, count: int) -> list[int]:
+    """Return at most `count` of the numbers below `total`, ascending and evenly apart, 0 and the last among them."""
+    chosen: list[int] = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int)).tolist()
+    return chosen
+
+
 def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
     """Convert pixels to uint16 [H, W]: whole numbers as they are, floating point rounded to `FLOAT_STEP_M`.
 

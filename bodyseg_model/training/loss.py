@@ -111,6 +111,6 @@ def class_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]
     """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
     label_map = images.label_map
     counts = np.zeros(len(label_map), np.int64)
-    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
+    for index in images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist():
         counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
     return counts
