@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.recordings.formats.kinect_calibration import CALIBRATION, depth_camera
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
 
@@ -87,9 +88,7 @@ def _opened(path: Path) -> Iterator[InputContainer]:
         import av
         import av.error
     except ImportError as error:
-        raise MissingLibrary(
-            f"reading .mkv files needs the package 'av': pip install 'bodyseg[recordings]' ({error})"
-        ) from error
+        raise missing_library("reading .mkv files", error, extra="recordings") from error
     try:
         container = av.open(str(path), format="matroska")
     except (av.error.FFmpegError, OSError, ValueError) as error:
