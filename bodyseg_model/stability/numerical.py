@@ -14,6 +14,7 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -45,7 +46,7 @@ def numerical(
     network: Network,
     images: RangeImages,
     count: int = 64,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Compare computations on the first `count` images of the images' permutation; returns plain JSON.
 
@@ -73,8 +74,7 @@ def numerical(
     def advance() -> None:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(done, total)
+        progress(done, total)
 
     with torch_threads(1):
         baseline = _one_by_one(functools.partial(_labels, network), range_m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.network import Network
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
@@ -77,7 +78,7 @@ class Counts:
 
 
 def people_and_things(
-    network: Network, score: PersonScore, count: int, progress: Callable[[int, int], None] = lambda done, total: None
+    network: Network, score: PersonScore, count: int, progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Measure a network on `count` made rooms, with labels on every surface of a body's size, and on people alone.
 

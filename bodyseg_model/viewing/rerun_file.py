@@ -6,7 +6,7 @@ The package `rerun-sdk` is no dependency: it is imported when a file is written.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +20,7 @@ from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_model.recordings.recording import evenly_sampled
 from bodyseg_model.segmentation.flicker import flicker
 from bodyseg_model.viewing.pictures import KIND_LEGEND, Legend, class_legend, label_image
@@ -29,9 +30,6 @@ from bodyseg_model.viewing.space import Device, Points, camera_alone, device
 
 _IMAGE_PLANE_M: Final = 0.4
 _TIME: Final = "time"
-
-Progress = Callable[[int, int], None]
-"""Called with samples or frames done and in all."""
 
 
 class RerunFile:
@@ -147,7 +145,7 @@ class RerunFile:
         return kit.Blueprint(kit.Horizontal(points, beside), collapse_panels=True)
 
 
-def write_set(path: Path, view: SetView, shown: Shown, count: int, progress: Progress) -> int:
+def write_set(path: Path, view: SetView, shown: Shown, count: int, progress: ProgressCallback) -> int:
     """Write samples of a set, and return their number: at most `count`, evenly over those chosen.
 
     shown: the variant, epoch and sensor. Images are in steps of the set's rig. Raises as `RerunFile` and
@@ -184,7 +182,7 @@ def _write_sample(file: RerunFile, view: SetView, shown: Shown) -> None:
     file.text("facts", view.facts_of(found, shown))
 
 
-def write_recording(path: Path, view: RecordingView, count: int, progress: Progress) -> tuple[int, list[str]]:
+def write_recording(path: Path, view: RecordingView, count: int, progress: ProgressCallback) -> tuple[int, list[str]]:
     """Write frames of a recording, at most `count`, evenly over it; return their number, and a line for each frame that
     cannot be read, which is left out.
 

@@ -20,7 +20,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -32,6 +31,7 @@ from benches.model.networks.network_times import (
     time_cell,
 )
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.image_set import Batch
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
@@ -71,7 +71,7 @@ def bench_gpu(
     views: int = SAMPLES,
     num_workers: Sequence[int] = WORKERS,
     steps: int = STEPS,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Samples a second into the GPU, milliseconds of `compact` and of the paper's network, and speed of their training.
 
@@ -102,7 +102,7 @@ def measured(
     samples: int,
     num_workers: Sequence[int],
     steps: int,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """All figures on any device. networks: by their kind, in evaluation mode. frames: `FILLED` and `SENSOR`, [H, W],
     metres.

@@ -21,12 +21,12 @@ from typing import Any, Final
 
 from PIL import Image
 
-from benches.measuring import Progress, silent
 from benches.model.sensor_fit.recordings import Scene, Scenes
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorial.md"
 
@@ -110,7 +110,7 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
-def bench_tutorial(views: int = 20, progress: Progress = silent) -> dict[str, Any]:
+def bench_tutorial(views: int = 20, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the tutorial at its own size; views: frames of the recording. Raises BadConfig."""
     check_int("--views", views, 2)
     tutorial, seconds = read_tutorial(), []

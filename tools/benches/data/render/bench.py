@@ -21,9 +21,10 @@ import numpy as np
 
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
@@ -38,7 +39,7 @@ _ROUNDS: Final = 3
 _TETRAHEDRON: Final = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 
 
-def bench_render(views: int = 486, progress: Progress = silent) -> dict[str, Any]:
+def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Views a second of both ways, medians of three rounds of at least `views` views.
 
     range_error_mm: stored camera ranges against pyrender's, drawn with one sample at each pixel's centre, median of the

@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
@@ -32,7 +32,7 @@ _POINTS: Final = 20
 Weights = NDArray[np.float64]
 
 
-def bench_borders(views: int = 12, progress: Progress = silent) -> dict[str, Any]:
+def bench_borders(views: int = 12, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Wrong surface and wrong pixels of every method, over four postures of the open body and `views` views of each.
 
     wrong_surface: share of the body's surface labelled differently from the exact distances, by random points in

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
@@ -35,7 +35,7 @@ _POINTS: Final = 4
 REPEATS: Final = 3
 
 
-def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
+def bench_partition(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Time and error of every method on open bodies, MIT frames (if `mit` is their folder) and broken bodies.
 
     wrong_surface: share of the surface's area labelled differently from the exact answer, by random points in every

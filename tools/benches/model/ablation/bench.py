@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import torch
 
-from benches.measuring import silent
 from benches.model.ablation.conditions import (
     CONDITIONS,
     AblationCondition,
@@ -36,6 +35,7 @@ from benches.model.ablation.runs import (
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network

@@ -15,11 +15,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 from bodyseg_data.packing.sampler import surface_points
@@ -72,7 +73,7 @@ def all_scenes() -> list[Scene]:
 def bench_sensors(
     views: int = 12,
     runs: Sequence[Path] = (),
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Average per-class accuracy in each scene by every one of `METHODS`.
 

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import torch
 
-from benches.measuring import silent
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import silent
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
