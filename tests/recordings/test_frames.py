@@ -290,3 +290,11 @@ def test_nothing_and_too_much_are_nothing() -> None:
 
 def test_frames_are_chosen_evenly_from_the_first_to_the_last() -> None:
     assert evenly_sampled(10, 3) == [0, 4, 9] and evenly_sampled(2, 9) == [0, 1] and evenly_sampled(5, 1) == [0]
+
+
+def test_a_folder_of_any_bytes_has_a_hash(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xff")
+    folder.mkdir()
+    (folder / "1.png").write_bytes(png(RAMP))
+    (frame,) = find_frames([folder])
+    assert len(frame.path_id) == 16 and frame.path_id != FrameFile("1", "", tmp_path / "1.png", 0, 1).path_id

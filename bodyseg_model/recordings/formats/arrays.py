@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.frames import natural_key
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
@@ -60,7 +60,7 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         names = ", ".join(array.title for array in stacks)
         raise BadConfig(f"several arrays hold frames, choose one by --topic: {names} ({path})")
     else:
-        chosen = stacks or sorted(images, key=lambda array: _natural(array.title))
+        chosen = stacks or sorted(images, key=lambda array: natural_key(array.title))
     for array in chosen:
         _check(array.shape, array.kind, f"{path}, {array.title!r}")
     if len({array.kind.kind for array in chosen}) > 1:
@@ -96,7 +96,7 @@ class _Array:
         return self.shape[0] if len(self.shape) == 3 else 1
 
 
-class _Mapped:
+class _Mapped(FrameSource):
     """Frames [N, H, W] of a map into memory."""
 
     def __init__(self, frames: NDArray[Any]) -> None:
@@ -105,11 +105,8 @@ class _Mapped:
     def read(self, index: int) -> NDArray[Any]:
         return np.array(self._frames[index])
 
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
-
-class _Zipped:
+class _Zipped(FrameSource):
     """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass."""
 
     def __init__(self, path: Path, places: list[tuple[_Array, int]]) -> None:
@@ -141,9 +138,6 @@ class _Zipped:
         if self._file is not None:
             self._file.close()
         self._file = None
-
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
 
 def _described(archive: zipfile.ZipFile, member: str) -> _Array | None:
@@ -178,7 +172,3 @@ def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str) -> None:
         )
     if kind.kind != "f" and (kind.kind, kind.itemsize) != ("u", 2):
         raise BadConfig(f"frames must be of uint16, steps, or floating point, metres, found {kind}: {where}")
-
-
-def _natural(name: str) -> list[str | int]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"([0-9]+)", name)]
