@@ -27,7 +27,6 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, steps
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.packing.occluder_range import exact_range
 from bodyseg_data.packing.sampler import Sampler
@@ -106,7 +105,7 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
         ref = bodies[number * len(bodies) // meshes]
         body = source.build(ref)
         with closing(open_renderer("raster", body.mesh)) as renderer:
-            sampler = Sampler(renderer, rig, body.mesh, partition(body.mesh, body.landmarks), source.name, ref)
+            sampler = Sampler(renderer, rig, body.mesh, body.partition(), source.name, ref)
             for turn in range(_VIEWS_A_BODY * number, min(_VIEWS_A_BODY * (number + 1), count)):
                 view = mixed(grid, turn)
                 sample = sampler.take(view)

@@ -27,7 +27,6 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack, render_run
@@ -166,7 +165,7 @@ def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) 
     outline, labels, seen = {"ours": 0, "plain": 0}, 0, 0
     for ref in bodies:
         body = packing.opened().build(ref)
-        parts = partition(body.mesh, body.landmarks)
+        parts = body.partition()
         exact, plain = open_renderer("opengl", body.mesh), PlainScenes(packing.rig, body.mesh, parts.labels)
         sampler = Sampler(open_renderer(packing.renderer, body.mesh), packing.rig, body.mesh, parts, "open", ref)
         for view in views:

@@ -18,7 +18,7 @@ from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
@@ -46,7 +46,7 @@ def bench_borders(views: int = 12, progress: ProgressCallback = silent) -> dict[
     seconds, shared = [], []
     for done, pose in enumerate(POSES, start=1):
         body = source.build(bodies[pose])
-        parts = partition(body.mesh, body.landmarks)
+        parts = body.partition()
         start = time.perf_counter()
         find_borders(body.mesh, parts.labels, parts.distance)
         seconds.append(time.perf_counter() - start)

@@ -17,7 +17,6 @@ from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
@@ -79,7 +78,7 @@ def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) 
 def roughness(body: Body) -> Floats:
     """Standard deviation, mm, of the range in every window that sees trunk and limbs only, after a quadratic fit."""
     rig = load_rig()
-    parts = partition(body.mesh, body.landmarks)
+    parts = body.partition()
     bare = np.array([part.label for part in PARTS if part.landmark.endswith(_BARE)])
     renderer = EmbreeRenderer(body.mesh)
     found = []

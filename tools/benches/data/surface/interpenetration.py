@@ -17,7 +17,6 @@ from bodyseg_data.core.parts import LANDMARKS
 from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 
 _OUTSIDE_M: Final = 1e-4  # how far off the skin rays start
 _SLIGHT_M: Final = 0.002  # skin that touches skin
@@ -122,7 +121,7 @@ class Skin:
         mesh = neutral.mesh
         pieces = mesh.pieces("measuring interpenetration")
         body = pieces == np.bincount(pieces).argmax()
-        self._labels = partition(mesh, neutral.landmarks).labels
+        self._labels = neutral.partition().labels
         self._counted = body & (penetration(mesh)[0] == 0)
         ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
         lengths = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)

@@ -134,7 +134,7 @@ class _Reference:
     def __init__(self, body: Body, views: int) -> None:
         self.body, self.rig = body, load_rig()
         self.views = list(ViewGrid(span_deg=360, count=views))
-        self.partition_s, self.parts = least_time(lambda: partition(body.mesh, body.landmarks))
+        self.partition_s, self.parts = least_time(body.partition)
         self.seen = self.see(body.mesh, self.parts)
 
     def see(self, mesh: Mesh, parts: Partition) -> list[tuple[NDArray[Any], ...]]:
