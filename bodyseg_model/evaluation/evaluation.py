@@ -171,9 +171,9 @@ def open_images(
     """Open a set for evaluation; where, val_share: as for `RangeImages`.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others that replace or follow the sensor's. labels: the
-    classes to score. Raises BadConfig for a strength
-    that is invalid, is given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
+    for each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score.
+    Raises BadConfig for a strength that is invalid, is given twice, or is of an artifact that the variant does not
+    have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
     model = sensor_for(variant, load_sensor_model(sensor), given)

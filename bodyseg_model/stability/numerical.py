@@ -19,6 +19,7 @@ from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
+from bodyseg_model.networks.checkpoints import half_weights
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
@@ -134,12 +135,7 @@ def _computations(network: Network, device: str) -> dict[str, Computation]:
 def _rounded_to_half(network: Network) -> Network:
     """A copy of the network as it is after `save_network(..., half=True)` and loading."""
     rounded = copy.deepcopy(network)
-    rounded.load_state_dict(
-        {
-            name: weight.half().to(weight.dtype) if weight.ndim > 1 and weight.is_floating_point() else weight
-            for name, weight in network.state_dict().items()
-        }
-    )
+    rounded.load_state_dict(half_weights(network))  # copied into weights of 32 bits
     return rounded
 
 
