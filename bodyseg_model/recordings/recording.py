@@ -41,7 +41,7 @@ class Frame(Protocol):
     name: of its result files, without suffix. where: its name in messages. path: the file or folder that holds it, and
     member: its name in there, None if it is a file of its own. sequence: number of the input that it is from. time_s:
     when it was recorded, seconds, None if that is not stored. step_m: metres a step. camera: stored with the recording,
-    if any. path_id: short hash of its place.
+    if any. path_id: short hash of its location.
     """
 
     @property
@@ -171,7 +171,7 @@ def location_hash(path: Path, *within: str | int) -> str:
     return hashlib.sha256(location.encode("utf-8", "surrogatepass")).hexdigest()[:16]
 
 
-def evenly_sampled(total: int, count: int) -> list[int]:
+def evenly_apart(total: int, count: int) -> list[int]:
     """Return at most `count` of the numbers below `total`, ascending and evenly apart, 0 and the last among them."""
     chosen: list[int] = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int)).tolist()
     return chosen

@@ -21,7 +21,8 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.progress import ProgressCallback
-from bodyseg_model.recordings.recording import evenly_sampled
+from bodyseg_data.drawing.contact_sheet import span_of
+from bodyseg_model.recordings.recording import evenly_apart
 from bodyseg_model.segmentation.flicker import flicker
 from bodyseg_model.viewing.pictures import KIND_LEGEND, Legend, class_legend, label_image
 from bodyseg_model.viewing.recording_view import FLICKER_LEGEND, Labelled, RecordingView, changes_of
@@ -151,7 +152,7 @@ def write_set(path: Path, view: SetView, shown: Shown, count: int, progress: Pro
     shown: the variant, epoch and sensor. Images are in steps of the set's rig. Raises as `RerunFile` and
     `SetView.images_of`.
     """
-    numbers = evenly_sampled(len(view), count)
+    numbers = evenly_apart(len(view), count)
     answered = ("answer", "mistakes", "confidence") if view.trained is not None and shown.network else ()
     names = [f"images/{name}" for name in ("range", "projector", "labels", *answered)]
     variants = [f"variants/{name}" for name in VARIANTS]
@@ -189,7 +190,7 @@ def write_recording(path: Path, view: RecordingView, count: int, progress: Progr
     Frames with a time stand on a timeline of the seconds since the first of them, too. Raises as `RerunFile`, and
     BadConfig if no frame can be read.
     """
-    numbers = evenly_sampled(len(view), count)
+    numbers = evenly_apart(len(view), count)
     start_s = min((frame.time_s for frame in view.frames if frame.time_s is not None), default=0.0)
     names = [f"images/{name}" for name in ("range", "labels", "confidence", "flicker")]
     faults: list[str] = []
@@ -231,9 +232,3 @@ def _write_frame(file: RerunFile, view: RecordingView, number: int, frame: Label
         if shares["changed"] is not None:
             file.number("curves/flicker", shares["changed"])
     file.text("facts", view.facts(number, frame, before))
-
-
-def span_of(image: NDArray[Any]) -> tuple[float, float]:
-    """Nearest and farthest range of an image that are measured, in its steps; (0, 1) if nothing is."""
-    seen = image[image > 0]
-    return (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)

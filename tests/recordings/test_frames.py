@@ -14,7 +14,7 @@ from pngs import RAMP, png
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.frame_tars import list_tar
 from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.recording import evenly_sampled
+from bodyseg_model.recordings.recording import evenly_apart
 
 
 def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:
@@ -289,7 +289,7 @@ def test_nothing_and_too_much_are_nothing() -> None:
 
 
 def test_frames_are_chosen_evenly_from_the_first_to_the_last() -> None:
-    assert evenly_sampled(10, 3) == [0, 4, 9] and evenly_sampled(2, 9) == [0, 1] and evenly_sampled(5, 1) == [0]
+    assert evenly_apart(10, 3) == [0, 4, 9] and evenly_apart(2, 9) == [0, 1] and evenly_apart(5, 1) == [0]
 
 
 def test_a_folder_of_any_bytes_has_a_hash(tmp_path: Path) -> None:
