@@ -65,12 +65,14 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         _check(array.shape, array.kind, f"{path}, {array.title!r}")
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
-    places = [(array, number) for array in chosen for number in range(array.count)]
-    if times is not None and len(times) != len(places):
-        raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(places)} in {path}")
+    locations = [(array, number) for array in chosen for number in range(array.count)]
+    if times is not None and len(times) != len(locations):
+        raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(locations)} in {path}")
     floating = bool(chosen) and chosen[0].kind.kind == "f"
     part = topic or ""
-    return stored_recording(path, _Zipped(path, places), times or [None] * len(places), floating, step_m, part=part)
+    return stored_recording(
+        path, _Zipped(path, locations), times or [None] * len(locations), floating, step_m, part=part
+    )
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class _Mapped(FrameSource):
 class _Zipped(FrameSource):
     """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass."""
 
-    def __init__(self, path: Path, places: list[tuple[_Array, int]]) -> None:
-        self._path, self._places = path, places
+    def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
+        self._path, self._locations = path, locations
         self._member = ""
         self._file: IO[bytes] | None = None
 
@@ -118,7 +120,7 @@ class _Zipped(FrameSource):
         self._close()
 
     def read(self, index: int) -> NDArray[Any]:
-        array, number = self._places[index]
+        array, number = self._locations[index]
         size = array.shape[-2] * array.shape[-1] * array.kind.itemsize
         try:
             if self._file is None or self._member != array.member:
