@@ -29,6 +29,7 @@ from benches.model.networks.network_times import (
     Task,
     summary,
     time_cell,
+    wait_for,
 )
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.system.progress import ProgressCallback, silent
@@ -160,7 +161,7 @@ def loading_rate(
     done, start = 0, 0.0
     for number, batch in enumerate(batches):
         if number == max(workers, 1):
-            _wait(device)
+            wait_for(device)
             start = time.perf_counter()
         ranges = batch["range"].to(device, non_blocking=True)
         batch["labels"].to(device, non_blocking=True)
@@ -169,7 +170,7 @@ def loading_rate(
         done += len(batch["key"]) if number >= max(workers, 1) else 0
         if done >= samples:
             break
-    _wait(device)
+    wait_for(device)
     return done / (time.perf_counter() - start)
 
 
@@ -234,8 +235,3 @@ def _cells(device: str) -> list[Cell]:
         for precision in _PRECISIONS
         for together in (_TOGETHER if frame == FILLED else _TOGETHER[:1])
     ]
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

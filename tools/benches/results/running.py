@@ -31,7 +31,7 @@ PROGRAMS: Final = {
 """First word of a step -> the program of this checkout. Any other word is a program of the system."""
 
 _FIRST_CHECK_S, _CHECK_S = 0.01, 0.2  # each pause is twice the one before: short steps are seen at once
-_PATIENCE_S: Final = 60.0  # in which a step that is interrupted may end in order
+_GRACE_S: Final = 60.0  # in which a step that is interrupted may end in order
 
 
 @dataclass
@@ -202,7 +202,7 @@ class Runner:
             each.process.terminate()
         for each in self._running:
             try:
-                each.process.wait(_PATIENCE_S)
+                each.process.wait(_GRACE_S)
             except subprocess.TimeoutExpired:
                 each.process.kill()
                 each.process.wait()

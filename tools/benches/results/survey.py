@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from benches.results.products import Products, digest_of
+from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
 from benches.results.step import SHIPPED, Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.evaluation.code_digest import code_digest
+from bodyseg_model.evaluation.result_cache import json_digest
 
 State = Literal["fresh", "stale", "absent", "blocked"]
 """absent: made as it would be made today, but not in this work folder; needed only where a stale step reads it."""
@@ -77,7 +78,7 @@ class Survey:
 
     def key(self, step: Step, inputs: dict[str, str]) -> str:
         """Digest of all that a step's product follows from."""
-        return digest_of([step.command, self.code(step), inputs])
+        return json_digest([step.command, self.code(step), inputs])
 
     def _status(self, step: Step, earlier: dict[str, Status]) -> Status:
         record = self._records.get(step)
@@ -110,7 +111,7 @@ class Survey:
         for name in self._graph.inputs(step):
             made = self._records.get(self._graph.steps[name])
             if earlier[name].state in ("fresh", "absent") or step.kind == "page":
-                found |= {} if made is None else {name: digest_of(dict(made.made))}
+                found |= {} if made is None else {name: json_digest(dict(made.made))}
             else:
                 waiting.append(name)
         for name in self._graph.external(step):
@@ -163,7 +164,7 @@ def accept(survey: Survey, graph: Graph, records: Records, names: Sequence[str],
             read = records.get(graph.steps[name])
             if read is None:
                 raise BadConfig(f"cannot accept {step.name}: {name}, which it reads, has no record; accept it first")
-            inputs[name] = digest_of(dict(read.made))
+            inputs[name] = json_digest(dict(read.made))
         for name in graph.external(step):
             digest = survey.products.external(name)
             if digest is None:
