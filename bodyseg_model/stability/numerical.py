@@ -14,7 +14,7 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -70,13 +70,7 @@ def numerical(
     if not (truth != BACKGROUND).any():
         raise BadConfig(f"comparing labels needs measured pixels, found none in {len(truth)} images")
     computations = _computations(network, device.type)
-    done, total = 0, len(computations) + len(BATCH_SIZES)
-
-    def advance() -> None:
-        nonlocal done
-        done += 1
-        progress(done, total)
-
+    advance = counter(progress, len(computations) + len(BATCH_SIZES))
     with torch_threads(1):
         baseline = _one_by_one(functools.partial(_labels, network), range_m)
         found = {}

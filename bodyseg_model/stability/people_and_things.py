@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -74,7 +74,7 @@ class Counts:
             "right_of_all": self.right / self.person_pixels if self.person_pixels else None,
         }
         rounded = {name: None if share is None else round(share, 4) for name, share in shares.items()}
-        return {field.name: getattr(self, field.name) for field in fields(self)} | rounded
+        return asdict(self) | rounded
 
 
 def people_and_things(

@@ -38,7 +38,7 @@ def _code_of(modules: tuple[str, ...]) -> str:
     return code_digest(*modules)
 
 
-def _gpu() -> bool:
+def _has_gpu() -> bool:
     import torch
 
     return torch.cuda.is_available()
@@ -47,7 +47,7 @@ def _gpu() -> bool:
 class Survey:
     """Compares the records of steps with commands, code and files of today.
 
-    code: digest of modules, by their full names. gpu: tells whether there is one.
+    code: digest of modules, by their full names.
     """
 
     def __init__(
@@ -56,9 +56,8 @@ class Survey:
         places: Places,
         records: Records,
         code: Callable[[tuple[str, ...]], str] = _code_of,
-        gpu: Callable[[], bool] = _gpu,
     ) -> None:
-        self._graph, self._records, self._code, self._gpu = graph, records, code, gpu
+        self._graph, self._records, self._code = graph, records, code
         self._places = places
         self.products = Products(places)
 
@@ -138,7 +137,7 @@ class Survey:
         for name in self._graph.external(step):
             if self.products.external(name) is None:
                 return f"{name if name == SHIPPED else self._places.path(name)} is not there"
-        if step.gpu and not self._gpu():
+        if step.gpu and not _has_gpu():
             return "needs a GPU"
         if step.kind == "page":
             return ""

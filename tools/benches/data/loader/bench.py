@@ -42,7 +42,7 @@ from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import Batch
 from bodyseg_data.loading.loader import loader
@@ -150,12 +150,8 @@ def measure(
     check_counts(len(images["all"]), batch, workers)
     decoders = time_decoders(evenly_spaced(Premade(images["all"]), PNG_SAMPLES))
     known = baselines(DECODERS[decoders.used])
-    done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(OURS)) * (rounds + 1)
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    total = 1 + len(known) + len(workers) * (len(known) + len(OURS)) * (rounds + 1)
+    tick = counter(progress, total)
     five_pngs = five_png_bytes(images)
     by_variant = {v: {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
     expected = {name: by_variant[variant] for name, variant in OURS.items()}

@@ -24,7 +24,7 @@ from benches.data.render.steps import measure_stages, measure_steps
 from benches.measuring import evenly_spaced
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
@@ -54,12 +54,8 @@ def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[
     bodies = packing.bodies()
     packing.opened().build(bodies[0])  # fills the body model's cache, which several workers would do at once
     missing = _why_no_pyrender()
-    done, total = 0, 4 + 2 * _ROUNDS
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    total = 4 + 2 * _ROUNDS
+    tick = counter(progress, total)
     few = evenly_spaced(bodies, 4)
     with open_engine(PROCESSES, 1, packing) as alone:  # a process of its own: it has other libraries than packing has
         renderers = alone.executor.submit(measure_renderers, packing, few, grid, evenly_spaced(grid, 9)).result()

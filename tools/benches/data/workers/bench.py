@@ -27,7 +27,7 @@ from benches.data.workers.memory import process_tree, tree_mb
 from benches.data.workers.subject import Pass, Setup
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
@@ -92,12 +92,7 @@ def measure(
     """`bench_workers` on the set in `packed`."""
     most = max(num_workers)
     setups = [setup for variant in VARIANTS for setup in _setups(variant, num_workers)]
-    done, total = 0, len(setups) * (rounds + 2) + 3 * trainings
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    tick = counter(progress, len(setups) * (rounds + 2) + 3 * trainings)
     found: dict[Setup, Measured] = {}
     for variant in VARIANTS:
         expected = {image.key: checksum_of(image) for image in Premade(RangeImages(packed, variant))}
