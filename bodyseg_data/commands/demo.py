@@ -18,7 +18,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_atomically
+from bodyseg_data.core.files import make_folder, write_atomically
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.views import ViewGrid
@@ -50,7 +50,7 @@ def run(options: Options) -> int:
     workers = processors() if options.workers is None else options.workers
     packing = Packing("open", meshes=options.meshes, views=ViewGrid(span_deg=360, count=options.views))
     shards = options.out / "shards"
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     _say("1/4 drawing the example set")
     with Progress("    drawing", "pictures"):
         save_picture(contact_sheet(RangeImages(example_set()), 6), options.out / "example.png")

@@ -39,6 +39,14 @@ def write_result(path: Path, data: bytes) -> None:
         raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, unless they are there. Raises BadConfig, naming it, if that fails."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadConfig(f"cannot make the folder {path}: {error.strerror or error}") from error
+
+
 def sync_folder(folder: Path) -> None:
     """Flush a folder's entries to disk, so that renames within it survive a power cut."""
     handle = os.open(folder, os.O_RDONLY)

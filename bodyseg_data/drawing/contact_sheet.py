@@ -17,7 +17,7 @@ from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import HELD, Sample
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, fitted, font
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
@@ -52,6 +52,12 @@ def colour_range(image: NDArray[np.uint16 | np.float32], near: float, far: float
     colours[image == 0] = _EMPTY
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
     return drawn
+
+
+def span_of(image: NDArray[np.uint16 | np.float32]) -> tuple[float, float]:
+    """Nearest and farthest range of a range image [H, W] that are measured, in its unit; (0, 1) if nothing is."""
+    seen = image[image > 0]
+    return (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
 
 
 def draw_sheet(
@@ -115,7 +121,7 @@ def _panels(
     """
     sample = row.sample
     occluder = sample.occluder_range()
-    span, projector_span = _span(sample.range), _span(occluder)
+    span, projector_span = span_of(sample.range), span_of(occluder)
     panels = [
         (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
         (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
@@ -124,7 +130,10 @@ def _panels(
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range, label_map)))
     shape = sample.range.shape
-    return [(note, _fit(picture[seen] if picture.shape[:2] == shape else picture)) for note, picture in panels]
+    return [
+        (note, fitted(picture[seen] if picture.shape[:2] == shape else picture, _PANEL_COLUMNS, _PANEL_ROWS))
+        for note, picture in panels
+    ]
 
 
 def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_map: LabelMap) -> NDArray[np.uint8]:
@@ -138,23 +147,9 @@ def _text_width(text: str, size: int) -> int:
     return math.ceil(font(size).getlength(text)) + 4
 
 
-def _span(image: NDArray[np.uint16]) -> tuple[int, int]:
-    """Nearest and farthest range of the foreground, steps; (0, 1) without one."""
-    foreground = image[image > 0]
-    return (int(foreground.min()), int(foreground.max())) if len(foreground) else (0, 1)
-
-
 def _metres(image: NDArray[np.uint16], step_m: float) -> str:
-    near, far = _span(image)
+    near, far = span_of(image)
     return f"{near * step_m:.2f} to {far * step_m:.2f} m" if near else "nothing in view"
-
-
-def _fit(picture: NDArray[np.uint8]) -> Image.Image:
-    """Resize to a panel by nearest neighbour: averaging would hide missing pixels."""
-    height, width = picture.shape[:2]
-    scale = min(_PANEL_ROWS / height, _PANEL_COLUMNS / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return Image.fromarray(picture).resize(size, Image.Resampling.NEAREST)
 
 
 def _caption(sample: Sample) -> str:

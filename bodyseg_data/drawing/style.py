@@ -6,6 +6,8 @@ import io
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
@@ -53,6 +55,14 @@ def _cut(name: str, width: int) -> str:
     while name and font(13).getlength(f"{name}...") > width:
         name = name[:-1]
     return f"{name}..."
+
+
+def fitted(panel: NDArray[np.uint8], columns: int, rows: int) -> Image.Image:
+    """Scale a panel, sRGB uint8 [H, W, 3], to a width or a height by picking pixels: means would hide missing ones."""
+    height, width = panel.shape[:2]
+    scale = min(rows / height, columns / width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return Image.fromarray(panel).resize(size, Image.Resampling.NEAREST)
 
 
 def check_picture(path: Path, option: str = "--out") -> None:

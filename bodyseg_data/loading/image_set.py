@@ -97,7 +97,7 @@ class ImageSet(Protocol):
         """Write a sample, as drawn in `epoch`, into arrays [H, W]."""
         ...
 
-    def spread(self, count: int) -> NDArray[np.int64]:
+    def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return indices of about `count` samples that stand for the whole, int64 [M]."""
         ...
 

@@ -255,7 +255,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         order = self.order(epoch, shuffle)
         return Requests(order, np.broadcast_to(np.int64(epoch), order.shape))
 
-    def spread(self, count: int) -> NDArray[np.int64]:
+    def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return at most `count` indices at even distances in stored order, each once, int64 [M]."""
         return np.unique(np.linspace(0, len(self) - 1, count).astype(np.int64))
 

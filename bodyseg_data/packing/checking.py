@@ -8,8 +8,9 @@ from concurrent.futures import Executor
 from functools import partial
 
 from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_data.packing.engines.ordered import ordered
-from bodyseg_data.packing.options import Packing, Progress
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
 
 
@@ -23,7 +24,7 @@ def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:
 
 
 def find_faults(
-    packing: Packing, bodies: Sequence[BodyRef], executor: Executor, workers: int, progress: Progress
+    packing: Packing, bodies: Sequence[BodyRef], executor: Executor, workers: int, progress: ProgressCallback
 ) -> dict[str, str]:
     """Name of a mesh -> the reason why it cannot be packed, of all bodies whose files are at fault.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -24,9 +24,6 @@ from bodyseg_data.shards.sample_codec import check_codec
 
 PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
-
-Progress = Callable[[int, int], None]
-"""Called with (samples done, samples in all) after every mesh."""
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,11 @@ from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
 from bodyseg_data.core.splits import SPLITS
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.packing.checking import find_faults
 from bodyseg_data.packing.mesh_reduction import reduced_body
-from bodyseg_data.packing.options import PACKING_VERSION, Packing, Progress, forget_sources
+from bodyseg_data.packing.options import PACKING_VERSION, Packing, forget_sources
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList
 from bodyseg_data.packing.state import check_folder, claimed, forget_shard, record_skips, stored_skips
@@ -131,7 +132,7 @@ def pack(
     out: Path,
     executor: Executor,
     workers: int,
-    progress: Progress = lambda done, total: None,
+    progress: ProgressCallback = silent,
     on_faults: OnFaults = STOP,
 ) -> Manifest:
     """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 from bodyseg_data.bodies.names import collapsed
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, check_fields
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 OnError = Literal["stop", "skip"]
 
@@ -35,7 +36,7 @@ class OnFaults:
     on_error: OnError = "stop"
     skip_budget: float | None = None
     skip_log: Path | None = None
-    progress: Callable[[int, int], None] = lambda done, total: None
+    progress: ProgressCallback = silent
 
     def __post_init__(self) -> None:
         check_fields(self)

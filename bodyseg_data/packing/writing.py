@@ -13,9 +13,10 @@ from pathlib import Path
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadShard
 from bodyseg_data.core.splits import SPLITS, Split
+from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_data.core.views import View
 from bodyseg_data.packing.engines.ordered import ordered
-from bodyseg_data.packing.options import Packing, Progress
+from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
 from bodyseg_data.packing.state import finished_shards, record_shard
 from bodyseg_data.shards.manifest import ShardRecord
@@ -72,7 +73,7 @@ def write_shards(
     folders: tuple[Path, Path],
     render: Callable[[BodyRef, tuple[View, ...]], Future[Rendered]],
     workers: int,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> tuple[tuple[BodyRef, Exception] | None, dict[str, ShardRecord]]:
     """Write the shards that are not yet there. Returns the first body that cannot be packed and the error, or None, and
     the records of all finished shards.

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.rendering.outline import Outline
 from bodyseg_data.rendering.renderer import Surface
@@ -17,9 +17,7 @@ try:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 except ImportError as error:
-    raise MissingLibrary(
-        f"the embree renderer needs the package 'embreex': pip install 'bodyseg[render]' ({error})"
-    ) from error
+    raise missing_library("the embree renderer", error) from error
 
 _MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives for a ray without a hit
 

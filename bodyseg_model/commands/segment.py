@@ -15,7 +15,7 @@ from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
+from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware, processors
 from bodyseg_data.core.system.memory import peak_mb
@@ -43,7 +43,7 @@ from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVI
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
-from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
+from bodyseg_model.segmentation.people.person_score import PersonScore, score_for
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
@@ -104,8 +104,7 @@ def run(options: Options) -> int:
     preview = None if options.no_overlay else Preview(options.fps, label_map)
     to_device(trained.network, options.device)
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig, skipping)
-    # Of other classes than the 33 parts, things are told by their shape alone.
-    score = None if options.keep_things else shipped_score("parts" if label_map == PARTS33 else "shape")
+    score = None if options.keep_things else score_for(label_map)
     video = CarriedLabels() if options.video else None
     segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score, video)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be

@@ -136,16 +136,12 @@ def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[st
 
 def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
     """Compare computations on the first network of every group; networks of other seeds compute in the same way."""
+    images = RangeImages(options.data, "all", "test", options.seed, where=options.where)
     found = {}
-    with Progress("arithmetic", "networks") as progress:
-        for done, each in enumerate(groups):
-            progress.update(done, len(groups), each.label)
-            images = RangeImages(options.data, "all", "test", options.seed, where=options.where)
-            found[each.label] = {
-                "run": each.runs[0].name,
-                **numerical(each.runs[0].trained.network, images, options.images),
-            }
-        progress.update(len(groups), len(groups))
+    for each in groups:
+        with Progress(f"{each.label}, arithmetic", "comparisons") as progress:
+            compared = numerical(each.runs[0].trained.network, images, options.images, progress.update)
+        found[each.label] = {"run": each.runs[0].name, **compared}
     return found
 
 

@@ -27,7 +27,7 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_name
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, load_network, read_json
+from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.data import open_data
@@ -37,7 +37,7 @@ from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.metrics import Metrics, Report
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.training.validation import DEFAULT_EVERY, Keep, Validation
+from bodyseg_model.training.validation import DEFAULT_EVERY, Validation
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 
@@ -73,7 +73,7 @@ class Options:
     val_every: int | None = option("steps between validations (default: 500)", None)
     val_images: int | None = option("images to validate on, evenly over those held out (default: all)", None)
     patience: int | None = option("end after so many validations without a better one (default: never)", None)
-    keep: Keep | None = option("weights of the run's network (default: the best, if validated)", None)
+    keep: CheckpointName | None = option("weights of the run's network (default: the best, if validated)", None)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
     pretrained: Path | None = option(

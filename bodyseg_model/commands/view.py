@@ -15,7 +15,6 @@ from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target
 from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.shards.manifest import MANIFEST_NAME
@@ -23,14 +22,14 @@ from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_ne
 from bodyseg_model.recordings.camera_files import find_cameras
 from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.people.person_score import score_for
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.training.distributed import find_device
 from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.pages.recording_page import RecordingPage
 from bodyseg_model.viewing.pages.server import LOOPBACK
 from bodyseg_model.viewing.pages.set_page import SetPage
-from bodyseg_model.viewing.recording_view import RecordingView, ShownFrame
+from bodyseg_model.viewing.recording_view import RecordingView
 from bodyseg_model.viewing.rerun_file import write_recording, write_set
 from bodyseg_model.viewing.set_view import SetView, Shown
 
@@ -103,7 +102,7 @@ def run(options: Options) -> int:
         if isinstance(view, SetView):
             SetPage(page, view, first)
         else:
-            recording = RecordingPage(page, view, ShownFrame())
+            recording = RecordingPage(page, view)
         sys.stderr.write(f"{welcome(page.address, options.host, page.port)}\n")
         sys.stderr.flush()
         threading.Event().wait()
@@ -187,7 +186,6 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
     step_m = None if options.units is None else metres_a_step(options.units)
     frames = find_frames([Path(each) for each in options.source], options.topic, step_m)
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
-    # Of other classes than the 33 parts, things are told by their shape alone.
-    score = None if options.keep_things else shipped_score("parts" if trained.label_map == PARTS33 else "shape")
+    score = None if options.keep_things else score_for(trained.label_map)
     segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
     return RecordingView(frames, cameras, segmenters, trained.label_map)

@@ -21,6 +21,7 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
@@ -170,9 +171,9 @@ def open_images(
     """Open a set for evaluation; where, val_share: as for `RangeImages`.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others that replace or follow the sensor's. labels: the
-    classes to score. Raises BadConfig for a strength
-    that is invalid, is given twice, or is of an artifact that the variant does not have; otherwise as `RangeImages`.
+    for each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score.
+    Raises BadConfig for a strength that is invalid, is given twice, or is of an artifact that the variant does not
+    have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
     model = sensor_for(variant, load_sensor_model(sensor), given)
@@ -199,7 +200,7 @@ def evaluate(
     batch_size: int = 16,
     num_workers: int = 0,
     worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressCallback = silent,
     watch: Callable[[PredictedImage, float], None] | None = None,
 ) -> Evaluation:
     """Evaluate a network, in evaluation mode, on `images` of their epoch.
@@ -248,8 +249,7 @@ def evaluate(
                 accuracy = found.add(image, clean.labels(key, image.labels) if "borders" in extras else image.labels)
                 if watch is not None:
                     watch(image, accuracy)
-        if progress is not None:
-            progress(done + len(keys), total)
+        progress(done + len(keys), total)
     found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
 

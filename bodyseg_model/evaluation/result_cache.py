@@ -75,11 +75,11 @@ class ResultCache:
     def _key(self, query: Mapping[str, Any]) -> tuple[str, Any]:
         """The key of a query, and the query as JSON would return it."""
         query = _as_json(query)
-        return _digest([self._modules, query]), query
+        return json_digest([self._modules, query]), query
 
     def _entry(self, query: Any, result: Any) -> dict[str, Any]:
         facts = {"query": query, "modules": self._modules, "code": self._code, "result": result}
-        return {**facts, "digest": _digest(facts)}
+        return {**facts, "digest": json_digest(facts)}
 
     def _read(self) -> dict[str, Any]:
         if not self._file.exists():
@@ -111,5 +111,6 @@ def _as_json(value: Any) -> Any:
     return json.loads(json.dumps(value, allow_nan=False))
 
 
-def _digest(value: Any) -> str:
+def json_digest(value: Any) -> str:
+    """Digest of a value as JSON, keys in alphabetical order, 32 hexadecimal digits."""
     return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()

@@ -12,7 +12,7 @@ from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.drawing.contact_sheet import colour_range
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, fitted, font
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
 from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
@@ -66,7 +66,7 @@ class SamplePicture:
         groups = sorted(self._first, key=subset_order)
         shown = [(f"first of {name}", *self._first[name]) for name in groups]
         shown.append(("worst of all", *self._worst))
-        lines = [[_fit(panel) for panel in _panels(image, self._label_map)] for _, _, image in shown]
+        lines = [[fitted(panel, _WIDTH, _HEIGHT) for panel in _panels(image, self._label_map)] for _, _, image in shown]
         widths = [max(_LEAST_WIDTH, *(line[column].width for line in lines)) for column in range(len(_HEADS))]
         width = sum(widths) + _GAP * (len(_HEADS) + 1)
         legend = _legend(width - 2 * _GAP, self._label_map)
@@ -131,14 +131,6 @@ def _colour_confidence(confidence: NDArray[np.float32]) -> NDArray[np.uint8]:
     colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
     drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
     return drawn
-
-
-def _fit(panel: NDArray[np.uint8]) -> Image.Image:
-    """Scale to the panel's height or width by picking the nearest pixels: averaging would hide missing ones."""
-    height, width = panel.shape[:2]
-    scale = min(_HEIGHT / height, _WIDTH / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return Image.fromarray(panel).resize(size, Image.Resampling.NEAREST)
 
 
 def _legend(width: int, label_map: LabelMap) -> Image.Image:

@@ -111,10 +111,13 @@ def save_network(path: Path, network: Network, name: str, facts: Mapping[str, An
     bytes; scales, biases and statistics stay in 32.
     """
     card = {"format": FORMAT, "network": name, "settings": network.settings, **facts}
-    weights = network.state_dict()
-    half_weights = {key: weight.half() if half and weight.ndim > 1 else weight for key, weight in weights.items()}
-    card[WEIGHTS_SHA256] = write_tensors(path, half_weights)
+    card[WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
     write_json(path.with_suffix(".json"), card)
+
+
+def half_weights(network: Network) -> dict[str, torch.Tensor]:
+    """Weights of a network with the filters in 16 bits; scales, biases and statistics stay in 32."""
+    return {name: weight.half() if weight.ndim > 1 else weight for name, weight in network.state_dict().items()}
 
 
 def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
@@ -136,13 +139,20 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
         raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
     if file.suffix != ".safetensors":
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
-    card = read_json(file.with_suffix(".json"))
-    if card.get("format") != FORMAT:
-        raise BadConfig(f"{file.with_suffix('.json')}: the format must be {FORMAT!r}, found {card.get('format')!r}")
+    card = read_card(file)
     network = _build(card, file.with_suffix(".json"))
     data, digest = _read_weights(file, card.get(WEIGHTS_SHA256))
     fill(network, _parse(data, file), file)
-    return _trained(network, {**card, WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+    return trained_network(network, {**card, WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+
+
+def read_card(weights: Path) -> dict[str, Any]:
+    """Read the card beside weights (.safetensors). Raises BadConfig, naming it, also for one of another format."""
+    file = weights.with_suffix(".json")
+    card = read_json(file)
+    if card.get("format") != FORMAT:
+        raise BadConfig(f"{file}: the format must be {FORMAT!r}, found {card.get('format')!r}")
+    return card
 
 
 def _build(card: dict[str, Any], where: Path) -> Network:
@@ -153,8 +163,11 @@ def _build(card: dict[str, Any], where: Path) -> Network:
     return build(name, settings)
 
 
-def _trained(network: Network, card: dict[str, Any], where: Path) -> Trained:
-    """A network with its card, whose classes and rig are checked. Raises BadConfig, naming the card's file."""
+def trained_network(network: Network, card: dict[str, Any], where: Path) -> Trained:
+    """A network in evaluation mode with its card, whose classes and rig are checked. where: the card's file.
+
+    Raises BadConfig, naming the file, for other classes than the network's, or an entry that is no rig.
+    """
     trained = Trained(network.eval(), card)
     try:  # here, where the file is known
         check_label_map(network, trained.label_map)
@@ -236,7 +249,7 @@ def _last_weights(folder: Path) -> Trained:
     fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
     card = {**plan, "format": FORMAT, **steps, WEIGHTS_SHA256: checkpoint.sha256}
-    return _trained(network, card, folder / PLAN)
+    return trained_network(network, card, folder / PLAN)
 
 
 def confusion_file(path: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from bodyseg_data.cards.markdown import bullets, licence_lines, table
 from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import FORMAT, NETWORK, PRETRAINED, WEIGHTS_SHA256, confusion_file, read_json
+from bodyseg_model.networks.checkpoints import NETWORK, PRETRAINED, WEIGHTS_SHA256, confusion_file, read_card
 
 _SCORES: Final = {
     "average_per_class_accuracy": "average per-class accuracy",
@@ -40,9 +40,7 @@ def page_file(path: Path) -> Path:
 
 def model_card(weights: Path, publication: Publication) -> str:
     """Return the page of the network in `weights` (.safetensors), read from the card beside it. Raises BadConfig."""
-    card = read_json(weights.with_suffix(".json"))
-    if card.get("format") != FORMAT:
-        raise BadConfig(f"{weights.with_suffix('.json')}: the format must be {FORMAT!r}, found {card.get('format')!r}")
+    card = read_card(weights)
     scores = card.get("scores")
     parts = [
         _header(publication),

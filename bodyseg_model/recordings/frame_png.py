@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.codecs.png import SIGNATURE, decode_png, read_chunks, read_header
+from bodyseg_model.recordings.recording import LARGEST_SIDE
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
-_LARGEST_SIDE: Final = 4096
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
 
 
@@ -38,9 +38,9 @@ def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
     if (header.bits, header.colour) != (16, 0):
         kind = f"{header.bits}-bit {_KINDS.get(header.colour, header.colour)}"
         raise BadConfig(f"a frame must be a 16-bit grey PNG, found {kind}: {where}")
-    if not (1 <= header.rows <= _LARGEST_SIDE and 1 <= header.columns <= _LARGEST_SIDE):
+    if not (1 <= header.rows <= LARGEST_SIDE and 1 <= header.columns <= LARGEST_SIDE):
         raise BadConfig(
-            f"a frame's side must be 1 to {_LARGEST_SIDE} pixels, found {header.rows} x {header.columns}: {where}"
+            f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {header.rows} x {header.columns}: {where}"
         )
     try:
         image: NDArray[np.uint16] = decode_png(SIGNATURE + b"".join(chunk.whole for chunk in needed))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from bodyseg_model.recordings.frame_names import result_names
 from bodyseg_model.recordings.frame_png import parse_frame
 from bodyseg_model.recordings.frame_tars import Member, list_tar
 from bodyseg_model.recordings.intrinsics import Intrinsics
-from bodyseg_model.recordings.recording import MILLIMETRE, Frame, StoredRecording
+from bodyseg_model.recordings.recording import MILLIMETRE, Frame, StoredRecording, location_hash
 
 RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
 """Help of commands' argument for frames."""
@@ -56,8 +55,8 @@ class FrameFile:
 
     @property
     def path_id(self) -> str:
-        """Short hash of the frame's place on this machine: the same from any working directory."""
-        return hashlib.sha256(f"{self.path.resolve()}\0{self.member or ''}".encode()).hexdigest()[:16]
+        """Short hash of the frame's location on this machine: the same from any working directory."""
+        return location_hash(self.path, self.member or "")
 
     def read(self) -> NDArray[np.uint16]:
         """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
@@ -93,10 +92,10 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     """
     files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar" and not find_format(path)]
     single = [frame for path in files for frame in open_recording(path, topic, step_m)]
-    groups: list[Iterable[Frame]] = [sorted(single, key=lambda frame: _natural(frame.name))]
+    groups: list[Iterable[Frame]] = [sorted(single, key=lambda frame: natural_key(frame.name))]
     groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
     frames = [(number, frame) for number, group in enumerate(groups) for frame in group]
-    names = result_names([(frame.path, frame.member, frame.where) for _, frame in frames])
+    names = result_names([frame for _, frame in frames])
     return [frame.placed(name, number) for (number, frame), name in zip(frames, names, strict=True)]
 
 
@@ -121,7 +120,7 @@ def open_recording(path: Path, topic: str | None = None, step_m: float | None = 
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found PNG files: {path}")
     step_m = step_m or MILLIMETRE
-    frames = sorted((replace(frame, step_m=step_m) for frame in frames), key=lambda frame: _natural(frame.name))
+    frames = sorted((replace(frame, step_m=step_m) for frame in frames), key=lambda frame: natural_key(frame.name))
     return StoredRecording(str(path), tuple(frames), None, step_m)
 
 
@@ -164,7 +163,7 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecord
     parts = [file for file in files if has_suffix(file)]
     if not parts:
         raise BadConfig(f"a folder of frames must hold .png files, found none in {path}")
-    opened = [open_recording(part, topic, step_m) for part in sorted(parts, key=lambda part: _natural(part.name))]
+    opened = [open_recording(part, topic, step_m) for part in sorted(parts, key=lambda part: natural_key(part.name))]
     return StoredRecording(
         str(path), tuple(frame for part in opened for frame in part.frames), opened[0].camera, opened[0].step_m
     )
@@ -196,7 +195,7 @@ def _is_frame(name: str) -> bool:
     return name.lower().endswith(".png") and not name.startswith(".")
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def natural_key(name: str) -> list[tuple[int, str]]:
     """Sort key that orders numbers in names by value: digits without leading zeros sort by count, then themselves."""
     parts = re.split(r"([0-9]+)", name)
     key = []

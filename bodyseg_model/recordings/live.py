@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_model.recordings.intrinsics import Intrinsics
-from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, Stamp, StoredFrame
+from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, FrameSource, StoredFrame
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]
 """Pixels of a frame [H, W], or its time in seconds and its pixels."""
@@ -45,7 +45,7 @@ class LiveRecording:
             )
 
 
-class _Held:
+class _Held(FrameSource):
     """The pixels of one frame."""
 
     def __init__(self, pixels: NDArray[Any]) -> None:
@@ -53,9 +53,6 @@ class _Held:
 
     def read(self, index: int) -> NDArray[Any]:
         return self._pixels
-
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,7 +41,7 @@ class Frame(Protocol):
     name: of its result files, without suffix. where: its name in messages. path: the file or folder that holds it, and
     member: its name in there, None if it is a file of its own. sequence: number of the input that it is from. time_s:
     when it was recorded, seconds, None if that is not stored. step_m: metres a step. camera: stored with the recording,
-    if any. path_id: short hash of its place.
+    if any. path_id: short hash of its location.
     """
 
     @property
@@ -104,9 +105,10 @@ class StoredRecording:
         return len(self.frames)
 
 
-class FrameSource(Protocol):
-    """Reader of the frames of one file by their numbers."""
+class FrameSource(ABC):
+    """Reader of the frames of one file by their numbers; a new one is a subclass."""
 
+    @abstractmethod
     def read(self, index: int) -> NDArray[Any]:
         """Read the pixels of frame `index`, [H, W]: steps in uint16 or metres in floating point.
 
@@ -114,7 +116,8 @@ class FrameSource(Protocol):
         """
 
     def stamp(self, index: int) -> Stamp | None:
-        """Read the header of frame `index`; None where frames have none. Raises BadConfig."""
+        """Read the header of frame `index`; by default frames have none. Raises BadConfig."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -140,9 +143,8 @@ class StoredFrame:
 
     @property
     def path_id(self) -> str:
-        """Short hash of the frame's place on this machine: the same from any working directory."""
-        place = f"{self.path.resolve()}\0{self.part}\0{self.index}"
-        return hashlib.sha256(place.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+        """Short hash of the frame's location on this machine: the same from any working directory."""
+        return location_hash(self.path, self.part, self.index)
 
     def read(self) -> Pixels:
         """Read the frame's pixels, uint16 [H, W], in steps. Raises BadConfig, naming the frame."""
@@ -161,6 +163,18 @@ class StoredFrame:
     def placed(self, name: str, sequence: int) -> StoredFrame:
         """Return the frame with another name, and as of another input."""
         return replace(self, name=name, sequence=sequence)
+
+
+def location_hash(path: Path, *within: str | int) -> str:
+    """Hash the location of a frame, 16 hexadecimal digits: its file from the root, and what says where it is in it."""
+    location = "\0".join([str(path.resolve()), *map(str, within)])
+    return hashlib.sha256(location.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+
+
+def evenly_apart(total: int, count: int) -> list[int]:
+    """Return at most `count` of the numbers below `total`, ascending and evenly apart, 0 and the last among them."""
+    chosen: list[int] = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int)).tolist()
+    return chosen
 
 
 def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:

@@ -35,13 +35,6 @@ class Skipping:
             self.skipped.append(entry)
             return None
 
-    def first_readable(self, frames: list[Frame]) -> list[Frame]:
-        """Return the frames from the first that can be read on; none if no frame can. Raises BadConfig as `read`."""
-        for number, frame in enumerate(frames):
-            if self.read(frame) is not None:
-                return frames[number:]
-        return []
-
 
 def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
     """Return the first frame that can be read. Raises BadConfig if none can, or too many cannot."""

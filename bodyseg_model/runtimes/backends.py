@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import torch
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network
-from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, trained_network
+from bodyseg_model.networks.network import Network
 from bodyseg_model.runtimes.onnx_files import SUFFIX, Precision, read_onnx, to_onnx
 from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork, check_precision
 from bodyseg_model.runtimes.torch_bfloat16 import Bfloat16
@@ -80,13 +80,8 @@ def load_run(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     model = read_onnx(path)
-    trained = Trained(RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), model.facts.precision), model.card)
-    try:  # here, where the file is known
-        check_label_map(trained.network, trained.label_map)
-        _ = trained.rig
-    except BadConfig as error:
-        raise BadConfig(f"{path}: {error}") from error
-    return trained
+    network = RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), model.facts.precision)
+    return trained_network(network, model.card, path)
 
 
 def backend_of(network: Network) -> dict[str, Any]:

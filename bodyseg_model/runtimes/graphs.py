@@ -16,8 +16,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.networks.network import Network
 
 OPSET: Final = 18
@@ -159,4 +160,4 @@ def import_onnx() -> Any:
     try:
         return import_module("onnx")
     except ImportError as error:
-        raise MissingLibrary(f"ONNX files need the package 'onnx': pip install 'bodyseg[onnx]' ({error})") from error
+        raise missing_library("the format ONNX", error, extra="onnx") from error

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.runtimes.graphs import SCORES, WINDOW
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.runtimes.runtime import Runtime
@@ -43,6 +43,4 @@ def _import() -> Any:
     try:
         return import_module("onnxruntime")
     except ImportError as error:
-        raise MissingLibrary(
-            f"the backend onnxruntime needs the package 'onnxruntime': pip install 'bodyseg[onnx]' ({error})"
-        ) from error
+        raise missing_library("the backend onnxruntime", error, extra="onnx") from error

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.runtimes.runtime import Runtime
 
@@ -44,6 +44,4 @@ def _import() -> Any:
     try:
         return import_module("openvino")
     except ImportError as error:
-        raise MissingLibrary(
-            f"the backend openvino needs the package 'openvino': pip install 'bodyseg[openvino]' ({error})"
-        ) from error
+        raise missing_library("the backend openvino", error, extra="openvino") from error

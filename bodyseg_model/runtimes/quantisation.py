@@ -18,7 +18,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary, check_int
+from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.runtimes.graphs import RANGE, import_onnx
@@ -54,9 +55,7 @@ def quantised(model: OnnxModel, frames: Iterable[NDArray[np.float32]], calibrati
     try:
         tools = import_module("onnxruntime.quantization")
     except ImportError as error:
-        raise MissingLibrary(
-            f"quantising needs the package 'onnxruntime': pip install 'bodyseg[onnx]' ({error})"
-        ) from error
+        raise missing_library("quantising", error, extra="onnx") from error
 
     class Reader(tools.CalibrationDataReader):  # type: ignore[misc, name-defined]  # a class of a package without types
         def __init__(self) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from bodyseg_data.artifacts.sensor_model import SensorModel
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, Finding
 from bodyseg_model.sensor_fit.losses.outlines import outlines_of
@@ -37,12 +38,6 @@ ORDER: Final = (
 """The artifacts in the order in which a sensor makes them: light, disparity, its rounding, and what is rejected."""
 
 _COMMENT_WIDTH: Final = 110
-
-Progress = Callable[[int, int], None]
-
-
-def silent(done: int, total: int) -> None:
-    """Progress that nobody sees."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ def _wrapped(text: str) -> str:
     return "\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, _COMMENT_WIDTH))
 
 
-def fit_sensor(recording: Recording, camera: FrameCamera, progress: Progress = silent) -> SensorFit:
+def fit_sensor(recording: Recording, camera: FrameCamera, progress: ProgressCallback = silent) -> SensorFit:
     """Measure all artifacts. camera: the recording's; the place of its projector, if known, tells mirrored frames."""
     progress(0, 5)
     shadow = measure_shadow(recording)

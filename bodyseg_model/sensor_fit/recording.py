@@ -14,6 +14,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.recordings.frames import to_metres
 from bodyseg_model.recordings.recording import Frame as RecordedFrame
+from bodyseg_model.recordings.recording import evenly_apart
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.sensor_fit.masks import closing
@@ -149,8 +150,7 @@ def chosen_frames(count: int, most: int = MOST_FRAMES) -> tuple[list[int], tuple
     """Indices of the frames to measure, ascending, and pairs of neighbours as positions in that list."""
     if count <= most:
         return list(range(count)), tuple((index, index + 1) for index in range(count - 1))
-    starts = np.unique(np.linspace(0, count - 2, most // 2).round().astype(int))
-    chosen = sorted({int(start) + shift for start in starts for shift in (0, 1)})
+    chosen = sorted({start + shift for start in evenly_apart(count - 1, most // 2) for shift in (0, 1)})
     pairs = [(index, index + 1) for index in range(len(chosen) - 1) if chosen[index + 1] == chosen[index] + 1]
     return chosen, tuple(pairs)
 

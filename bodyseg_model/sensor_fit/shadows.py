@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_model.recordings.recording import evenly_apart
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding
 from bodyseg_model.sensor_fit.recording import Frame, Recording
 
@@ -78,7 +79,7 @@ class ShadowFrames:
 
     def __init__(self, frames: int, most: int) -> None:
         self.frames = frames
-        self._chosen = set(np.linspace(0, frames - 1, min(frames, most)).round().astype(int).tolist())
+        self._chosen = {*evenly_apart(frames, most)}
         self._kept: list[Frame] = []
 
     def add(self, number: int, name: str, range_m: NDArray[np.float32], bodies: Sequence[NDArray[np.intp]]) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from bodyseg_data.core.system.progress import NotedProgress, silent
 from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
 from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
 from bodyseg_model.networks.network import Network
@@ -41,7 +42,7 @@ def evaluate_conditions(
     conditions: Sequence[Condition],
     scenes: Scenes,
     folder: Path,
-    progress: Callable[..., None] = lambda done, total, note="": None,
+    progress: NotedProgress = silent,
 ) -> Accuracies:
     """Measure the accuracy of every network under every condition.
 

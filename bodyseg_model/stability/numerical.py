@@ -14,10 +14,12 @@ import torch
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.batch_transforms import body_window
+from bodyseg_model.networks.checkpoints import half_weights
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
@@ -45,7 +47,7 @@ def numerical(
     network: Network,
     images: RangeImages,
     count: int = 64,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Compare computations on the first `count` images of the images' permutation; returns plain JSON.
 
@@ -68,14 +70,7 @@ def numerical(
     if not (truth != BACKGROUND).any():
         raise BadConfig(f"comparing labels needs measured pixels, found none in {len(truth)} images")
     computations = _computations(network, device.type)
-    done, total = 0, len(computations) + len(BATCH_SIZES)
-
-    def advance() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
+    advance = counter(progress, len(computations) + len(BATCH_SIZES))
     with torch_threads(1):
         baseline = _one_by_one(functools.partial(_labels, network), range_m)
         found = {}
@@ -134,12 +129,7 @@ def _computations(network: Network, device: str) -> dict[str, Computation]:
 def _rounded_to_half(network: Network) -> Network:
     """A copy of the network as it is after `save_network(..., half=True)` and loading."""
     rounded = copy.deepcopy(network)
-    rounded.load_state_dict(
-        {
-            name: weight.half().to(weight.dtype) if weight.ndim > 1 and weight.is_floating_point() else weight
-            for name, weight in network.state_dict().items()
-        }
-    )
+    rounded.load_state_dict(half_weights(network))  # copied into weights of 32 bits
     return rounded
 
 

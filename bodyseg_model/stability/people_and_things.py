@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.network import Network
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
@@ -73,11 +74,11 @@ class Counts:
             "right_of_all": self.right / self.person_pixels if self.person_pixels else None,
         }
         rounded = {name: None if share is None else round(share, 4) for name, share in shares.items()}
-        return {field.name: getattr(self, field.name) for field in fields(self)} | rounded
+        return asdict(self) | rounded
 
 
 def people_and_things(
-    network: Network, score: PersonScore, count: int, progress: Callable[[int, int], None] = lambda done, total: None
+    network: Network, score: PersonScore, count: int, progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Measure a network on `count` made rooms, with labels on every surface of a body's size, and on people alone.
 

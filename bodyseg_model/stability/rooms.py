@@ -84,21 +84,21 @@ class Rooms:
         bodies = []
         for _ in range(people):
             body = self._built(numbers.whole(0, len(self._bodies) - 1))
-            place = floor.place(Solid(body.mesh.vertices, body.mesh.faces), numbers)
-            if place is not None:
-                bodies.append((body, place))
+            pose = floor.find_pose(Solid(body.mesh.vertices, body.mesh.faces), numbers)
+            if pose is not None:
+                bodies.append((body, pose))
         for _ in range(things):
             thing = FURNITURE[KINDS[numbers.whole(0, len(KINDS) - 1)]](numbers)
-            place = floor.place(thing, numbers)
-            if place is not None:
-                layers.append(place.of(thing))
+            pose = floor.find_pose(thing, numbers)
+            if pose is not None:
+                layers.append(pose.of(thing))
         return self._seen(key, camera, layers, bodies)
 
     def _build(self, index: int) -> _Person:
         built = self._source.build(self._bodies[index])
         return _Person(built.mesh, built.partition() if self._parts else None)
 
-    def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Place]]) -> Room:
+    def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Pose]]) -> Room:
         shape = camera.camera.rows, camera.camera.columns
         nearest = np.full(shape, np.inf, np.float32)
         person, thing = np.full(shape, -1, np.int32), np.full(shape, -1, np.int32)
@@ -108,13 +108,13 @@ class Rooms:
             seen = RasterRenderer(solid).render(camera)
             before = (seen.face >= 0) & (seen.range < nearest)
             nearest[before], thing[before] = seen.range[before], number - 1
-        for number, (body, place) in enumerate(bodies):
-            seen = RasterRenderer(place.of(Solid(body.mesh.vertices, body.mesh.faces))).render(camera)
+        for number, (body, pose) in enumerate(bodies):
+            seen = RasterRenderer(pose.of(Solid(body.mesh.vertices, body.mesh.faces))).render(camera)
             before = (seen.face >= 0) & (seen.range < nearest)
             nearest[before], thing[before], person[before] = seen.range[before], -1, number
             if body.parts is not None:
                 points = camera.to_body(rays[before] * seen.range[before][:, None])
-                labels[before] = body.parts.labels_at(body.mesh, seen.face[before], place.back(points))
+                labels[before] = body.parts.labels_at(body.mesh, seen.face[before], pose.back(points))
         range_m = _measured(nearest, generator(self._seed, 0, key, "noise"))
         for image, empty in ((person, -1), (thing, -1), (labels, BACKGROUND)):
             image[range_m == 0] = empty
@@ -122,7 +122,7 @@ class Rooms:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Pose:
     """A rotation about the vertical axis, then a move [3], metres."""
 
     angle_rad: float
@@ -144,8 +144,8 @@ class _Floor:
         self._taken: list[tuple[float, float, float]] = []
         self._slope = camera.columns / 2 / camera.focal_px
 
-    def place(self, solid: Solid, numbers: Numbers) -> _Place | None:
-        """Find a free place for a solid, turned in any way; None if none is found."""
+    def find_pose(self, solid: Solid, numbers: Numbers) -> _Pose | None:
+        """Find a pose in which a solid stands on a free place, turned in any way; None if none is found."""
         angle = numbers.between(-math.pi, math.pi)
         turned = solid.turned(angle)
         low, high = turned.vertices.min(axis=0), turned.vertices.max(axis=0)
@@ -155,7 +155,7 @@ class _Floor:
             across = numbers.between(-1.0, 1.0) * self._slope * away
             if all(math.hypot(across - x, away - z) > radius + taken for x, z, taken in self._taken):
                 self._taken.append((across, away, radius))
-                return _Place(angle, (across - float(centre[0]), -float(low[1]), -away - float(centre[2])))
+                return _Pose(angle, (across - float(centre[0]), -float(low[1]), -away - float(centre[2])))
         return None
 
 

@@ -5,7 +5,6 @@ Images are made on demand. Labelled bodies and their renderers are kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -20,6 +19,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at
 from bodyseg_data.core.sample import Sample, steps
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
@@ -72,7 +72,7 @@ class Scenes:
         images: RangeImages,
         count: int,
         hard: RangeImages | None = None,
-        progress: Callable[[int, int], None] = lambda done, total: None,
+        progress: ProgressCallback = silent,
     ) -> None:
         self.images, self.hard = images, hard
         self.rig, self.seed = images.manifest.rig, images.seed

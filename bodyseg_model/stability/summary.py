@@ -79,16 +79,16 @@ def relative_robustness(curve: Sequence[float]) -> float | None:
     return sum(curve[1:]) / ((len(curve) - 1) * curve[0]) if curve[0] else None
 
 
-def falls_below(strengths: Sequence[float], curve: Sequence[float], bound: float = BOUND) -> float | None:
-    """Strength at which accuracy first falls below `bound`, interpolated linearly; None if it never does.
+def falls_below(strengths: Sequence[float], curve: Sequence[float]) -> float | None:
+    """Strength at which accuracy first falls below `BOUND`, interpolated linearly; None if it never does.
 
     It is the first strength if accuracy is below the bound there already.
     """
-    if curve[0] < bound:
+    if curve[0] < BOUND:
         return strengths[0]
     for (low, before), (high, after) in pairwise(zip(strengths, curve, strict=True)):
-        if after < bound:
-            return round(low + (before - bound) / (before - after) * (high - low), 4)
+        if after < BOUND:
+            return round(low + (before - BOUND) / (before - after) * (high - low), 4)
     return None
 
 

@@ -8,7 +8,7 @@ flow, or compare pixels without following them; here points of the skin are foll
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.loading.image_set import metres
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
@@ -143,7 +144,7 @@ def temporal(
     variants: Sequence[VariantName] = WITH_AND_WITHOUT,
     seed: int = 0,
     rig: Rig | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Measure TC and VC of every network, in evaluation mode, over shots of test motions; returns plain JSON.
 
@@ -169,14 +170,7 @@ def temporal(
     ways = [way for variant in variants for way in (variant, f"{variant}{CARRIED}")]
     tallies = {name: {way: TemporalConsistency() for way in ways} for name in networks}
     truth, rendered_points = TemporalConsistency(), 0
-    done, total = 0, shots * frames * (1 + len(variants) * len(networks))
-
-    def advance(count: int = 1) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done, total)
-
+    advance = counter(progress, shots * frames * (1 + len(variants) * len(networks)))
     for shot in chosen:
         frames_of_shot: list[Frame] = []
         for frame in render_shot(source, shot, rig):

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
+from numpy.typing import NDArray
 from torch import nn
 
 from bodyseg_data.core.parts import BACKGROUND
@@ -95,7 +96,7 @@ def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:
     return scores.lerp(neighbour, abs(by))
 
 
-def part_weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: float) -> torch.Tensor:
+def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
     """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
     the mean weight of a pixel is 1.
 
@@ -107,10 +108,10 @@ def part_weights(counts: np.ndarray[tuple[int], np.dtype[np.int64]], balance: fl
     return torch.from_numpy((weights / (weights * shares).sum()).astype(np.float32))
 
 
-def class_pixels(images: ImageSet) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def class_pixels(images: ImageSet) -> NDArray[np.int64]:
     """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
     label_map = images.label_map
     counts = np.zeros(len(label_map), np.int64)
-    for index in images.spread(_SAMPLES_FOR_WEIGHTS).tolist():
+    for index in images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist():
         counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
     return counts

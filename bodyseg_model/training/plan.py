@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
@@ -13,7 +14,7 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
 
-Path = tuple[str, ...]
+Keys = tuple[str, ...]
 """Keys that lead to a field of a plan."""
 
 FLAGS: Final[dict[str, str]] = {
@@ -90,7 +91,7 @@ def training_plan(
     return tree
 
 
-def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], reached: int) -> None:
+def check_plan(folder: Path, found: dict[str, Any], wanted: dict[str, Any], reached: int) -> None:
     """Raise BadConfig, naming the options that differ, unless the training `found` in a folder may go on as `wanted`.
 
     reached: number of steps that it has done. The number of steps may differ, but be no smaller than that.
@@ -109,7 +110,8 @@ def check_plan(folder: object, found: dict[str, Any], wanted: dict[str, Any], re
         if line not in told.setdefault(flag, []):  # a label map stands in the plan and in the images' identity
             told[flag].append(line)
     if list(told) == ["--steps"]:
-        raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {_steps(wanted)}")
+        steps = wanted["recipe"]["steps"]
+        raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {steps}")
     lines = [
         line
         for flag, lines in told.items()
@@ -132,11 +134,7 @@ def _sets(count: int) -> str:
     return f"{count} {'set' if count == 1 else 'sets'}"
 
 
-def _steps(plan: dict[str, Any]) -> Any:
-    return plan["recipe"]["steps"]
-
-
-def differences(was: Any, now: Any, path: Path = ()) -> Iterator[tuple[Path, Any, Any]]:
+def differences(was: Any, now: Any, path: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
     """Innermost fields in which two trees of JSON differ: their keys, and both values.
 
     Entries of lists of objects are compared by their name, or else by their number; if only their order differs, the
@@ -160,7 +158,7 @@ def _by_name(tree: Any) -> Any:
     return named if len(named) == len(tree) else {str(number): each for number, each in enumerate(tree)}
 
 
-def option_of(path: Path) -> tuple[str, Path]:
+def option_of(path: Keys) -> tuple[str, Keys]:
     """Return the option that sets a field of a plan, and the keys below those that it stands for.
 
     The fields of all sets of a mixture belong to the same options.
@@ -174,7 +172,7 @@ def option_of(path: Path) -> tuple[str, Path]:
     return path[0], path[1:]
 
 
-def _shown(path: Path, value: Any) -> str:
+def _shown(path: Keys, value: Any) -> str:
     if value is _ABSENT:
         return "not given"
     if isinstance(value, dict):

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import make_folder
 from bodyseg_model.networks.checkpoints import (
     BEST,
     CHECKPOINT,
@@ -69,10 +70,7 @@ class RunFolder:
 
         Raises BadConfig for a folder that holds another training, or this one without `resume`.
         """
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BadConfig(f"cannot make the folder {self.path}: {error.strerror or error}") from error
+        make_folder(self.path)
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
         file = self.path / PLAN
         held = {entry.name for entry in self.path.iterdir()}

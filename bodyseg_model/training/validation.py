@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate
+from bodyseg_model.networks.checkpoints import CheckpointName
 from bodyseg_model.networks.network import Network
-
-Keep = Literal["best", "last"]
 
 DEFAULT_EVERY: Final = 500
 """Steps between two validations."""
@@ -37,7 +36,7 @@ class Validation:
     every: int = DEFAULT_EVERY
     count: int | None = None
     patience: int | None = None
-    keep: Keep = "best"
+    keep: CheckpointName = "best"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "images", tuple(self.images))

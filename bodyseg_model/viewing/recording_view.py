@@ -24,7 +24,7 @@ from bodyseg_model.segmentation.overlay import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
 from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
-from bodyseg_model.viewing.space import Points, camera_alone, device, points_at
+from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
 
 FrameColouring = Literal["parts", "confidence", "flicker"]
 FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)
@@ -48,7 +48,6 @@ CONFIDENCE_LEGEND: Final[Legend] = (
 _NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
-_GAP_M: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -131,13 +130,12 @@ class RecordingView:
         changes = changes_of(frame, before)
         colours, legend = self._colours(shown.colouring, frame, changes)
         bodies, room = frame.body_points(colours), frame.room_points() if shown.room else _NOTHING
-        seen = frame.range_m.ravel()[frame.bodies] if len(frame.bodies) else frame.range_m[frame.range_m > 0]
         return Drawing(
             Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
             (device("camera", camera_alone(frame.camera)),),
             self._picture(frame, changes),
             self.facts(shown.number, frame, before),
-            float(np.median(seen)) / frame.camera.focal_px if len(seen) else _GAP_M,
+            point_gap_m(frame.body_m if len(frame.bodies) else frame.range_m, frame.camera),
             len(bodies.xyz),
             legend,
         )
@@ -177,11 +175,9 @@ class RecordingView:
         layout, found = Layout.of(2, shape), frame.segmentation
         bodies = [body.pixels for body in found.bodies]
         overlay = draw_overlay(frame.range_m, found.labels, bodies, self.label_map)
-        body = np.zeros(frame.range_m.size, np.bool_)
-        body[frame.bodies] = True
         sure = found.mean_confidence
         people = _counted(found)
-        confidences = share_image(layout.reduced(frame.confidence), layout.reduced(body.reshape(shape)))
+        confidences = share_image(layout.reduced(frame.confidence), layout.reduced(frame.body_m > 0))
         note = "nobody" if sure is None else f"mean {sure:.0%}"
         return layout.draw(
             [

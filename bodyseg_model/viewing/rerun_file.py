@@ -6,7 +6,7 @@ The package `rerun-sdk` is no dependency: it is imported when a file is written.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +20,9 @@ from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.files import sync_folder
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback
+from bodyseg_data.drawing.contact_sheet import span_of
+from bodyseg_model.recordings.recording import evenly_apart
 from bodyseg_model.segmentation.flicker import flicker
 from bodyseg_model.viewing.pictures import KIND_LEGEND, Legend, class_legend, label_image
 from bodyseg_model.viewing.recording_view import FLICKER_LEGEND, Labelled, RecordingView, changes_of
@@ -28,9 +31,6 @@ from bodyseg_model.viewing.space import Device, Points, camera_alone, device
 
 _IMAGE_PLANE_M: Final = 0.4
 _TIME: Final = "time"
-
-Progress = Callable[[int, int], None]
-"""Called with samples or frames done and in all."""
 
 
 class RerunFile:
@@ -146,13 +146,13 @@ class RerunFile:
         return kit.Blueprint(kit.Horizontal(points, beside), collapse_panels=True)
 
 
-def write_set(path: Path, view: SetView, shown: Shown, count: int, progress: Progress) -> int:
+def write_set(path: Path, view: SetView, shown: Shown, count: int, progress: ProgressCallback) -> int:
     """Write samples of a set, and return their number: at most `count`, evenly over those chosen.
 
     shown: the variant, epoch and sensor. Images are in steps of the set's rig. Raises as `RerunFile` and
     `SetView.images_of`.
     """
-    numbers = spread(len(view), count)
+    numbers = evenly_apart(len(view), count)
     answered = ("answer", "mistakes", "confidence") if view.trained is not None and shown.network else ()
     names = [f"images/{name}" for name in ("range", "projector", "labels", *answered)]
     variants = [f"variants/{name}" for name in VARIANTS]
@@ -183,14 +183,14 @@ def _write_sample(file: RerunFile, view: SetView, shown: Shown) -> None:
     file.text("facts", view.facts_of(found, shown))
 
 
-def write_recording(path: Path, view: RecordingView, count: int, progress: Progress) -> tuple[int, list[str]]:
+def write_recording(path: Path, view: RecordingView, count: int, progress: ProgressCallback) -> tuple[int, list[str]]:
     """Write frames of a recording, at most `count`, evenly over it; return their number, and a line for each frame that
     cannot be read, which is left out.
 
     Frames with a time stand on a timeline of the seconds since the first of them, too. Raises as `RerunFile`, and
     BadConfig if no frame can be read.
     """
-    numbers = spread(len(view), count)
+    numbers = evenly_apart(len(view), count)
     start_s = min((frame.time_s for frame in view.frames if frame.time_s is not None), default=0.0)
     names = [f"images/{name}" for name in ("range", "labels", "confidence", "flicker")]
     faults: list[str] = []
@@ -232,15 +232,3 @@ def _write_frame(file: RerunFile, view: RecordingView, number: int, frame: Label
         if shares["changed"] is not None:
             file.number("curves/flicker", shares["changed"])
     file.text("facts", view.facts(number, frame, before))
-
-
-def spread(total: int, count: int) -> list[int]:
-    """Numbers of at most `count` of `total`, the first and the last among them, evenly apart."""
-    chosen: list[int] = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int)).tolist()
-    return chosen
-
-
-def span_of(image: NDArray[Any]) -> tuple[float, float]:
-    """Nearest and farthest range of an image that are measured, in its steps; (0, 1) if nothing is."""
-    seen = image[image > 0]
-    return (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)

@@ -21,7 +21,8 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.drawing.contact_sheet import colour_range
+from bodyseg_data.drawing.contact_sheet import colour_range, span_of
+from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
 from bodyseg_model.evaluation.training_fit import RigFit
@@ -38,15 +39,13 @@ from bodyseg_model.viewing.pictures import (
     label_image,
     share_image,
 )
-from bodyseg_model.viewing.space import Device, Points, device, points_at, rig_before
+from bodyseg_model.viewing.space import Device, Points, device, point_gap_m, points_at, rig_before
 
 Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
 COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
 """What points are coloured by; the last three need a network."""
 
 _COLUMNS: Final = 5
-_GAP_M: Final = 0.01
-_NO_KIND: Final = 255
 
 
 @dataclass(frozen=True)
@@ -156,15 +155,14 @@ class SetView:
     def draw(self, shown: Shown) -> Drawing:
         """Draw a sample. Raises as `images_of`."""
         images = self.images_of(shown)
-        metres = self.metres(images.layers.range)
-        seen = metres[metres > 0]
+        range_m = metres(images.layers.range, self.rig.range_step_m)
         return Drawing(
             self.points_of(images, shown.colouring),
             images.devices,
             self._layout.draw(self._panels(images, shown)),
             self.facts_of(images, shown),
-            float(np.median(seen)) / self.rig.camera.focal_px if len(seen) else _GAP_M,
-            len(seen),
+            point_gap_m(range_m, self.rig.camera),
+            int(np.count_nonzero(range_m)),
             self.legend_of(images, shown.colouring),
         )
 
@@ -172,23 +170,19 @@ class SetView:
         """Points of the variant shown, in reading order of its pixels."""
         seen = np.flatnonzero(images.layers.range)
         picked = images.layers.picked(lambda each: each.ravel()[None, seen])
-        xyz = points_at(self.metres(images.layers.range), images.placed[0])
+        xyz = points_at(metres(images.layers.range, self.rig.range_step_m), images.placed[0])
         return Points(xyz, self._colours(colouring, picked)[0])
-
-    def metres(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Range in metres, float32 [H, W], of range in steps of the set's rig."""
-        return steps.astype(np.float32) * np.float32(self.rig.range_step_m)
 
     def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
         return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
 
     def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""
-        batch = torch.from_numpy(self.metres(layers.range))[None, None].to(device_of(trained.network))
+        batch = torch.from_numpy(metres(layers.range, self.rig.range_step_m))[None, None].to(device_of(trained.network))
         start = time.perf_counter()
         labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
         milliseconds = 1000 * (time.perf_counter() - start)
-        kinds = np.full(labels.shape, _NO_KIND, np.uint8)
+        kinds = np.full(labels.shape, BACKGROUND, np.uint8)
         known = layers.labels != BACKGROUND
         kinds[known] = kinds_of(self.label_map)[layers.labels[known], labels[known]]
         return replace(layers, answer=labels, kinds=kinds, confidence=confidence), milliseconds
@@ -197,7 +191,7 @@ class SetView:
         """Colours of all pixels, sRGB uint8 [H, W, 3]; without an answer, what it would colour is coloured by parts."""
         seen = layers.range > 0
         if colouring == "range":
-            return colour_range(layers.range, *_span(layers.range))
+            return colour_range(layers.range, *span_of(layers.range))
         if layers.answer is not None and colouring == "network":
             return label_image(layers.answer, seen, self.label_map)
         if layers.kinds is not None and colouring == "mistakes":
@@ -216,11 +210,11 @@ class SetView:
     def _panels(self, images: SampleImages, shown: Shown) -> list[list[Panel]]:
         """Two lines: what is stored and the network's answer; the five variants."""
         sample, made, layers = images.sample, images.variants, images.layers
-        reduced, span, projector = self._layout.reduced, _span(sample.range), sample.occluder_range()
+        reduced, span, projector = self._layout.reduced, span_of(sample.range), sample.occluder_range()
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
-            Panel("projector's view", colour_range(reduced(projector), *_span(projector)), "what casts shadows"),
+            Panel("projector's view", colour_range(reduced(projector), *span_of(projector)), "what casts shadows"),
             Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
         ]
         if layers.kinds is not None:
@@ -246,7 +240,7 @@ class SetView:
             + (f": {caption}" if caption else ""),
         ]
         if layers.kinds is not None:
-            known = layers.kinds[layers.kinds != _NO_KIND]
+            known = layers.kinds[layers.kinds != BACKGROUND]
             shares = np.bincount(known, minlength=len(KINDS)) / max(1, len(known))
             told = told_kinds(self.label_map)
             named = zip(KINDS, KIND_LEGEND, shares.tolist(), strict=True)
@@ -255,20 +249,14 @@ class SetView:
             facts += [] if self.warning is None else [self.warning]
         return tuple(facts)
 
-    def _in_metres(self, span: tuple[int, int]) -> str:
+    def _in_metres(self, span: tuple[float, float]) -> str:
         near, far = (each * self.rig.range_step_m for each in span)
         return f"{near:.2f} to {far:.2f} m"
 
 
-def _span(steps: NDArray[np.uint16]) -> tuple[int, int]:
-    """Nearest and farthest range of the foreground, steps; (0, 1) without one."""
-    seen = steps[steps > 0]
-    return (int(seen.min()), int(seen.max())) if len(seen) else (0, 1)
-
-
 def _share_right(kinds: NDArray[np.uint8]) -> float:
     """Share of the pixels with a true class whose answer is right; kinds: uint8 [H, W]."""
-    known = kinds[kinds != _NO_KIND]
+    known = kinds[kinds != BACKGROUND]
     return float((known == 0).mean()) if len(known) else 0.0
 
 

@@ -24,6 +24,8 @@ _DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "
 _AROUND: Final = 1.35
 """A window takes in so many times what it looks at."""
 
+_GAP_M: Final = 0.01
+
 _OPENCV: Final = np.diag([1.0, -1.0, -1.0])
 """Axes of a camera that looks along -z, rows: to its right, down, forward."""
 
@@ -59,6 +61,15 @@ def points_at(range_m: NDArray[np.float32], placed: PlacedCamera) -> NDArray[np.
     rays = placed.camera.pixel_rays()[seen]
     found: NDArray[np.float32] = placed.to_body(rays * range_m[seen, None].astype(np.float64)).astype(np.float32)
     return found
+
+
+def point_gap_m(range_m: NDArray[np.float32], camera: Camera) -> float:
+    """Distance of points of neighbouring pixels at the median of the ranges measured, metres; 1 cm if there is none.
+
+    range_m: of the camera's pixels, metres, 0 = nothing measured.
+    """
+    seen = range_m[range_m > 0]
+    return float(np.median(seen)) / camera.focal_px if len(seen) else _GAP_M
 
 
 def rig_before(rig: Rig, view: View) -> tuple[PlacedCamera, ...]:

@@ -18,6 +18,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import load_label_map
+from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
@@ -202,8 +203,9 @@ def test_other_parts_are_sections(
         scores["pixel_accuracy"] = 0.6
         return {"networks": {name: {"all": scores} for name in networks}}
 
-    def arithmetic(network: Any, images: RangeImages, count: int) -> dict[str, Any]:
+    def arithmetic(network: Any, images: RangeImages, count: int, progress: ProgressCallback) -> dict[str, Any]:
         asked_for.append((images.variant, images.split, count))
+        progress(10, 10)
         return {"computations": {}, "batches": {}}
 
     monkeypatch.setattr(command, "temporal", motion)

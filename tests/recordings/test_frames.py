@@ -14,6 +14,7 @@ from pngs import RAMP, png
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.frame_tars import list_tar
 from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
+from bodyseg_model.recordings.recording import evenly_apart
 
 
 def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:
@@ -285,3 +286,15 @@ def test_nothing_and_too_much_are_nothing() -> None:
     ranges = to_metres(np.array([[0, 1, 2500, 65534, 65535]], np.uint16), 1e-3)
     assert ranges.dtype == np.float32
     np.testing.assert_allclose(ranges, [[0, 0.001, 2.5, 65.534, 0]], rtol=1e-6)
+
+
+def test_frames_are_chosen_evenly_from_the_first_to_the_last() -> None:
+    assert evenly_apart(10, 3) == [0, 4, 9] and evenly_apart(2, 9) == [0, 1] and evenly_apart(5, 1) == [0]
+
+
+def test_a_folder_of_any_bytes_has_a_hash(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xff")
+    folder.mkdir()
+    (folder / "1.png").write_bytes(png(RAMP))
+    (frame,) = find_frames([folder])
+    assert len(frame.path_id) == 16 and frame.path_id != FrameFile("1", "", tmp_path / "1.png", 0, 1).path_id

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
@@ -31,6 +32,7 @@ from bodyseg_model.segmentation.people.features import (
 from bodyseg_model.segmentation.people.person_score import (
     FEATURES,
     PersonScore,
+    score_for,
     score_from_json,
     shipped_score,
 )
@@ -200,6 +202,7 @@ def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, 
     tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
     assert tree["source"]["command"].startswith("tools/bench things") and tree["source"]["people"] > 100
     assert {model: len(shipped_score(model).weights) for model in FEATURES} == {"parts": 58, "shape": 16}
+    assert [score_for(labels).model for labels in (PARTS33, load_label_map("limbs14"))] == ["parts", "shape"]
     (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg person score 0"}))
     monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))
     with pytest.raises(BadConfig, match="'format' must be 'bodyseg person score 1', found 'bodyseg person score 0'$"):

@@ -149,7 +149,7 @@ def test_a_missing_package_is_one_line(
     np.save(tmp_path / "a.npy", STACK)
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     said = refused(capsys, bag, "--out", tmp_path / "out")
-    assert "reading and writing bags needs the package 'rosbags.rosbag1': pip install 'bodyseg[recordings]'" in said
+    assert "reading and writing bags needs the package 'rosbags': pip install 'bodyseg[recordings]'" in said
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     words = (tmp_path / "a.npy", "--focal", "100", "--out", tmp_path / "out", "--labels-out", tmp_path / "a.mcap")
     assert "pip install 'bodyseg[recordings]'" in refused(capsys, *words)

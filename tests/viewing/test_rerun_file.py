@@ -16,6 +16,7 @@ from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.drawing.contact_sheet import span_of
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.recordings.camera_files import FrameCameras
@@ -25,7 +26,7 @@ from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.viewing.pictures import KIND_LEGEND
 from bodyseg_model.viewing.recording_view import FLICKER_LEGEND, RecordingView
-from bodyseg_model.viewing.rerun_file import span_of, spread, write_recording, write_set
+from bodyseg_model.viewing.rerun_file import write_recording, write_set
 from bodyseg_model.viewing.set_view import SetView, Shown
 
 CAMERA = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -140,8 +141,7 @@ def test_a_file_that_cannot_be_written_is_one_line(
         write_recording(tmp_path / "a.rrd", recording(board(10)), 1, lambda *numbers: None)
 
 
-def test_spreads_and_spans() -> None:
-    assert spread(10, 3) == [0, 4, 9] and spread(2, 9) == [0, 1] and spread(5, 1) == [0]
+def test_spans() -> None:
     assert span_of(np.array([[0, 4, 9]], np.uint16)) == (4.0, 9.0) and span_of(np.zeros((2, 2))) == (0.0, 1.0)
 
 

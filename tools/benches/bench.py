@@ -14,6 +14,7 @@ from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import make_folder
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.drawing.style import check_picture, new_chart
 
@@ -163,6 +164,7 @@ class Options:
 
 
 _OF_ALL: Final = ("what", "json", "figure", "results")
+"""Options that all benches accept."""
 
 _FLAGS: Final = {field.name: flag_of(field) for field in fields(Options)}
 
@@ -200,13 +202,6 @@ def _targets(options: Options) -> tuple[Path | None, Path | None]:
     return folder / f"{options.what}.json", folder / f"{options.what}.png" if drawn else None
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadConfig(f"cannot make the folder {folder}: {error.strerror or error}") from error
-
-
 def _is_given(value: Any) -> bool:
     return value is not None and value is not False
 
@@ -227,7 +222,7 @@ def _check(options: Options) -> None:
             raise BadConfig("--results names both files: leave --json and --figure out")
         if not options.results.is_dir():
             raise BadConfig(f"--results must be a folder, found {options.results}")
-        _make(options.results / FOLDER / folder_name(hardware()))
+        make_folder(options.results / FOLDER / folder_name(hardware()))
     if options.figure is not None:
         if bench.figure is None:
             raise BadConfig(f"bench {options.what} draws no figure: leave --figure out")
@@ -238,11 +233,7 @@ def _check(options: Options) -> None:
     if options.json is not None:
         check_target(options.json, "--json")
     for name in (field.name for field in fields(options)):
-        if (
-            name in ("what", "json", "figure", "results")
-            or not _is_given(getattr(options, name))
-            or name in bench.accepted
-        ):
+        if name in (*_OF_ALL, *bench.accepted) or not _is_given(getattr(options, name)):
             continue
         if name == "views" and not bench.module.startswith("model."):
             raise BadConfig(f"bench {options.what} measures whole bodies: leave --views out")

@@ -15,7 +15,7 @@ from benches.charts.report import described
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
+from bodyseg_data.core.files import make_folder, write_result
 
 EXAMPLE = "tools/chart --in docs/results --out charts"
 
@@ -82,10 +82,7 @@ def _fill_page(page: Path, figures: Path, summary: dict[str, Any]) -> None:
 
 
 def _write(out: Path, drawn: dict[str, Picture], descriptions: dict[str, Any]) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadConfig(f"cannot make the folder {out}: {error.strerror or error}") from error
+    make_folder(out)
     for name, picture in drawn.items():
         write_result(out / f"{name}.svg", picture.svg)
         write_result(out / f"{name}.png", picture.png)

@@ -1,4 +1,4 @@
-"""Repeated timing, choices spread over a set, and progress, as all benches use them."""
+"""Repeated timing, and choices spread over a set, as all benches use them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,7 @@ from typing import Final, TypeVar
 
 _T = TypeVar("_T")
 
-Progress = Callable[[int, int], None]
-"""Called with steps done and steps in all."""
-
 _STRIDE: Final = 23  # has no divisor in common with 54 views, so few of them already mix azimuths and distances
-
-
-def silent(done: int, total: int, note: str = "") -> None:
-    """Report no progress."""
 
 
 def least_time(work: Callable[[], _T], rounds: int = 1) -> tuple[float, _T]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import gzip
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -13,18 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 
 BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
 
 
-def no_anny(error: Exception) -> MissingLibrary:
+def no_anny(error: ImportError) -> MissingLibrary:
     """Return the error to raise where Anny cannot be imported."""
-    return MissingLibrary(f"making bodies needs the package 'anny': pip install 'bodyseg[render]' ({error})")
+    return missing_library("making bodies", error)
 
 
-def fill_cache(progress: Callable[[int, int], None]) -> None:
+def fill_cache(progress: ProgressCallback) -> None:
     """Fill Anny's cache if nothing is in it, calling `progress` as `load_anny` does. Raises the same errors."""
     try:
         from anny.paths import get_anny_cache_path
@@ -34,7 +36,7 @@ def fill_cache(progress: Callable[[int, int], None]) -> None:
         load_anny(progress)
 
 
-def load_anny(progress: Callable[[int, int], None] | None = None) -> Any:
+def load_anny(progress: ProgressCallback = silent) -> Any:
     """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
 
     progress: called with (parsed, all) while text files are parsed; never called where Anny's cache is filled already.
@@ -51,7 +53,7 @@ def load_anny(progress: Callable[[int, int], None] | None = None) -> Any:
 
 
 @contextmanager
-def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]:
+def _fast_parsing(progress: ProgressCallback) -> Iterator[None]:
     """Parse Anny's text files by NumPy while the context lasts: Anny itself makes a tensor of every line.
 
     The same bits in a ninth of the time (`tests/bodies/test_anny_library.py`). An Anny without the function that is
@@ -73,8 +75,7 @@ def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]
             files = sum(1 for _ in (Path(full_model.__file__).parents[1] / "data/mpfb2/targets").rglob("*.target.gz"))
         offsets = parse_target(Path(filename), vertices_count)
         parsed.add(str(filename))
-        if progress is not None:
-            progress(len(parsed), files)
+        progress(len(parsed), files)
         return world_transformation.apply(torch.as_tensor(offsets, dtype=dtype))
 
     full_model.load_blend_shape = parse
@@ -82,7 +83,7 @@ def _fast_parsing(progress: Callable[[int, int], None] | None) -> Iterator[None]
         yield
     finally:
         full_model.load_blend_shape = own
-    if parsed and progress is not None:
+    if parsed:
         progress(files, files)  # Anny leaves some of them out
 
 

@@ -50,7 +50,8 @@ def missing_library(
     """
     cause = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, ModuleNotFoundError):
-        return MissingLibrary(f"{feature} needs the package {error.name!r}: pip install 'bodyseg[{extra}]' ({cause})")
+        package = (error.name or "").partition(".")[0]
+        return MissingLibrary(f"{feature} needs the package {package!r}: pip install 'bodyseg[{extra}]' ({cause})")
     names = dict.fromkeys([*needs, *_named_in(error)])
     absent = [name for name in names if not can_load(name)]
     if absent:

@@ -149,7 +149,7 @@ class Mixture(Dataset[dict[str, Any]]):
         mixed = permutation(len(self), self.seed, epoch, "mixture")
         return Requests(indices[mixed], epochs[mixed])
 
-    def spread(self, count: int) -> NDArray[np.int64]:
+    def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return indices of about `count` samples that stand for the whole, int64 [M]: of each set as its share is.
 
         The share is that of all epochs up to the last knot of a schedule.
@@ -158,7 +158,10 @@ class Mixture(Dataset[dict[str, Any]]):
         total = sum(given)
         numbers = [max(1, round(count * each / total)) if each else 0 for each in given]
         return np.concatenate(
-            [stream.spread(n) + offset for stream, n, offset in zip(self._streams, numbers, self._starts, strict=False)]
+            [
+                stream.evenly_sampled(n) + offset
+                for stream, n, offset in zip(self._streams, numbers, self._starts, strict=False)
+            ]
         )
 
     def clean(self, index: int) -> Sample:

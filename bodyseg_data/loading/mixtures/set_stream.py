@@ -59,7 +59,7 @@ class SetStream:
             done += end - first
         return Requests(indices, epochs)
 
-    def spread(self, count: int) -> NDArray[np.int64]:
+    def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return the indices of `count` samples at even distances in stored order, by weight, int64 [count]."""
         if self._units is None:
             return np.linspace(0, len(self.images) - 1, count).astype(np.int64)

@@ -18,7 +18,8 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
 from bodyseg_data.packing.options import Packing
@@ -33,9 +34,7 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
     try:
         import distributed
     except ImportError as error:
-        raise MissingLibrary(
-            f"packing on a Dask cluster needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
-        ) from error
+        raise missing_library("packing on a Dask cluster", error, extra="cluster") from error
     scheduler = f"{address[0]}:{address[1]}"
     with _quiet():
         wanted = expected(packing)

@@ -28,12 +28,12 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
     info = next((each for each in bag.topics if each.name in names and each.kind == CAMERA_INFO), None)
     if info is None or not len(info.times_ns):
         return None
-    place = f"{where}: {info.name}"
+    named = f"{where}: {info.name}"
     try:
         message = decode(bag, info, 0)
     except BadConfig as error:
-        raise BadConfig(f"{place}: {error}") from error
-    return camera_of(message, place, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+        raise BadConfig(f"{named}: {error}") from error
+    return camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
 
 
 def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:

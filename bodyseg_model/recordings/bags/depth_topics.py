@@ -11,7 +11,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.bags.camera_info import camera_beside
 from bodyseg_model.recordings.bags.images import is_floating, is_range_image, pixels, stamp
 from bodyseg_model.recordings.bags.messages import COMPRESSED, FLOAT32, IMAGE, Bag, Topic, decode
-from bodyseg_model.recordings.recording import Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import FrameSource, Stamp, StoredRecording, stored_recording
 
 _KINDS: Final = (IMAGE, COMPRESSED)
 _UNITS_TOPIC: Final = "option/Depth_Units/value"
@@ -49,7 +49,7 @@ def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None)
     )
 
 
-class _Images:
+class _Images(FrameSource):
     """Images of one topic. The last message stays decoded, since its header is often read after its pixels."""
 
     def __init__(self, bag: Bag, topic: Topic, floating: bool) -> None:

@@ -34,7 +34,7 @@ def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredReco
     return bag_recording(path, McapBag(path), topic, step_m)
 
 
-class _Place(NamedTuple):
+class _Location(NamedTuple):
     """A message's record: in the chunk at byte `chunk` of the file, or in the file itself (`_PLAIN`), from `offset`."""
 
     time_ns: int
@@ -53,11 +53,11 @@ class McapBag:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._held: tuple[int, bytes] = (_PLAIN, b"")
-        places: dict[int, list[_Place]] = {}
+        locations: dict[int, list[_Location]] = {}
         try:
             with path.open("rb") as file:
-                self._list(file, places)
-            self._places = self._by_topic(places)
+                self._list(file, locations)
+            self._locations = self._by_topic(locations)
         except MissingLibrary:
             raise
         except Exception as error:  # a damaged file raises what the parser likes
@@ -65,12 +65,12 @@ class McapBag:
                 f"{path} must be a whole MCAP file: {str(error) or type(error).__name__} (`mcap recover` mends a "
                 "recording that was cut off)"
             ) from error
-        self.topics = list(self._places)
+        self.topics = list(self._locations)
 
-    def _by_topic(self, places: dict[int, list[_Place]]) -> dict[Topic, list[_Place]]:
+    def _by_topic(self, locations: dict[int, list[_Location]]) -> dict[Topic, list[_Location]]:
         """Join the messages of a topic's channels, in the order of time."""
-        joined: dict[tuple[str, str, Encoding], list[_Place]] = {}
-        for number, found in places.items():
+        joined: dict[tuple[str, str, Encoding], list[_Location]] = {}
+        for number, found in locations.items():
             channel = self._channels.get(number)
             schema = self._schemas.get(channel.schema_id) if channel is not None else None
             if channel is not None and schema is not None and channel.message_encoding in _ENCODINGS:
@@ -79,25 +79,25 @@ class McapBag:
         by_topic = {}
         for name, found in sorted(joined.items()):
             found.sort()
-            by_topic[Topic(*name, as_times([place.time_ns for place in found]))] = found
+            by_topic[Topic(*name, as_times([location.time_ns for location in found]))] = found
         return by_topic
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
-        place = self._places[topic][index]
+        location = self._locations[topic][index]
         try:
-            if place.chunk == _PLAIN:
+            if location.chunk == _PLAIN:
                 with self._path.open("rb") as file:
-                    return _record(file, place.offset, _MESSAGE)[_MESSAGE_START.size :]
-            if self._held[0] != place.chunk:
+                    return _record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
+            if self._held[0] != location.chunk:
                 self._held = (_PLAIN, b"")  # not two chunks at once
                 with self._path.open("rb") as file:
-                    self._held = place.chunk, _chunk(file, place.chunk)
-            return _record(io.BytesIO(self._held[1]), place.offset, _MESSAGE)[_MESSAGE_START.size :]
+                    self._held = location.chunk, _chunk(file, location.chunk)
+            return _record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
         except Exception as error:  # as above
             raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
 
-    def _list(self, file: BinaryIO, places: dict[int, list[_Place]]) -> None:
+    def _list(self, file: BinaryIO, locations: dict[int, list[_Location]]) -> None:
         """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
@@ -107,8 +107,8 @@ class McapBag:
                 data = _record(file, offset, _INDEX)
                 entries = np.frombuffer(data, "<u8", offset=6, count=min((len(data) - 6) // 16 * 2, 2 * MOST_MESSAGES))
                 number = int.from_bytes(data[:2], "little")
-                places.setdefault(number, []).extend(
-                    _Place(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
+                locations.setdefault(number, []).extend(
+                    _Location(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
                 )
                 indexed = True
                 if number not in self._channels:
@@ -117,29 +117,29 @@ class McapBag:
                 self._define(opcode, _record(file, offset, opcode))
             else:
                 if not indexed:
-                    self._scan(_chunk(file, chunk), places, chunk)
+                    self._scan(_chunk(file, chunk), locations, chunk)
                     indexed = True
                 if opcode == _CHUNK:
                     chunk, indexed = offset, False
                 elif opcode == _MESSAGE:
                     file.seek(offset + _RECORD.size)
                     number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
-                    places.setdefault(number, []).append(_Place(time, _PLAIN, offset))
+                    locations.setdefault(number, []).append(_Location(time, _PLAIN, offset))
                 elif opcode == _FOOTER:
                     whole = True
                     break
         if not whole:
             raise ValueError("it ends before its footer")
 
-    def _scan(self, data: bytes, places: dict[int, list[_Place]] | None, chunk: int) -> None:
-        """Note the schemas and channels of a chunk, and where `places` is given its messages as well."""
+    def _scan(self, data: bytes, locations: dict[int, list[_Location]] | None, chunk: int) -> None:
+        """Note the schemas and channels of a chunk, and where `locations` is given its messages as well."""
         file = io.BytesIO(data)
         for opcode, offset in _records(file, 0):
             if opcode in (_SCHEMA, _CHANNEL):
                 self._define(opcode, _record(file, offset, opcode))
-            elif opcode == _MESSAGE and places is not None:
+            elif opcode == _MESSAGE and locations is not None:
                 number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _RECORD.size)
-                places.setdefault(number, []).append(_Place(time, chunk, offset))
+                locations.setdefault(number, []).append(_Location(time, chunk, offset))
 
     def _define(self, opcode: int, data: bytes) -> None:
         try:
@@ -157,7 +157,7 @@ class McapBag:
 
 
 def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
-    """Yield the kind and place of every record from byte `start` on, by their headers. Raises ValueError."""
+    """Yield the kind and location of every record from byte `start` on, by their headers. Raises ValueError."""
     size = file.seek(0, io.SEEK_END)
     offset = start
     while offset + _RECORD.size <= size:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -54,9 +55,7 @@ class Bag(Protocol):
 
 def missing(error: ImportError) -> MissingLibrary:
     """Return the line for a package that reading bags needs."""
-    return MissingLibrary(
-        f"reading and writing bags needs the package {error.name!r}: pip install 'bodyseg[recordings]' ({error})"
-    )
+    return missing_library("reading and writing bags", error, extra="recordings")
 
 
 def as_times(times_ns: Sequence[int]) -> NDArray[np.int64]:

@@ -37,10 +37,10 @@ class _Ros1Bag:
         self._reader = Reader(path)
         try:
             self._reader.open()
-            for place, chunk in self._reader.chunks.items():
+            for position, chunk in self._reader.chunks.items():
                 if chunk.datasize > LARGEST_MESSAGE:
                     raise ValueError(f"a chunk must have at most {LARGEST_MESSAGE} bytes, found {chunk.datasize}")
-                self._reader.chunks[place] = chunk._replace(decompressor=decompressed)
+                self._reader.chunks[position] = chunk._replace(decompressor=decompressed)
             for connection in self._reader.connections:
                 self._connections.setdefault(connection.topic, []).append(connection)
             self.topics = [self._topic(name) for name in sorted(self._connections)]

@@ -24,9 +24,9 @@ class SqliteBag:
     def __init__(self, path: Path) -> None:
         # A file without a log of writes beside it changes no more; then SQLite needs to make no file of its own.
         rest = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
-        place = f"file:{quote(str(path.absolute()))}?mode=ro{rest}"
+        uri = f"file:{quote(str(path.absolute()))}?mode=ro{rest}"
         try:
-            self._base = sqlite3.connect(place, uri=True, check_same_thread=False)
+            self._base = sqlite3.connect(uri, uri=True, check_same_thread=False)
         except sqlite3.Error as error:
             raise BadConfig(f"cannot read {path}: {error}") from error
         self._rows: dict[Topic, list[int]] = {}

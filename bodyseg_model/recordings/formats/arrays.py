@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.frames import natural_key
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
@@ -60,17 +60,19 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         names = ", ".join(array.title for array in stacks)
         raise BadConfig(f"several arrays hold frames, choose one by --topic: {names} ({path})")
     else:
-        chosen = stacks or sorted(images, key=lambda array: _natural(array.title))
+        chosen = stacks or sorted(images, key=lambda array: natural_key(array.title))
     for array in chosen:
         _check(array.shape, array.kind, f"{path}, {array.title!r}")
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
-    places = [(array, number) for array in chosen for number in range(array.count)]
-    if times is not None and len(times) != len(places):
-        raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(places)} in {path}")
+    locations = [(array, number) for array in chosen for number in range(array.count)]
+    if times is not None and len(times) != len(locations):
+        raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(locations)} in {path}")
     floating = bool(chosen) and chosen[0].kind.kind == "f"
     part = topic or ""
-    return stored_recording(path, _Zipped(path, places), times or [None] * len(places), floating, step_m, part=part)
+    return stored_recording(
+        path, _Zipped(path, locations), times or [None] * len(locations), floating, step_m, part=part
+    )
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class _Array:
         return self.shape[0] if len(self.shape) == 3 else 1
 
 
-class _Mapped:
+class _Mapped(FrameSource):
     """Frames [N, H, W] of a map into memory."""
 
     def __init__(self, frames: NDArray[Any]) -> None:
@@ -105,15 +107,12 @@ class _Mapped:
     def read(self, index: int) -> NDArray[Any]:
         return np.array(self._frames[index])
 
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
-
-class _Zipped:
+class _Zipped(FrameSource):
     """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass."""
 
-    def __init__(self, path: Path, places: list[tuple[_Array, int]]) -> None:
-        self._path, self._places = path, places
+    def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
+        self._path, self._locations = path, locations
         self._member = ""
         self._file: IO[bytes] | None = None
 
@@ -121,7 +120,7 @@ class _Zipped:
         self._close()
 
     def read(self, index: int) -> NDArray[Any]:
-        array, number = self._places[index]
+        array, number = self._locations[index]
         size = array.shape[-2] * array.shape[-1] * array.kind.itemsize
         try:
             if self._file is None or self._member != array.member:
@@ -141,9 +140,6 @@ class _Zipped:
         if self._file is not None:
             self._file.close()
         self._file = None
-
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
 
 def _described(archive: zipfile.ZipFile, member: str) -> _Array | None:
@@ -178,7 +174,3 @@ def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str) -> None:
         )
     if kind.kind != "f" and (kind.kind, kind.itemsize) != ("u", 2):
         raise BadConfig(f"frames must be of uint16, steps, or floating point, metres, found {kind}: {where}")
-
-
-def _natural(name: str) -> list[str | int]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"([0-9]+)", name)]

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.recordings.formats.kinect_calibration import CALIBRATION, depth_camera
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -41,7 +42,7 @@ def open_mkv(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
     return stored_recording(path, frames, frames.times_s, False, step_m, camera=camera, part=topic or "")
 
 
-class _Frames:
+class _Frames(FrameSource):
     """Frames of one track, by their times. The file is open between neighbours, so that they are read in one pass."""
 
     def __init__(self, path: Path, track: int, marks: list[tuple[int, float]]) -> None:
@@ -59,9 +60,6 @@ class _Frames:
             raise BadConfig(f"the frame cannot be decoded: {str(error) or type(error).__name__}") from error
         self._next = index + 1, stream
         return pixels
-
-    def stamp(self, index: int) -> Stamp | None:
-        return None
 
     def _from(self, index: int) -> Iterator[NDArray[np.uint16]]:
         """Decode frames from `index` on, beginning at the last one before it that needs no other."""
@@ -87,9 +85,7 @@ def _opened(path: Path) -> Iterator[InputContainer]:
         import av
         import av.error
     except ImportError as error:
-        raise MissingLibrary(
-            f"reading .mkv files needs the package 'av': pip install 'bodyseg[recordings]' ({error})"
-        ) from error
+        raise missing_library("reading .mkv files", error, extra="recordings") from error
     try:
         container = av.open(str(path), format="matroska")
     except (av.error.FFmpegError, OSError, ValueError) as error:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
 
@@ -28,7 +28,7 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> StoredReco
     return stored_recording(path, pages, [None] * pages.count, np.issubdtype(kind, np.floating), step_m)
 
 
-class _Pages:
+class _Pages(FrameSource):
     """Pages of a TIFF. The file is opened for every page, so that no handle outlives a call."""
 
     def __init__(self, path: Path) -> None:
@@ -59,6 +59,3 @@ class _Pages:
             f"a page must be 16-bit grey or 32-bit floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"
         )
-
-    def stamp(self, index: int) -> Stamp | None:
-        return None

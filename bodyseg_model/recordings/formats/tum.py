@@ -40,13 +40,13 @@ def open_tum(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
-        place = PurePosixPath(words[-1])
-        if len(words) != 2 or not _is_time(words[0]) or place.is_absolute() or ".." in place.parts:
+        file = PurePosixPath(words[-1])
+        if len(words) != 2 or not _is_time(words[0]) or file.is_absolute() or ".." in file.parts:
             raise BadConfig(
                 f"a line must hold a time, seconds, and a file in the folder, found {line!r:.100}: {list_file}, "
                 f"line {number}"
             )
-        frames.append(png_file(path / place, float(words[0]), step))
+        frames.append(png_file(path / file, float(words[0]), step))
     if not frames:
         raise BadConfig(f"a list of frames must name at least one, found none in {list_file}")
     return StoredRecording(str(path), tuple(frames), None, step)

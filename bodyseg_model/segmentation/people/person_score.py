@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.people.features import PART_FEATURES, SHAPE_FEATURES, part_features, shape_features
 
@@ -119,6 +120,11 @@ def score_from_json(model: Model, tree: Mapping[str, Any]) -> PersonScore:
     values = np.array(list(weights.values()), np.float64)
     first = score_from_json("shape", tree["first"]) if "first" in tree else None
     return PersonScore(model, values, float(tree["bias"]), float(tree["cutoff"]), first)
+
+
+def score_for(label_map: LabelMap) -> PersonScore:
+    """The shipped score for a network of these labels: of other classes than the 33 parts, by the shape alone."""
+    return shipped_score("parts" if label_map == PARTS33 else "shape")
 
 
 def shipped_score(model: Model = "parts") -> PersonScore:

@@ -19,8 +19,8 @@ class RecordingPage:
     takes longer than its time delays the next one.
     """
 
-    def __init__(self, page: Page, view: RecordingView, first: ShownFrame | None = None) -> None:
-        self.page, self.view, self.shown = page, view, first or ShownFrame()
+    def __init__(self, page: Page, view: RecordingView) -> None:
+        self.page, self.view, self.shown = page, view, ShownFrame()
         self._lock = threading.RLock()
         self._playing, self._closed = threading.Event(), threading.Event()
         gui = page.server.gui

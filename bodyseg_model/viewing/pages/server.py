@@ -8,7 +8,8 @@ import io
 import socket
 from typing import TYPE_CHECKING, Final
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.libraries import missing_library
 
 if TYPE_CHECKING:
     import viser
@@ -50,9 +51,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     try:
         import viser
     except ImportError as error:
-        raise MissingLibrary(
-            f"bodyseg view needs the package 'viser': pip install 'bodyseg[view]' ({error})"
-        ) from error
+        raise missing_library("bodyseg view", error, extra="view") from error
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:

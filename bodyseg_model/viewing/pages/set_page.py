@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import threading
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, VariantName, check_variant
@@ -15,9 +15,6 @@ from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.pages.sensor_controls import SensorControls
 from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
-
-if TYPE_CHECKING:
-    pass
 
 _BOTH: Final = "train and test"
 

@@ -253,11 +253,11 @@ def test_samples_are_those_of_their_sets(mixture: Mixture, small_set: Path) -> N
 
 def test_samples_that_stand_for_a_mixture_have_its_shares(known: RangeImages, people: RangeImages) -> None:
     mixture = Mixture([(known, 1), (people, [(0, 0), (8, 6)])])
-    given = mixture.spread(40)
+    given = mixture.evenly_sampled(40)
     assert 38 <= len(given) <= 42
     late = sum(mixture.counts(epoch)[1] for epoch in range(9)) / sum(map(sum, map(mixture.counts, range(9))))
     assert abs(np.mean(given >= 8) - late) < 0.05
-    assert Mixture([(known, 1), (people, 0)]).spread(10).max() < 8
+    assert Mixture([(known, 1), (people, 0)]).evenly_sampled(10).max() < 8
 
 
 def test_bad_samples_of_one_set_are_skipped_within_the_budget(

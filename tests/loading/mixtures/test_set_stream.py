@@ -101,8 +101,8 @@ def test_a_tiny_weight_is_not_lost(images: RangeImages) -> None:
 
 
 def test_samples_that_stand_for_a_set_follow_its_weights(images: RangeImages) -> None:
-    assert SetStream(images).spread(4).tolist() == [0, 5, 10, 15]
-    assert SetStream(images, [0, 1, 3, *[0] * 13]).spread(8).tolist() == [1, 1, 2, 2, 2, 2, 2, 2]
+    assert SetStream(images).evenly_sampled(4).tolist() == [0, 5, 10, 15]
+    assert SetStream(images, [0, 1, 3, *[0] * 13]).evenly_sampled(8).tolist() == [1, 1, 2, 2, 2, 2, 2, 2]
 
 
 def test_a_stream_is_pickled_without_its_orders(images: RangeImages) -> None:

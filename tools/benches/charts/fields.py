@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import contents
+from bodyseg_data.core.files import contents, parse_json
 
 LARGEST_FILE_BYTES: Final = 1 << 26
 _SHOWN: Final = 60
@@ -87,10 +87,4 @@ def read_fields(file: Path) -> Field:
         raise BadConfig(f"cannot read {file}: {error.strerror or error}") from error
     if data is None:
         raise BadConfig(f"{file} is larger than {LARGEST_FILE_BYTES} bytes")
-    try:
-        tree = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{file} is not JSON: {error}") from error
-    if not isinstance(tree, dict):
-        raise BadConfig(f"{file} must hold a JSON object, found {type(tree).__name__}")
-    return Field(tree, file)
+    return Field(parse_json(data, str(file)), file)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable
 from functools import cache
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.evaluation.result_cache import json_digest
 
 RECORDS: Final = "steps.json"
 """In the folder of results: the step that made each of them, see `benches.results.records`."""
@@ -20,7 +20,7 @@ RECORDS: Final = "steps.json"
 def landmarks_digest() -> str:
     """Digest of the open body's landmarks, from which its labels follow."""
     data = (files("bodyseg_data.meshes.landmarks") / "sets" / "open.json").read_bytes()
-    return hashlib.blake2b(json.dumps(json.loads(data), sort_keys=True).encode(), digest_size=16).hexdigest()
+    return json_digest(json.loads(data))
 
 
 def read_records(path: Path) -> dict[str, Any]:

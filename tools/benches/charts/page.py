@@ -7,7 +7,7 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ network.command }}                                       text as it is
     {{ (network.times | find(task="scores", threads=2)).ms | number }}      the first record that has these values
     {{ stability.tables.images | table }}                       records as a table, with their names for a head
-    {{ charts.left_out[0] }}                                    what `bodyseg chart` writes into charts.json
+    {{ charts.left_out[0] }}                                    what `tools/chart` writes into charts.json
     {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
     {{ outdated }}                                              a sentence on files with other labels than today's

@@ -12,7 +12,7 @@ from typing import Any, Final
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
 from benches.fuzzing.fuzzing import campaign
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, kill_at_instants
-from benches.measuring import Progress, silent
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack
@@ -44,20 +44,13 @@ _DAMAGED: Final = Packing("open", meshes=2, views=ViewGrid(count=3), shard_sampl
 _INTERRUPTED: Final = Packing("open", meshes=4, views=ViewGrid(count=2), shard_samples=3)
 
 
-def bench_reliability(views: int = 100_000, progress: Progress = silent) -> dict[str, Any]:
+def bench_reliability(views: int = 100_000, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Do everything once and count; `views`: hostile inputs in all. `faults` is how many promises were broken.
 
     damage: of every file of a small set of the open source. fuzzing: by reader. interruptions: of packings.
     """
     pieces = list(_pieces(views))
-    total = 4 + len(pieces) + len(TROUBLES) + KILLS
-    done = 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        progress(done, total)
-
+    step = counter(progress, 4 + len(pieces) + len(TROUBLES) + KILLS)
     with tempfile.TemporaryDirectory() as folder:
         damage = measure_damage(Path(folder), step)
     fuzzing: dict[str, Any] = {}

@@ -10,7 +10,6 @@ import contextlib
 import faulthandler
 import hashlib
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
 from benches.fuzzing.hostile_files import KEY, MAKERS
 from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
@@ -163,8 +163,7 @@ def campaign(target: str, seed: int, numbers: range, kernels: str = "auto") -> d
     """`feed` in a process whose memory is limited; one that dies or hangs is a fault, with its last words."""
     words = [target, str(seed), str(numbers.start), str(numbers.stop)]
     command = [sys.executable, "-c", "from benches.fuzzing.fuzzing import child; child()", *words]
-    path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, VARIABLE: kernels, "PYTHONPATH": path}
+    environment = {**child_environment(), VARIABLE: kernels}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         return {"inputs": len(numbers), "outcome": "", "faults": [f"status {done.returncode}: {done.stderr[-600:]}"]}

@@ -20,7 +20,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -30,8 +29,10 @@ from benches.model.networks.network_times import (
     Task,
     summary,
     time_cell,
+    wait_for,
 )
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.image_set import Batch
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
@@ -71,7 +72,7 @@ def bench_gpu(
     views: int = SAMPLES,
     num_workers: Sequence[int] = WORKERS,
     steps: int = STEPS,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Samples a second into the GPU, milliseconds of `compact` and of the paper's network, and speed of their training.
 
@@ -102,7 +103,7 @@ def measured(
     samples: int,
     num_workers: Sequence[int],
     steps: int,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """All figures on any device. networks: by their kind, in evaluation mode. frames: `FILLED` and `SENSOR`, [H, W],
     metres.
@@ -160,7 +161,7 @@ def loading_rate(
     done, start = 0, 0.0
     for number, batch in enumerate(batches):
         if number == max(workers, 1):
-            _wait(device)
+            wait_for(device)
             start = time.perf_counter()
         ranges = batch["range"].to(device, non_blocking=True)
         batch["labels"].to(device, non_blocking=True)
@@ -169,7 +170,7 @@ def loading_rate(
         done += len(batch["key"]) if number >= max(workers, 1) else 0
         if done >= samples:
             break
-    _wait(device)
+    wait_for(device)
     return done / (time.perf_counter() - start)
 
 
@@ -234,8 +235,3 @@ def _cells(device: str) -> list[Cell]:
         for precision in _PRECISIONS
         for together in (_TOGETHER if frame == FILLED else _TOGETHER[:1])
     ]
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

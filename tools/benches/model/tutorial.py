@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import shlex
 import subprocess
@@ -21,12 +20,13 @@ from typing import Any, Final
 
 from PIL import Image
 
-from benches.measuring import Progress, silent
+from benches.environment import child_environment
 from benches.model.sensor_fit.recordings import Scene, Scenes
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorial.md"
 
@@ -97,20 +97,14 @@ def run_as_typed(words: Sequence[str], folder: Path) -> float:
     """Run `bodyseg WORDS` in a folder and return its seconds. Raises BadConfig, with its last line, if it fails."""
     command = [sys.executable, "-m", "bodyseg_model", *words]
     start = time.perf_counter()
-    done = subprocess.run(command, cwd=folder, env=_environment(), capture_output=True, text=True)
+    done = subprocess.run(command, cwd=folder, env=child_environment(), capture_output=True, text=True)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise BadConfig(f"`bodyseg {' '.join(words)}` ended with status {done.returncode}: {last}")
     return time.perf_counter() - start
 
 
-def _environment() -> dict[str, str]:
-    """Environment in which `python -m bodyseg_model` is this checkout's, wherever it runs."""
-    paths = [str(DOCUMENT.parents[1]), os.environ.get("PYTHONPATH", "")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
-
-
-def bench_tutorial(views: int = 20, progress: Progress = silent) -> dict[str, Any]:
+def bench_tutorial(views: int = 20, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the tutorial at its own size; views: frames of the recording. Raises BadConfig."""
     check_int("--views", views, 2)
     tutorial, seconds = read_tutorial(), []

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
 
 from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_model.evaluation.result_cache import json_digest
 from bodyseg_model.networks.checkpoints import NETWORK, read_json
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
-
-_CHUNK: Final = 1 << 20
-
-
-def digest_of(value: Any) -> str:
-    """Digest of JSON, 32 hexadecimal digits."""
-    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
 class Products:
@@ -51,7 +44,7 @@ class Products:
         if name == SHIPPED:
             return self._network(SHIPPED_FILE)
         found = self._contents([self._places.path(name)])
-        return None if not found else digest_of(found)
+        return None if not found else json_digest(found)
 
     def _network(self, weights: Path) -> str | None:
         """Digest of weights and of what their card says of the network; None without either file."""
@@ -60,7 +53,7 @@ class Products:
             return None
         content = read_json(card)
         facts = {name: content.get(name) for name in ("network", "settings", "labels")}
-        return digest_of({**facts, "weights": self._file(weights)})
+        return json_digest({**facts, "weights": self._file(weights)})
 
     def _contents(self, paths: Iterable[Path]) -> dict[str, str] | None:
         """Path below its parent -> digest, of files and of all files in folders; None if a path is missing."""
@@ -77,10 +70,8 @@ class Products:
             facts = path.stat()
             key = str(path), facts.st_size, facts.st_mtime_ns
             if key not in self._files:
-                digest = hashlib.blake2b(digest_size=16)
                 with path.open("rb") as file:
-                    while chunk := file.read(_CHUNK):
-                        digest.update(chunk)
+                    digest = hashlib.file_digest(file, partial(hashlib.blake2b, digest_size=16))
                 self._files[key] = digest.hexdigest()
         except OSError as error:
             raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-import benches
-import bodyseg_data
+from benches.environment import child_environment
 from benches.results.records import Records, record_of
 from benches.results.step import DATA, RESULTS, SHIPPED, Graph, Places, Step
 from benches.results.survey import Status, Survey
@@ -31,7 +30,7 @@ PROGRAMS: Final = {
 """First word of a step -> the program of this checkout. Any other word is a program of the system."""
 
 _FIRST_CHECK_S, _CHECK_S = 0.01, 0.2  # each pause is twice the one before: short steps are seen at once
-_PATIENCE_S: Final = 60.0  # in which a step that is interrupted may end in order
+_GRACE_S: Final = 60.0  # in which a step that is interrupted may end in order
 
 
 @dataclass
@@ -138,7 +137,7 @@ class Runner:
                 process = subprocess.Popen(
                     [*PROGRAMS.get(program, [program]), *named],
                     cwd=work,
-                    env=_environment(),
+                    env=child_environment(),
                     stdin=subprocess.DEVNULL,
                     stdout=file,
                     stderr=subprocess.STDOUT,
@@ -202,7 +201,7 @@ class Runner:
             each.process.terminate()
         for each in self._running:
             try:
-                each.process.wait(_PATIENCE_S)
+                each.process.wait(_GRACE_S)
             except subprocess.TimeoutExpired:
                 each.process.kill()
                 each.process.wait()
@@ -218,13 +217,6 @@ def duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5970 else f"{seconds / 3600:.1f} h"
-
-
-def _environment() -> dict[str, str]:
-    """The environment of this process, in which the same packages are found from any folder."""
-    homes = [str(Path(package.__path__[0]).parent) for package in (benches, bodyseg_data)]
-    before = os.environ.get("PYTHONPATH")
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([*homes, *([before] if before else [])])}
 
 
 def _set_aside(work: Path, name: str) -> None:

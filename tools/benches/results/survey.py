@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from benches.results.products import Products, digest_of
+from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
 from benches.results.step import SHIPPED, Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.evaluation.code_digest import code_digest
+from bodyseg_model.evaluation.result_cache import json_digest
 
 State = Literal["fresh", "stale", "absent", "blocked"]
 """absent: made as it would be made today, but not in this work folder; needed only where a stale step reads it."""
@@ -37,7 +38,7 @@ def _code_of(modules: tuple[str, ...]) -> str:
     return code_digest(*modules)
 
 
-def _gpu() -> bool:
+def _has_gpu() -> bool:
     import torch
 
     return torch.cuda.is_available()
@@ -46,7 +47,7 @@ def _gpu() -> bool:
 class Survey:
     """Compares the records of steps with commands, code and files of today.
 
-    code: digest of modules, by their full names. gpu: tells whether there is one.
+    code: digest of modules, by their full names.
     """
 
     def __init__(
@@ -55,9 +56,8 @@ class Survey:
         places: Places,
         records: Records,
         code: Callable[[tuple[str, ...]], str] = _code_of,
-        gpu: Callable[[], bool] = _gpu,
     ) -> None:
-        self._graph, self._records, self._code, self._gpu = graph, records, code, gpu
+        self._graph, self._records, self._code = graph, records, code
         self._places = places
         self.products = Products(places)
 
@@ -77,7 +77,7 @@ class Survey:
 
     def key(self, step: Step, inputs: dict[str, str]) -> str:
         """Digest of all that a step's product follows from."""
-        return digest_of([step.command, self.code(step), inputs])
+        return json_digest([step.command, self.code(step), inputs])
 
     def _status(self, step: Step, earlier: dict[str, Status]) -> Status:
         record = self._records.get(step)
@@ -110,7 +110,7 @@ class Survey:
         for name in self._graph.inputs(step):
             made = self._records.get(self._graph.steps[name])
             if earlier[name].state in ("fresh", "absent") or step.kind == "page":
-                found |= {} if made is None else {name: digest_of(dict(made.made))}
+                found |= {} if made is None else {name: json_digest(dict(made.made))}
             else:
                 waiting.append(name)
         for name in self._graph.external(step):
@@ -137,7 +137,7 @@ class Survey:
         for name in self._graph.external(step):
             if self.products.external(name) is None:
                 return f"{name if name == SHIPPED else self._places.path(name)} is not there"
-        if step.gpu and not self._gpu():
+        if step.gpu and not _has_gpu():
             return "needs a GPU"
         if step.kind == "page":
             return ""
@@ -163,7 +163,7 @@ def accept(survey: Survey, graph: Graph, records: Records, names: Sequence[str],
             read = records.get(graph.steps[name])
             if read is None:
                 raise BadConfig(f"cannot accept {step.name}: {name}, which it reads, has no record; accept it first")
-            inputs[name] = digest_of(dict(read.made))
+            inputs[name] = json_digest(dict(read.made))
         for name in graph.external(step):
             digest = survey.products.external(name)
             if digest is None:

@@ -55,9 +55,9 @@ _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare":
 Links = tuple[tuple[str, str], ...]
 
 
-def seeds(name: str, count: int = SEEDS) -> tuple[str, ...]:
+def seeds(name: str) -> tuple[str, ...]:
     """NAME-0, NAME-1 ..."""
-    return tuple(f"{name}-{seed}" for seed in range(count))
+    return tuple(f"{name}-{seed}" for seed in range(SEEDS))
 
 
 VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/variants/{variant}") for variant in VARIANTS)))

@@ -13,12 +13,12 @@ from bodyseg_data.commands.cli import Commands
 from bodyseg_data.commands.options import flag_of
 
 
-def described_commands(commands: Commands, program: str = "bodyseg ") -> str:
+def described_commands(commands: Commands) -> str:
     """Return Markdown with a heading, a summary, an example and a table of options for each command."""
     return "\n".join(
         line
         for name, (module, summary) in commands.items()
-        for line in _described(f"{program}{name}", summary, importlib.import_module(module))
+        for line in _described(f"bodyseg {name}", summary, importlib.import_module(module))
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.runs import Box, bounding_box
 from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
@@ -101,7 +101,7 @@ def baselines() -> list[Baseline]:
     try:
         library: Any = importlib.import_module("imagecodecs")
     except ImportError as error:
-        raise MissingLibrary(f"bench codec needs 'imagecodecs': pip install 'bodyseg[bench]' ({error})") from error
+        raise missing_library("bench codec", error, extra="bench") from error
 
     def whole(encode: Callable[[Image], bytes], decode: Callable[[bytes], Image]) -> Cropped:
         return Cropped(lambda crop: bytes(encode(crop)), lambda data, box, kind: decode(data))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
-from benches.measuring import Progress, least_time, mixed, silent
+from benches.measuring import least_time, mixed
 from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -25,8 +25,8 @@ from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, steps
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.coarsening import coarsened
 from bodyseg_data.packing.occluder_range import exact_range
 from bodyseg_data.packing.sampler import Sampler
@@ -61,7 +61,7 @@ class _Costs:
         }
 
 
-def bench_codec(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
+def bench_codec(views: int = 60, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Every codec on `views` samples: mean bytes, ms to encode and decode, of all three images and of each kind.
 
     front: codecs that none beats in both bytes and decoding. projector: what rounding it to what the shadows need
@@ -105,7 +105,7 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
         ref = bodies[number * len(bodies) // meshes]
         body = source.build(ref)
         with closing(open_renderer("raster", body.mesh)) as renderer:
-            sampler = Sampler(renderer, rig, body.mesh, partition(body.mesh, body.landmarks), source.name, ref)
+            sampler = Sampler(renderer, rig, body.mesh, body.partition(), source.name, ref)
             for turn in range(_VIEWS_A_BODY * number, min(_VIEWS_A_BODY * (number + 1), count)):
                 view = mixed(grid, turn)
                 sample = sampler.take(view)

@@ -38,10 +38,11 @@ from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.image_set import Batch
 from bodyseg_data.loading.loader import loader
@@ -107,7 +108,9 @@ def baselines(decode: Decode = by_pillow) -> dict[str, Baseline]:
     }
 
 
-def bench_loader(views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: Progress = silent) -> dict[str, Any]:
+def bench_loader(
+    views: int = 1080, num_workers: Sequence[int] = (0, 2), progress: ProgressCallback = silent
+) -> dict[str, Any]:
     """Samples a second of every loader with each number of workers, medians of seven rounds, and bytes a sample.
 
     views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys
@@ -140,19 +143,15 @@ def measure(
     workers: Sequence[int] = (0, 2),
     batch: int = _BATCH,
     rounds: int = _ROUNDS,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """`bench_loader` on the set in `packed`; the baselines' sets go to new folders in `scratch`."""
     images = {variant: RangeImages(packed, variant) for variant in VARIANTS}
     check_counts(len(images["all"]), batch, workers)
     decoders = time_decoders(evenly_spaced(Premade(images["all"]), PNG_SAMPLES))
     known = baselines(DECODERS[decoders.used])
-    done, total = 0, 1 + len(known) + len(workers) * (len(known) + len(OURS)) * (rounds + 1)
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    total = 1 + len(known) + len(workers) * (len(known) + len(OURS)) * (rounds + 1)
+    tick = counter(progress, total)
     five_pngs = five_png_bytes(images)
     by_variant = {v: {i.key: checksum_of(i) for i in Premade(images[v])} for v in VARIANTS}
     expected = {name: by_variant[variant] for name, variant in OURS.items()}

@@ -23,18 +23,18 @@ from benches.data.occlusion.views import (
     exact_views,
     with_baseline,
 )
-from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import SHADOW_THRESHOLDS
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 _TIMED_EVERY: Final = 5  # one ordinary view in five is timed, and its bytes are counted
 
 _COSTS: Final = "wrong_pixels", "us_per_view", "bytes"
 
 
-def bench_occlusion(views: int = 60, progress: Progress = silent) -> dict[str, Any]:
+def bench_occlusion(views: int = 60, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Errors, time and bytes of every method: `views` ordinary views, and a quarter as many of each other group.
 
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all ordinary

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.tallies import share
 from benches.data.occlusion.views import ExactView, exact_views, postures
-from benches.measuring import Progress, least_time, silent
+from benches.measuring import least_time
 from bodyseg_data.artifacts.losses import lost_grazing
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import join_labels
 
@@ -78,7 +79,7 @@ class _Tally:
         }
 
 
-def bench_quantisation(views: int = 40, progress: Progress = silent) -> dict[str, Any]:
+def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Every step in `STEPS_MM` of the default rig on the same `views` ordinary views of `bench occlusion`.
 
     steps: step in millimetres -> mean bytes of a sample's images and of the projector's among them; decode_ms:

@@ -133,12 +133,12 @@ class Compiled:
     def __init__(self) -> None:
         self._forms: dict[Method, Mask] = {}
         if find_spec("numba") is not None:
-            from benches.data.occlusion import compiled_nearest as occlusion_compiled_nearest
-            from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
+            from benches.data.occlusion import compiled_nearest
+            from bodyseg_data.artifacts.loops import occlusion
 
             forms: dict[tuple[str, float], Mask] = {
-                (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion_compiled.lit(test, *images),
-                (NEAREST.family, NEAREST.bias_mm): partial(occlusion_compiled_nearest.lit, bias_mm=NEAREST.bias_mm),
+                (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion.lit(test, *images),
+                (NEAREST.family, NEAREST.bias_mm): partial(compiled_nearest.lit, bias_mm=NEAREST.bias_mm),
             }
             for method in METHODS:
                 form = forms.get((method.family, method.bias_mm))

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.data.reading.manifests import cost_of_opening, fit
-from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
@@ -45,7 +45,7 @@ class CountedFolder(RemoteFolder):
         self.sent += size
 
 
-def bench_reading(data: str, progress: Progress = silent) -> dict[str, Any]:
+def bench_reading(data: str, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Requests and bytes of one epoch of `RANKS` ranks over the set `data`, a local folder, and costs of opening sets.
 
     ranks: for each number of ranks that share a machine, and so a cache, requests, bytes sent over the bytes of the

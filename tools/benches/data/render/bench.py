@@ -21,12 +21,12 @@ import numpy as np
 
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack, render_run
@@ -38,7 +38,7 @@ _ROUNDS: Final = 3
 _TETRAHEDRON: Final = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 
 
-def bench_render(views: int = 486, progress: Progress = silent) -> dict[str, Any]:
+def bench_render(views: int = 486, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Views a second of both ways, medians of three rounds of at least `views` views.
 
     range_error_mm: stored camera ranges against pyrender's, drawn with one sample at each pixel's centre, median of the
@@ -54,12 +54,8 @@ def bench_render(views: int = 486, progress: Progress = silent) -> dict[str, Any
     bodies = packing.bodies()
     packing.opened().build(bodies[0])  # fills the body model's cache, which several workers would do at once
     missing = _why_no_pyrender()
-    done, total = 0, 4 + 2 * _ROUNDS
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    total = 4 + 2 * _ROUNDS
+    tick = counter(progress, total)
     few = evenly_spaced(bodies, 4)
     with open_engine(PROCESSES, 1, packing) as alone:  # a process of its own: it has other libraries than packing has
         renderers = alone.executor.submit(measure_renderers, packing, few, grid, evenly_spaced(grid, 9)).result()
@@ -165,7 +161,7 @@ def _errors(packing: Packing, bodies: Sequence[BodyRef], views: Sequence[View]) 
     outline, labels, seen = {"ours": 0, "plain": 0}, 0, 0
     for ref in bodies:
         body = packing.opened().build(ref)
-        parts = partition(body.mesh, body.landmarks)
+        parts = body.partition()
         exact, plain = open_renderer("opengl", body.mesh), PlainScenes(packing.rig, body.mesh, parts.labels)
         sampler = Sampler(open_renderer(packing.renderer, body.mesh), packing.rig, body.mesh, parts, "open", ref)
         for view in views:

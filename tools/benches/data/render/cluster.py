@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from benches.measuring import Progress, silent
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.packing.engines.engine import open_engine
 from bodyseg_data.packing.options import Packing
@@ -21,7 +21,7 @@ _PROCESSES: Final = True
 
 
 def bench_cluster(
-    views: int = 54, num_workers: tuple[int, ...] = (1, 2, 4), progress: Progress = silent
+    views: int = 54, num_workers: tuple[int, ...] = (1, 2, 4), progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Seconds of packing `views` views of each of `_BODIES` open bodies, by clusters of workers of one thread.
 
@@ -56,8 +56,7 @@ def _packed(packing: Packing, workers: int, folder: Path) -> float:
     try:
         import distributed
     except ImportError as error:
-        message = f"bench cluster needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
-        raise MissingLibrary(message) from error
+        raise missing_library("bench cluster", error, extra="cluster") from error
     options: dict[str, Any] = {
         "n_workers": workers,
         "threads_per_worker": 1,

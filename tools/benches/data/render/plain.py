@@ -21,7 +21,6 @@ from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.sampler import sample_key
 
@@ -33,7 +32,7 @@ def plain_run(packing: Packing, body: BodyRef, views: tuple[View, ...], folder: 
     """Render all views of one body into files, in whichever process; how many bytes they have."""
     source = packing.opened()
     built = source.build(body)
-    scenes = PlainScenes(packing.rig, built.mesh, partition(built.mesh, built.landmarks).labels)
+    scenes = PlainScenes(packing.rig, built.mesh, built.partition().labels)
     size = 0
     for view in views:
         key = sample_key(source.name, body, view)

@@ -9,9 +9,9 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Final
 
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.packing.engines.engine import open_engine
 from bodyseg_data.packing.options import Packing
@@ -33,7 +33,7 @@ CLUSTER: Final[dict[str, Any]] = {
 """Options of the cluster over whose connections samples are sent."""
 
 
-def bench_scaling(views: int = 54, progress: Progress = silent) -> dict[str, Any]:
+def bench_scaling(views: int = 54, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Processor milliseconds a view, with `views` views of each body of the open set, and bytes a view.
 
     render_ms: making a sample, in a worker, bodies and labels included. write_ms: in the process that writes shards.
@@ -100,8 +100,7 @@ def _fetch(packing: Packing, rendered: Rendered) -> float:
     try:
         import distributed
     except ImportError as error:
-        message = f"bench scaling needs the package 'distributed': pip install 'bodyseg[cluster]' ({error})"
-        raise MissingLibrary(message) from error
+        raise missing_library("bench scaling", error, extra="cluster") from error
     sizes = tuple(tuple(map(len, members.values())) for _, members in rendered.samples)
     with (
         distributed.LocalCluster(**CLUSTER) as nodes,

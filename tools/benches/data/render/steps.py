@@ -24,7 +24,6 @@ from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.sample import steps
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.occluder_range import occluder_range
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
@@ -74,7 +73,7 @@ class _Scene:
     def __init__(self, rig: Rig, source: BodySource, ref: BodyRef) -> None:
         body = source.build(ref)
         self.rig, self.mesh = rig, body.mesh
-        self.parts = partition(body.mesh, body.landmarks)
+        self.parts = body.partition()
         self.every_ray = EmbreeRenderer(body.mesh, whole_frame)
         self.in_box = EmbreeRenderer(body.mesh, box_of(body.mesh))
         self.in_blocks = EmbreeRenderer(body.mesh)
@@ -221,7 +220,7 @@ def measure_stages(packing: Packing, refs: Sequence[BodyRef], views: Sequence[Vi
             with clock.on("build"):
                 body = source.build(ref)
             with clock.on("partition"):
-                parts = partition(body.mesh, body.landmarks)
+                parts = body.partition()
             renderer = _Timed(open_renderer(packing.renderer, body.mesh), clock)
             with clock.on("labels"):
                 sampler = Sampler(renderer, packing.rig, body.mesh, parts, source.name, ref)

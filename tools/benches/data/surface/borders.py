@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
@@ -32,7 +32,7 @@ _POINTS: Final = 20
 Weights = NDArray[np.float64]
 
 
-def bench_borders(views: int = 12, progress: Progress = silent) -> dict[str, Any]:
+def bench_borders(views: int = 12, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Wrong surface and wrong pixels of every method, over four postures of the open body and `views` views of each.
 
     wrong_surface: share of the body's surface labelled differently from the exact distances, by random points in
@@ -46,7 +46,7 @@ def bench_borders(views: int = 12, progress: Progress = silent) -> dict[str, Any
     seconds, shared = [], []
     for done, pose in enumerate(POSES, start=1):
         body = source.build(bodies[pose])
-        parts = partition(body.mesh, body.landmarks)
+        parts = body.partition()
         start = time.perf_counter()
         find_borders(body.mesh, parts.labels, parts.distance)
         seconds.append(time.perf_counter() - start)

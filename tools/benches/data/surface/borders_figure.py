@@ -14,7 +14,6 @@ from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import View
 from bodyseg_data.drawing.style import INK, PAPER, font, save_picture
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
 _POSE: Final = "a_pose"
@@ -31,7 +30,7 @@ def draw_borders(figures: dict[str, Any], path: Path) -> None:
     """
     rig, source = load_rig(), open_source("open")
     body = source.build(next(body for body in source.bodies() if body.pose == _POSE))
-    parts = partition(body.mesh, body.landmarks)
+    parts = body.partition()
     fields = landmark_fields(body, parts)
     camera, _ = rig.placed(body.mesh.centre, _VIEW)
     seen = EmbreeRenderer(body.mesh).render(camera)

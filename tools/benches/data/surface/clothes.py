@@ -10,14 +10,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View
-from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
 
@@ -37,7 +36,7 @@ _BARE: Final = ("Sellion", "Nuchale", "Supramenton", "Dactylion", "Digit II")
 Floats = NDArray[np.float64]
 
 
-def bench_clothes(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
+def bench_clothes(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Roughness and looseness of the outfits of subjects B and C.
 
     roughness_mm: percentiles of the standard deviation of range in windows of 5 x 5 cm on trunk and limbs, after the
@@ -79,7 +78,7 @@ def bench_clothes(mit: Path | None = None, progress: Progress = silent) -> dict[
 def roughness(body: Body) -> Floats:
     """Standard deviation, mm, of the range in every window that sees trunk and limbs only, after a quadratic fit."""
     rig = load_rig()
-    parts = partition(body.mesh, body.landmarks)
+    parts = body.partition()
     bare = np.array([part.label for part in PARTS if part.landmark.endswith(_BARE)])
     renderer = EmbreeRenderer(body.mesh)
     found = []

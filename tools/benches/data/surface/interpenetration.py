@@ -10,14 +10,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
-from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
 
 _OUTSIDE_M: Final = 1e-4  # how far off the skin rays start
 _SLIGHT_M: Final = 0.002  # skin that touches skin
@@ -43,9 +42,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
         from embreex.rtcore_scene import EmbreeScene
         from scipy.spatial import cKDTree
     except ImportError as error:
-        raise MissingLibrary(
-            f"measuring needs the package 'embreex': pip install 'bodyseg[render]' ({error})"
-        ) from error
+        raise missing_library("bench interpenetration", error) from error
     scene = EmbreeScene(robust=True)
     TriangleMesh(scene, (mesh.vertices - mesh.centre).astype(np.float32), mesh.faces)
     normals = mesh.vertex_normals
@@ -76,7 +73,7 @@ def penetration(mesh: Mesh) -> tuple[Floats, NDArray[np.int32]]:
     return depths, faces
 
 
-def bench_interpenetration(views: int = 5, progress: Progress = silent) -> dict[str, Any]:
+def bench_interpenetration(views: int = 5, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Measure how deep skin goes through itself: every `views`-th frame of each motion, all other poses.
 
     For every group of poses, in millimetres: "fold_mm", the deepest vertex within 0.45 m of the skin it meets, measured
@@ -124,7 +121,7 @@ class Skin:
         mesh = neutral.mesh
         pieces = mesh.pieces("measuring interpenetration")
         body = pieces == np.bincount(pieces).argmax()
-        self._labels = partition(mesh, neutral.landmarks).labels
+        self._labels = neutral.partition().labels
         self._counted = body & (penetration(mesh)[0] == 0)
         ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
         lengths = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)

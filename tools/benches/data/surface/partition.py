@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
@@ -35,7 +35,7 @@ _POINTS: Final = 4
 REPEATS: Final = 3
 
 
-def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
+def bench_partition(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Time and error of every method on open bodies, MIT frames (if `mit` is their folder) and broken bodies.
 
     wrong_surface: share of the surface's area labelled differently from the exact answer, by random points in every
@@ -64,7 +64,7 @@ def bench_partition(mit: Path | None = None, progress: Progress = silent) -> dic
             "methods": measured([frames.build(ref) for ref in frame_refs]),
         }
     whole = source.build(chosen[0])
-    exact = partition(whole.mesh, whole.landmarks)
+    exact = whole.partition()
     broken = {}
     for name, step in CASES.items():
         broken[name] = _on_broken(name, step(sound(whole), np.random.default_rng(0)), whole, exact, step is scan)
@@ -94,7 +94,7 @@ def wrong_surface(mesh: Mesh, parts: Partition, other: Mesh, exact: Partition, p
 
 def _on_sound(body: Body) -> dict[str, dict[str, float]]:
     mesh = body.mesh
-    exact = partition(mesh, body.landmarks)
+    exact = body.partition()
     reached = np.isfinite(exact.distance)
     used, corners = np.unique(mesh.faces[reached[mesh.faces].all(axis=1)], return_inverse=True)
     surface = mesh.vertices[used], corners.reshape(-1, 3), np.searchsorted(used, body.landmarks)
@@ -115,7 +115,7 @@ def _on_broken(name: str, broken: Broken, whole: Body, exact: Partition, is_scan
     body = broken.body(name)
     mesh, other, parent = body.mesh, whole.mesh, broken.parent
     if is_scan:  # its surface is another one
-        other, exact, parent = mesh, partition(mesh, body.landmarks), np.arange(len(mesh.faces))
+        other, exact, parent = mesh, body.partition(), np.arange(len(mesh.faces))
     rows = {}
     for method in METHODS:
         try:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
-from benches.measuring import Progress, silent
 from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
 from bodyseg_data.bodies.landmark_fitting.search import propose
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import LANDMARKS, PARTS
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
 from bodyseg_data.meshes.repair import load_pymeshlab
@@ -45,7 +45,7 @@ Placed = tuple[str, Mesh, NDArray[np.float64]]
 """Name, mesh and the positions [33, 3] of its landmarks."""
 
 
-def bench_proposal(mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
+def bench_proposal(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Error in centimetres of every body: median, mean and worst landmark, and its name; {"bodies": {NAME: {...}}}.
 
     swapped: landmarks of a pair that are nearer to the other one's position. wrong_surface: share of the surface that

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import scan, sound
-from benches.measuring import Progress, least_time, silent
+from benches.measuring import least_time
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
@@ -50,7 +51,7 @@ _REF: Final = BodyRef("A", "A", "body", "any", "train")
 Row = dict[str, Any]
 
 
-def bench_reduction(views: int = 4, mit: Path | None = None, progress: Progress = silent) -> dict[str, Any]:
+def bench_reduction(views: int = 4, mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Rows of every kind of body by share of its triangles and by tolerance; then one body, ever more finely divided.
 
     views: of each body, all round, for errors and times. mit: the folder of MIT frames, if there is one. Raises
@@ -133,7 +134,7 @@ class _Reference:
     def __init__(self, body: Body, views: int) -> None:
         self.body, self.rig = body, load_rig()
         self.views = list(ViewGrid(span_deg=360, count=views))
-        self.partition_s, self.parts = least_time(lambda: partition(body.mesh, body.landmarks))
+        self.partition_s, self.parts = least_time(body.partition)
         self.seen = self.see(body.mesh, self.parts)
 
     def see(self, mesh: Mesh, parts: Partition) -> list[tuple[NDArray[Any], ...]]:

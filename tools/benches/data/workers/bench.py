@@ -25,9 +25,9 @@ from benches.data.loader.processes import processor_seconds
 from benches.data.workers import subject
 from benches.data.workers.memory import process_tree, tree_mb
 from benches.data.workers.subject import Pass, Setup
-from benches.measuring import Progress, silent
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.core.errors import BadSample
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
@@ -63,7 +63,7 @@ class Measured:
 
 
 def bench_workers(
-    views: int = 540, num_workers: Sequence[int] = (0, 2, 4), progress: Progress = silent
+    views: int = 540, num_workers: Sequence[int] = (0, 2, 4), progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Speed, processor time, peak memory and start of loaders with each number of threads and of processes.
 
@@ -87,17 +87,12 @@ def measure(
     batch: int = _BATCH,
     rounds: int = _ROUNDS,
     trainings: int = _TRAININGS,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """`bench_workers` on the set in `packed`."""
     most = max(num_workers)
     setups = [setup for variant in VARIANTS for setup in _setups(variant, num_workers)]
-    done, total = 0, len(setups) * (rounds + 2) + 3 * trainings
-
-    def tick() -> None:
-        nonlocal done
-        progress(done := done + 1, total)
-
+    tick = counter(progress, len(setups) * (rounds + 2) + 3 * trainings)
     found: dict[Setup, Measured] = {}
     for variant in VARIANTS:
         expected = {image.key: checksum_of(image) for image in Premade(RangeImages(packed, variant))}

@@ -1,4 +1,4 @@
-"""Memory and processor time of a process and all that it has started, from Linux's /proc."""
+"""Memory of a process and all that it has started, from Linux's /proc."""
 
 from __future__ import annotations
 

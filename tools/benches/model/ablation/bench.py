@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import torch
 
-from benches.measuring import silent
 from benches.model.ablation.conditions import (
     CONDITIONS,
     AblationCondition,
@@ -36,6 +35,7 @@ from benches.model.ablation.runs import (
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import NotedProgress, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
@@ -55,7 +55,7 @@ def bench_ablation(
     images: int = 200,
     hard: str | None = None,
     clothes: tuple[str, ...] | None = None,
-    progress: Callable[..., None] = silent,
+    progress: NotedProgress = silent,
 ) -> dict[str, Any]:
     """Evaluate every training of `runs` on the same test images, and measure the cost of each effect.
 
@@ -131,7 +131,7 @@ def _conditions(data: str, hard: str | None, clothes: tuple[str, ...] | None) ->
 
 
 def _evaluated(
-    data: str, images: int, jobs: Sequence[tuple[AblationRow, AblationCondition, Run]], progress: Callable[..., None]
+    data: str, images: int, jobs: Sequence[tuple[AblationRow, AblationCondition, Run]], progress: NotedProgress
 ) -> dict[str, Accuracies]:
     """Row -> condition -> accuracy of each seed."""
     evaluator, device = Evaluator(data, images), find_device()
@@ -146,7 +146,7 @@ def _evaluated(
     return accuracies
 
 
-def _measured(data: str, settings: dict[str, Any], progress: Callable[..., None], done: int) -> Tree:
+def _measured(data: str, settings: dict[str, Any], progress: NotedProgress, done: int) -> Tree:
     measures: dict[str, Callable[[], Tree | None]] = {
         "loader": lambda: loader_costs(data),
         "bytes": lambda: byte_costs(data),

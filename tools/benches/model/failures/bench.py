@@ -11,13 +11,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benches.measuring import Progress, silent
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
 from bodyseg_data.bodies.anny.skeleton import Pose
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
@@ -41,7 +41,7 @@ def bench_failures(
     runs: Sequence[Path] = (),
     images: int = 1000,
     hard: str | None = None,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> Failures:
     """Causes, worst images, and accuracy by posture, on variant `all` of the test images.
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.interpenetration import Skin
-from benches.measuring import Progress, silent
 from benches.model.failures.poses import directions
 from bodyseg_data.bodies.anny.skeleton import Pose
 from bodyseg_data.bodies.contacts.sampler import DEEPEST_M
@@ -19,6 +18,7 @@ from bodyseg_data.bodies.sources.everyday import EverydayBodies
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.bodies.sources.wide import WideBodies
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 _NEAR_DEG: Final = 15
 _SEGMENTS: Final = 11  # of `directions`, those that point along segments
@@ -28,7 +28,7 @@ _TURNED: Final = "turned"
 Floats = NDArray[np.float64]
 
 
-def bench_everyday(views: int = 130, progress: Progress = silent) -> dict[str, Any]:
+def bench_everyday(views: int = 130, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Draw `views` bodies, evenly spread over the source in rounds of its stances.
 
     "seconds": of processor for a pose, mean and 95th percentile. "attempts": poses drawn for one accepted.

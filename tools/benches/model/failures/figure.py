@@ -15,7 +15,7 @@ from benches.model.failures.study import VIEWS_A_BODY, Picture
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.drawing.contact_sheet import colour_range
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font, save_picture
+from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, fitted, font, save_picture
 
 Tree = dict[str, Any]
 
@@ -120,7 +120,7 @@ def _item(number: int, facts: Tree, picture: Picture) -> _Item:
         f"wrong pixels: {causes or 'none'}",
         "; ".join(drawn),
     )
-    return _Item(lines, [_fit(panel) for panel in _panels(picture)])
+    return _Item(lines, [fitted(panel, _PANEL_WIDTH, _PANEL_HEIGHT) for panel in _panels(picture)])
 
 
 def _panels(picture: Picture) -> list[NDArray[np.uint8]]:
@@ -136,14 +136,6 @@ def _panels(picture: Picture) -> list[NDArray[np.uint8]]:
         colour_labels(picture.predicted, _EMPTY),
         wrong,
     ]
-
-
-def _fit(panel: NDArray[np.uint8]) -> Image.Image:
-    """Scale into a panel by picking pixels: averaging would hide missing ones."""
-    height, width = panel.shape[:2]
-    scale = min(_PANEL_HEIGHT / height, _PANEL_WIDTH / width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return Image.fromarray(panel).resize(size, Image.Resampling.NEAREST)
 
 
 def _legend(found: Tree, width: int) -> Image.Image:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import Any, Final
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import silent
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
@@ -26,6 +25,7 @@ from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Ta
 from benches.model.variants.scores import TABLE, Evaluator
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.progress import NotedProgress, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate
 from bodyseg_model.evaluation.report import over_seeds, report
@@ -59,7 +59,7 @@ def bench_architectures(
     images: int = 200,
     views: int = 12,
     forest: int = ForestScale.images,
-    progress: Callable[..., None] = silent,
+    progress: NotedProgress = silent,
 ) -> Tree:
     """Size, milliseconds a frame and accuracy of every network in the folders `runs`, each trained as NAME-SEED.
 

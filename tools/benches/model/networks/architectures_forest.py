@@ -19,11 +19,11 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.randomness import generator
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.network import Network
@@ -213,7 +213,7 @@ def fit_forest(
     images: RangeImages,
     scale: ForestScale | None = None,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> DepthForest:
     """A forest grown on pixels of `images` as their epoch shows them, on one processor.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import silent
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -31,6 +30,7 @@ from benches.model.networks.network_times import (
 )
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, parameters
@@ -58,7 +58,7 @@ def bench_network(
     views: int = 12,
     runs: tuple[Path, ...] = (),
     scores: tuple[Path, ...] = (),
-    progress: Callable[..., None] = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Parameters, times and accuracy of every kind of network that is installed, fcn_alexnet at full width.
 

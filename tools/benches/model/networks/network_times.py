@@ -101,17 +101,18 @@ def _job(task: Task, network: Network, batch: torch.Tensor) -> Callable[[], Any]
 
 
 def _milliseconds(job: Callable[[], Any], device: torch.device) -> float:
-    """Time until the result is there; a GPU computes asynchronously, so wait for it."""
-    _wait(device)
+    """Time until the result is there."""
+    wait_for(device)
     start = time.perf_counter()
     answer = job()
-    _wait(device)
+    wait_for(device)
     taken = 1e3 * (time.perf_counter() - start)
     del answer  # freeing it is not part of the job
     return taken
 
 
-def _wait(device: torch.device) -> None:
+def wait_for(device: torch.device) -> None:
+    """Wait until a device has computed what it was asked for; only a GPU computes asynchronously."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 

@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from benches.measuring import Progress, silent
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from bodyseg_data.core.errors import MissingLibrary, check_int
 from bodyseg_data.core.system.machine import processors
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
@@ -59,7 +59,7 @@ def bench_runtimes(
     views: int = 3,
     images: int = 200,
     runs: Sequence[Path] = (),
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision.
 

@@ -15,13 +15,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.meshes.partition.surface_parts import Partition
 from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
@@ -72,7 +73,7 @@ def all_scenes() -> list[Scene]:
 def bench_sensors(
     views: int = 12,
     runs: Sequence[Path] = (),
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Average per-class accuracy in each scene by every one of `METHODS`.
 
@@ -89,7 +90,7 @@ def bench_sensors(
     bodies = evenly_spaced([body for body in source.bodies() if body.split == "test"], count)
     for done, body in enumerate(bodies, start=1):
         built = source.build(body)
-        parts, renderer = partition(built.mesh, built.landmarks), open_renderer("raster", built.mesh)
+        parts, renderer = built.partition(), open_renderer("raster", built.mesh)
         for scene, tally, shares in zip(scenes, tallies, in_view, strict=True):
             for azimuth in AZIMUTHS_DEG:
                 placed = scene.placed(built.mesh, azimuth)

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from benches.measuring import Progress, silent
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.landmarks import fitted_to, measured
 from benches.model.people.scores import VARIANTS, packed_views, scored
 from bodyseg_data.bodies.landmark_fitting.template import fitting_body
 from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 
@@ -28,7 +28,7 @@ def bench_people(
     runs: Sequence[Path] = (),
     poses: int = _POSES,
     alone: bool = False,
-    progress: Progress = silent,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Measure proposed landmarks against annotated ones, and a network on views of the same bodies.
 

@@ -16,6 +16,7 @@ from benches.model.people.bodies import Annotated
 from benches.model.people.intervals import interval, summed
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_data.core.views import ViewGrid, split_key
 from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
 from bodyseg_data.packing.options import Packing
@@ -65,7 +66,7 @@ def scored(
     network: Network,
     folder: Path,
     bodies: dict[str, Annotated],
-    progress: Callable[[int, int], None],
+    progress: ProgressCallback,
 ) -> dict[str, Any]:
     """Scores of every variant of the packed views."""
     results: dict[str, Any] = {}

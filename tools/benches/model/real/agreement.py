@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import silent
 from benches.model.real.recording import Frame
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 
 ANGLES_DEG: Final = (15, 30, 45)
 """Upper ends of the ranges of the angle between two frames' optical axes; beyond the last they are not compared."""
@@ -22,7 +22,7 @@ _POINTS: Final = 1500  # of a frame that are looked up in each other one
 
 
 def agreement(
-    frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]], progress: Callable[[int, int], None] = silent
+    frames: Sequence[Frame], answers: Sequence[NDArray[np.uint8]], progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Share of points with one label, of those that two frames up to 45 degrees apart see, by angle and in all.
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from benches.model.real.agreement import agreement
 from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, residuals_m
 from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
@@ -23,6 +23,7 @@ from benches.model.real.recording import Frame, read_recording
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
@@ -66,7 +67,9 @@ class Results(dict[str, Any]):
         self.shown = shown
 
 
-def bench_real(data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent) -> Results:
+def bench_real(
+    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: ProgressCallback = silent
+) -> Results:
     """Score a network on a recording of one still person, by labels of the surface that its frames show together.
 
     data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:

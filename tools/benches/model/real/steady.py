@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
 from benches.model.real.bench import Answer, scored, settled, true_labels
 from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
@@ -22,6 +21,7 @@ from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -55,7 +55,7 @@ Labels = NDArray[np.uint8]
 
 
 def bench_steady(
-    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: Progress = silent
+    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: ProgressCallback = silent
 ) -> dict[str, Any]:
     """Measure labels of a still person and of moving bodies, with and without the evidence of earlier frames.
 
@@ -66,8 +66,8 @@ def bench_steady(
     check_int("the number of frames", views, 2)
     trained = load_network(runs[0] if runs else SHIPPED)
 
-    def half(number: int) -> Progress:
-        """Progress of the first or the second half, in steps of a thousandth."""
+    def half(number: int) -> ProgressCallback:
+        """ProgressCallback of the first or the second half, in steps of a thousandth."""
         return lambda done, total: progress(500 * number + 500 * done // total, 1000)
 
     still = still_person(trained, Path(data), views, half(0))
@@ -83,7 +83,7 @@ def bench_steady(
     }
 
 
-def still_person(trained: Trained, folder: Path, views: int, progress: Progress = silent) -> dict[str, Any]:
+def still_person(trained: Trained, folder: Path, views: int, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Share of the points of the fused surface whose label changes from a frame to the next, of those that both see,
     and share of pixels right, for each of `WAYS`.
 
@@ -121,7 +121,7 @@ def still_person(trained: Trained, folder: Path, views: int, progress: Progress 
 
 
 def labelled(
-    trained: Trained, frames: Sequence[Frame], mirrored: bool, progress: Progress = silent
+    trained: Trained, frames: Sequence[Frame], mirrored: bool, progress: ProgressCallback = silent
 ) -> dict[str, list[Answer]]:
     """Label frames as they are stored, in each of `WAYS`; the network labels each frame once.
 

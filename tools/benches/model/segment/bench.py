@@ -22,13 +22,13 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from benches.measuring import Progress, silent
 from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.kernels import VARIABLE, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.files.picture_png import encode_picture
@@ -70,7 +70,7 @@ DROPPING: Final = ("background", "shape", "people")
 """Stages after which fewer surfaces are left, in their order."""
 
 
-def bench_segment(views: int = 24, progress: Progress = silent) -> dict[str, Any]:
+def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024."""
     chosen = cameras()
     done, total = 0, len(chosen) * (views + len(WAYS))

@@ -8,13 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from benches.measuring import Progress, evenly_spaced, silent
+from benches.measuring import evenly_spaced
 from benches.model.sensor_fit.recordings import Scene, Scenes
 from bodyseg_data.artifacts import artifact_class
 from bodyseg_data.artifacts.sensor_model import SensorModel
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import NEEDED, Finding
 from bodyseg_model.sensor_fit.fit import fit_sensor
@@ -101,7 +102,7 @@ def all_cases(focal_px: float) -> list[Case]:
 SCENES: Final = (Scene(1), Scene(4), Scene(12), Scene(8, moving=True))
 
 
-def bench_sensor_fit(views: int = 1, progress: Progress = silent) -> dict[str, Any]:
+def bench_sensor_fit(views: int = 1, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Fit every case in every scene.
 
     views: bodies of the open set. Returns, a case and scene, each wanted figure's true and found values, its relative

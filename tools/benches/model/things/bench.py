@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.measuring import Progress, silent
+from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.segmentation.people.features import SHAPE_FEATURES, part_features, shape_features
@@ -52,7 +52,7 @@ class Surfaces:
     room: NDArray[np.intp]
 
 
-def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress = silent) -> dict[str, Any]:
+def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: ProgressCallback = silent) -> dict[str, Any]:
     """Fit both models of the score, and measure the one with parts.
 
     views: made rooms to fit to; a fifth as many others are measured. runs: the network is in the first of them;
@@ -101,7 +101,7 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
     return {"cross_validation": quality, "test": test, "score": score}
 
 
-def seen_surfaces(network: Network, count: int, progress: Progress) -> Surfaces:
+def seen_surfaces(network: Network, count: int, progress: ProgressCallback) -> Surfaces:
     """The surfaces of a body's size in `count` rooms to fit to, but those that show person and thing."""
     makers = rooms_of(FIT_SOURCE, "train", FIT_SEED, parts=False)
     segmenters = [Segmenter(network, rooms.camera) for rooms in makers]

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 import torch
 
-from benches.measuring import silent
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.system.progress import NotedProgress, silent
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, parameters
@@ -37,7 +37,7 @@ def bench_variants(
     steps: int | None = None,
     images: int = 500,
     alone: bool = False,
-    progress: Callable[..., None] = silent,
+    progress: NotedProgress = silent,
 ) -> dict[str, Any]:
     """Train what is missing in the folder `runs`, then evaluate every network on the first `images` of `data`.
 
@@ -142,7 +142,7 @@ class _Progress:
     trainings: list[Run]
     plan: Plan
     images_a_network: int
-    progress: Callable[..., None]
+    progress: NotedProgress
     done: int = 0
 
     def __post_init__(self) -> None:
