@@ -77,11 +77,16 @@ def match_parts(
     wide = 2 * reach + 1
     counts, used, depth = np.zeros((_PARTS, wide, wide), np.int64), np.zeros(_PARTS, np.int64), np.zeros(_PARTS)
     step = max(1, int(math.sqrt(len(pixels) / most)))
+    chosen = np.zeros(lens.columns, np.bool_)
+    chosen[::step] = True
+    v, first, beyond, skipped = np.int64(0), np.int64(0), np.int64(0), False
     for n in range(len(pixels)):
         pixel = pixels[n]
-        v = pixel // lens.columns
-        u = pixel - v * lens.columns
-        if v % step != 0 or u % step != 0:
+        if pixel >= beyond:
+            v = pixel // lens.columns
+            first, beyond, skipped = v * lens.columns, (v + 1) * lens.columns, v % step != 0
+        u = pixel - first
+        if skipped or not chosen[u]:
             continue
         part, z = labels[pixel], range_m[pixel]
         x, y = (u + 0.5 - lens.x) / lens.focal * z, (v + 0.5 - lens.y) / lens.focal * z
@@ -96,11 +101,11 @@ def match_parts(
         used[part] += 1
         depth[part] += pz
         for i in range(wide):
-            first = (line + i - reach) * lens.columns + column - reach
+            corner = (line + i - reach) * lens.columns + column - reach
             for j in range(wide):
-                old = old_range_m[first + j]
+                old = old_range_m[corner + j]
                 if old > 0 and abs(old - pz) <= tolerance:
-                    counts[part, i, j] += 1 if (old_slots[first + j, 0] & _LABEL) == part else -1
+                    counts[part, i, j] += 1 if (old_slots[corner + j, 0] & _LABEL) == part else -1
     for part in range(_PARTS):
         if used[part] < _LEAST_PIXELS:
             continue
