@@ -159,7 +159,7 @@ def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) ->
     for labels, confidence in frames:
         for (v, u), has in slots.items():
             label, sure = int(labels[v, u]), confidence[v, u]
-            weight = int(sure * sure * sure * np.float32(UNIT) + np.float32(0.5))
+            weight = int(sure * sure * np.float32(UNIT) + np.float32(0.5))
             if shown:
                 beside = shown[-1][max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
                 keep = keeps[bool(shown[-1][v, u] != label and (beside == label).any())]

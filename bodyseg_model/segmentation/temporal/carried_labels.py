@@ -43,7 +43,7 @@ class Carrying:
     motion: MotionModel = "parts"
     keep: float = 0.9
     slow: float = 0.02
-    margin: float = 0.4
+    margin: float = 0.25
     border: int = 4
     border_share: float = 0.4
     stiff_border: int = 1

@@ -36,8 +36,8 @@ _FAST: Final = 256  # pixels of motion; from there on a point keeps the same sha
 
 @_kernel
 def weight_of(confidence: Any) -> Any:
-    """Evidence that a frame gives for its label: the cube of its confidence, in units."""
-    return np.uint32(confidence * confidence * confidence * _UNIT + _HALF)
+    """Evidence that a frame gives for its label: the square of its confidence, in units."""
+    return np.uint32(confidence * confidence * _UNIT + _HALF)
 
 
 @_kernel

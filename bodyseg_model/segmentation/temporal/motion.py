@@ -33,8 +33,8 @@ _MATCH_PIXELS: Final = 3000
 _FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
 _MORE: Final = 0.01
 _REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
-_MOST_GAIN: Final = 2.0  # that is remembered: a body that begins to bend is seen to do so in the next frames
-_BENDS: Final = 0.5  # gain from which on a body bends
+_MOST_GAIN: Final = 2.0  # that is remembered, so that a body that begins to bend is soon seen to
+_BENDS: Final = 2.0  # gain from which on a body bends
 
 Motion = NDArray[np.float64]
 """A rigid motion, [3, 4]: rotation and, last, translation, metres."""
