@@ -14,7 +14,10 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
+from bodyseg_model.segmentation.temporal.cell_loops import Lens
 from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT
+from bodyseg_model.segmentation.temporal.motion import still
+from bodyseg_model.segmentation.temporal.part_loops import match_parts, peak
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 OTHER = Camera(120, 160, 190.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -146,18 +149,22 @@ def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
     assert (anew[range_m > 0] == 30).all(), "nobody was seen in the frame between"
 
 
-def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[list[int]]:
-    """Labels shown of pixels that stay in place, by the rule as docs/steady.md states it, in whole numbers."""
-    keep, margin = round(1024 * rule.keep), round(rule.margin * UNIT)
-    slots: list[list[list[int]]] = []
+def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[Labels]:
+    """Labels shown, [H, W], of a board that stays in place, by the rule in docs/steady.md, in whole numbers."""
+    keeps = round(1024 * rule.keep), round(1024 * rule.stiff_border_share * rule.keep)
+    margin, reach = round(rule.margin * UNIT), rule.stiff_border
+    rows, columns = frames[0][0].shape
+    slots: dict[tuple[int, int], list[list[int]]] = {place: [] for place in np.ndindex(rows, columns)}
     shown = []
     for labels, confidence in frames:
-        if not slots:
-            slots = [[] for _ in labels]
-        for has, label, sure in zip(slots, labels.tolist(), confidence.tolist(), strict=True):
-            weight = int(np.float32(sure) * np.float32(UNIT) + np.float32(0.5))
-            for slot in has:
-                slot[0] = slot[0] * keep >> 10
+        for (v, u), has in slots.items():
+            label, sure = int(labels[v, u]), confidence[v, u]
+            weight = int(sure * sure * np.float32(UNIT) + np.float32(0.5))
+            if shown:
+                beside = shown[-1][max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
+                keep = keeps[bool(shown[-1][v, u] != label and (beside == label).any())]
+                for slot in has:
+                    slot[0] = slot[0] * keep >> 10
             has[1:] = sorted(has[1:], key=lambda slot: -slot[0])
             known = [slot for slot in has if slot[1] == label]
             if known:
@@ -169,31 +176,72 @@ def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) ->
             has[1:] = sorted(has[1:], key=lambda slot: -slot[0])
             if len(has) > 1 and has[1][0] > has[0][0] + margin:
                 has[0], has[1] = has[1], has[0]
-        shown.append([has[0][1] for has in slots])
+        shown.append(np.array([has[0][1] for has in slots.values()], np.uint8).reshape(rows, columns))
     return shown
 
 
 def test_evidence_is_that_of_a_plain_count() -> None:
     range_m = np.zeros((120, 160), np.float32)
-    range_m[20:100, 60:100] = 2.0
+    range_m[20:80, 60:100] = 2.0
     pixels, draws = np.flatnonzero(range_m), np.random.default_rng(3)
     rule = Carrying(motion="still")
     frames = [
-        (draws.integers(0, 5, len(pixels)).astype(np.uint8), draws.random(len(pixels)).astype(np.float32))
-        for _ in range(9)
+        (draws.integers(0, 12, (60, 40)).astype(np.uint8), draws.random((60, 40)).astype(np.float32)) for _ in range(9)
     ]
     carried, found = CarriedLabels(rule), []
     for labels, confidence in frames:
         image = np.full(range_m.shape, BACKGROUND, np.uint8)
-        image.ravel()[pixels] = labels
-        found.append(carried(range_m, image, [(pixels, confidence)], LENS).ravel()[pixels].tolist())
-    assert found == counted(frames, rule)
-    assert any(shown != labels.tolist() for shown, (labels, _) in zip(found, frames, strict=True))
+        image[20:80, 60:100] = labels
+        found.append(carried(range_m, image, [(pixels, confidence.ravel())], LENS)[20:80, 60:100])
+    np.testing.assert_array_equal(found, counted(frames, rule))
+    assert any((shown != labels).any() for shown, (labels, _) in zip(found, frames, strict=True))
+
+
+def test_labels_that_slide_along_a_board_are_followed() -> None:
+    """Ranges of a flat board say nothing of a motion along it: only its labels show that parts move."""
+    range_m = np.zeros((120, 160), np.float32)
+    range_m[20:100, 30:130] = 2.0
+    followed, behind = CarriedLabels(), CarriedLabels(Carrying(motion="rigid", stiff_border=0))
+    for frame in range(4):
+        labels = np.where(range_m > 0, np.uint8(9), np.uint8(BACKGROUND))
+        places = (22, 32 + 3 * frame), (22, 72 + 3 * frame), (62, 32 + 2 * frame), (62, 104 - 3 * frame)
+        for part, (row, column) in enumerate(places):
+            labels[row : row + 36, column : column + 25] = part
+        shown = [call(video, range_m, labels) for video in (followed, behind)]
+    wrong, late = ((image != labels)[range_m > 0].mean() for image in shown)
+    assert wrong < 0.01 and late > 0.05
+
+
+def test_a_part_is_matched_to_where_its_label_was() -> None:
+    lens = Lens(200.0, 80.0, 60.0, 160, 120, 4, 40, 30)
+    range_m, labels = np.zeros((120, 160), np.float32), np.full((120, 160), BACKGROUND, np.uint8)
+    range_m[20:100, 30:130], labels[20:100, 30:130] = 2.0, 1
+    labels[50:80, 60:90], labels[20:23, 30:33] = 2, 3
+    slots = np.full((range_m.size, SLOTS), BACKGROUND, np.uint32)
+    slots[:, 0] = np.roll(labels, (2, -1), (0, 1)).ravel()
+    slots[: 23 * 160, 0] = 1
+    shifts, weights = np.zeros((256, 3), np.float32), np.zeros(256, np.float32)
+    flat, pixels = range_m.ravel(), np.flatnonzero(range_m)
+    match_parts(flat, pixels, labels.ravel(), still(), shifts, weights, flat, slots, lens, np.float32(0.03), 2, 8000)
+    pixel_m = 2.0 / 200
+    np.testing.assert_allclose(shifts[2], [-pixel_m, 2 * pixel_m, 0], atol=0.5 * pixel_m)
+    assert (weights[2], weights[3]) == (1, 0) and not shifts[3].any(), "nine pixels are too few to be matched"
+
+
+def test_the_peak_of_counts_lies_on_a_parabola() -> None:
+    places = np.arange(5)
+    counts = (100 - 4 * (places - 2.25) ** 2) * 100
+    assert peak(counts.astype(np.int64), 2) == pytest.approx(0.25, abs=0.01)
+    assert peak(np.array([3, 2, 1]), 0) == peak(np.array([1, 2, 3]), 2) == peak(np.array([2, 2, 2]), 1) == 0
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"border_share": 1.1}, "border_share of carried labels must be 0 to 1, found 1.1"),
+        ({"stiff_border_share": -0.1}, "stiff_border_share of carried labels must be 0 to 1, found -0.1"),
+        ({"border": -1}, "the border of carried labels must be a whole number of at least 0, found -1"),
+        ({"stiff_border": 0.5}, "the stiff_border of carried labels must be a whole number of at least 0, found 0.5"),
         ({"keep": 1.0}, "the share of evidence that is kept must be 0 to less than 1, found 1"),
         ({"slow": -1.0}, "slow of carried labels must be at least 0, found -1"),
         ({"margin": float("nan")}, "margin of carried labels must be at least 0, found nan"),
@@ -207,7 +255,7 @@ def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> Non
 
 
 def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("cell_loops", "motion", "motion_loops", "evidence_loops"):
+    for name in ("cell_loops", "motion", "motion_loops", "part_loops", "evidence_loops"):
         monkeypatch.delitem(sys.modules, f"bodyseg_model.segmentation.temporal.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):

@@ -16,7 +16,7 @@ from bodyseg_data.core.rig import Camera
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.temporal.cell_loops import Lens
-    from bodyseg_model.segmentation.temporal.motion import BodySurface, Motion, MotionModel
+    from bodyseg_model.segmentation.temporal.motion import BodyMotion, BodySurface, MotionModel
 
 Labels = NDArray[np.uint8]
 
@@ -31,7 +31,10 @@ class Carrying:
     motion: "parts" follows the parts of a body, "rigid" the body as a whole, "still" nothing: evidence stays at its
     pixel. keep: share of the evidence that is left after a frame, 0 to less than 1. slow: of a body that bends, it is
     keep / (1 + slow * pixels) at a point that moved so many pixels, as its place is less certain. margin: of a body
-    that does not bend, evidence by which another label must exceed the one shown, in frames of confidence 1.
+    that does not bend, evidence by which another label must exceed the one shown, in frames of confidence 1. border,
+    border_share: of a body that bends, evidence for the label shown is multiplied by border_share where the new one is
+    shown up to `border` pixels away: borders are where a wrong motion does harm. stiff_border, stiff_border_share: the
+    same of a body that does not bend.
     tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard deviations of the
     ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought. cell_m: side of the
     cells in which motion is estimated, metres. Raises BadConfig for values out of range.
@@ -39,8 +42,12 @@ class Carrying:
 
     motion: MotionModel = "parts"
     keep: float = 0.9
-    slow: float = 0.05
+    slow: float = 0.02
     margin: float = 0.25
+    border: int = 4
+    border_share: float = 0.4
+    stiff_border: int = 1
+    stiff_border_share: float = 0.6
     tolerance_m: float = 0.03
     noises: float = 2.5
     reach: int = 2
@@ -49,10 +56,14 @@ class Carrying:
     def __post_init__(self) -> None:
         if not 0 <= self.keep < 1:
             raise BadConfig(f"the share of evidence that is kept must be 0 to less than 1, found {self.keep:g}")
+        for name in ("border_share", "stiff_border_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise BadConfig(f"{name} of carried labels must be 0 to 1, found {getattr(self, name):g}")
         for name in ("slow", "margin", "tolerance_m", "noises"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise BadConfig(f"{name} of carried labels must be at least 0, found {getattr(self, name):g}")
-        check_int("the reach of carried labels", self.reach, 0)
+        for name in ("reach", "border", "stiff_border"):
+            check_int(f"the {name} of carried labels", getattr(self, name), 0)
         if not self.cell_m > 0:
             raise BadConfig(f"the cells of carried labels must be larger than 0 m, found {self.cell_m:g}")
 
@@ -67,7 +78,7 @@ class _LastFrame:
 
     camera: Camera
     lens: Lens
-    bodies: list[tuple[BodySurface, Motion]] = field(repr=False)
+    bodies: list[tuple[BodySurface, BodyMotion]] = field(repr=False)
     range_m: NDArray[np.float32] = field(repr=False)
     slots: NDArray[np.uint32] = field(repr=False)
 
@@ -124,26 +135,30 @@ class CarriedLabels:
         for body, surface, old in zip(seen, surfaces, self._pairs(surfaces, last), strict=True):
             written = ranges, slots, steadied.ravel()
             if last is None or old is None:
-                motion = self._motion.still()
+                motion = self._motion.unmoved(surface)
                 self._evidence.begin(flat, body[0], named, body[1], *written)
             else:
                 before = last.bodies[old]
-                motion, field, bends = self._motion.motion_back(surface, *before, lens, self.carrying.motion)
-                moved = motion.astype(np.float32), field, surface.cells.grid, last.range_m, last.slots
                 noise = float(np.hypot(surface.cells.noise_m, before[0].cells.noise_m))
-                self._evidence.carry(flat, body[0], named, body[1], lens, *moved, *self._rule(noise, bends), *written)
+                tolerance = np.float32(max(self.carrying.tolerance_m, self.carrying.noises * noise))
+                images = self._motion.Pixels(flat, body[0], named, last.range_m, last.slots)
+                motion = self._motion.motion_back(surface, *before, images, lens, tolerance, self.carrying.motion)
+                moved = motion.rigid.astype(np.float32), motion.field, surface.cells.grid, last.range_m, last.slots
+                rule = tolerance, *self._rule(motion.bends)
+                self._evidence.carry(flat, body[0], named, body[1], lens, *moved, *rule, *written)
             found.append((surface, motion))
         if last is not None:
             self._spare = last.range_m, last.slots
         self._last = _LastFrame(camera, lens, found, ranges, slots)
         return steadied
 
-    def _rule(self, noise_m: float, bends: bool) -> tuple[np.float32, int, float, float, np.uint32]:
-        """Tolerance, reach, keep, slow and margin as the loops take them."""
+    def _rule(self, bends: bool) -> tuple[int, float, float, np.uint32, int, float]:
+        """Reach, keep, slow, margin, border and its share as the loops take them."""
         rule = self.carrying
-        tolerance = np.float32(max(rule.tolerance_m, rule.noises * noise_m))
-        margin = np.uint32(round((0 if bends else rule.margin) * self._evidence.UNIT))
-        return tolerance, rule.reach, rule.keep, rule.slow if bends else 0.0, margin
+        if bends:
+            return rule.reach, rule.keep, rule.slow, np.uint32(0), rule.border, rule.border_share
+        margin = np.uint32(round(rule.margin * self._evidence.UNIT))
+        return rule.reach, rule.keep, 0.0, margin, rule.stiff_border, rule.stiff_border_share
 
     def _lens(self, flat: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Lens:
         """The camera's numbers, and cells of the size that `carrying.cell_m` has at the range of the first body."""

@@ -35,13 +35,19 @@ _FAST: Final = 256  # pixels of motion; from there on a point keeps the same sha
 
 
 @_kernel
+def weight_of(confidence: Any) -> Any:
+    """Evidence that a frame gives for its label: the square of its confidence, in units."""
+    return np.uint32(confidence * confidence * _UNIT + _HALF)
+
+
+@_kernel
 def begin(range_m: Any, pixels: Any, labels: Any, confidence: Any, ranges: Any, slots: Any, shown: Any) -> None:
     """Evidence of a body that was not seen before; arguments as of `carry`."""
     for n in range(len(pixels)):
         p = np.uint64(pixels[n])
         ranges[p] = range_m[p]
         shown[p] = labels[p]
-        slots[p, 0] = (np.uint32(confidence[n] * _UNIT + _HALF) << _BITS) | np.uint32(labels[p])
+        slots[p, 0] = (weight_of(confidence[n]) << _BITS) | np.uint32(labels[p])
         slots[p, 1], slots[p, 2] = _EMPTY, _EMPTY
 
 
@@ -61,10 +67,26 @@ def nearest(column: Any, line: Any, z: Any, old_range_m: Any, lens: Any, toleran
 
 
 @_kernel
+def shown_near(
+    found: Any, label: Any, z: Any, old_range_m: Any, old_slots: Any, lens: Any, tolerance: Any, reach: Any
+) -> Any:
+    """True if the old frame shows a label up to `reach` pixels from pixel `found` along each axis, at a range within
+    `tolerance` of z, metres.
+    """
+    line, column = found // lens.columns, found % lens.columns
+    for v in range(max(line - reach, 0), min(line + reach + 1, lens.rows)):
+        for u in range(max(column - reach, 0), min(column + reach + 1, lens.columns)):
+            p = np.uint64(v * lens.columns + u)
+            if (old_slots[p, 0] & _LABEL) == label and old_range_m[p] > 0 and abs(old_range_m[p] - z) <= tolerance:
+                return True
+    return False
+
+
+@_kernel
 def carry(
     range_m: Any, pixels: Any, labels: Any, confidence: Any, lens: Any, motion: Any, field: Any, index: Any,
     old_range_m: Any, old_slots: Any, tolerance: Any, reach: Any, keep: Any, slow: Any, margin: Any,
-    ranges: Any, slots: Any, shown: Any,
+    border: Any, border_share: Any, ranges: Any, slots: Any, shown: Any,
 ) -> None:  # fmt: skip
     """Carry evidence to a body's pixels, add the new frame's, and show the labels that have most.
 
@@ -73,16 +95,19 @@ def carry(
     field: float32 [M, 3], metres, added to it, by `index`, int32, of a pixel's cell. A pixel's point is sought at the
     pixel that it projects into, then up to `reach` pixels around it, the nearest first, where the old range is within
     `tolerance`, metres; not found, evidence starts anew. The old weights are multiplied by keep / (1 + slow d), d the
-    pixels moved, along rows and columns. The label shown changes if another has more evidence by more than `margin`, in
-    units. Written at `pixels`: ranges, float32, metres, slots, uint32 [H * W, SLOTS], and shown, uint8, labels.
+    pixels moved, along rows and columns; and by `border_share` if another label than the new frame's is shown there,
+    and the new one up to `border` pixels beside it: a border has moved, or its place is uncertain. The label shown
+    changes if another has more evidence by more than `margin`, in units. Written at `pixels`: ranges, float32, metres,
+    slots, uint32 [H * W, SLOTS], and shown, uint8, labels.
     """
     x_of, cell_of = np.empty(lens.columns, np.float32), np.empty(lens.columns, np.int32)
     focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)
     for u in range(lens.columns):
         x_of[u], cell_of[u] = (np.float32(u) + _HALF - cx) / focal, u // lens.side
-    shares = np.empty(_FAST, np.uint32)
+    shares, border_shares = np.empty(_FAST, np.uint32), np.empty(_FAST, np.uint32)
     for away in range(_FAST):
         shares[away] = np.uint32((1 << 10) * keep / (1 + slow * away) + 0.5)
+        border_shares[away] = np.uint32((1 << 10) * border_share * keep / (1 + slow * away) + 0.5)
     a, b, c, d = motion[0, 0], motion[0, 1], motion[0, 2], motion[0, 3]
     e, f, g, h = motion[1, 0], motion[1, 1], motion[1, 2], motion[1, 3]
     i, j, k, l = motion[2, 0], motion[2, 1], motion[2, 2], motion[2, 3]  # noqa: E741
@@ -113,13 +138,17 @@ def carry(
                 if found < 0:
                     found = nearest(column, line, pz, old_range_m, lens, tolerance, reach)
         ranges[p] = z
-        weight = np.uint32(confidence[n] * _UNIT + _HALF)
+        weight = weight_of(confidence[n])
         if found < 0:
             slots[p, 0], slots[p, 1], slots[p, 2] = (weight << _BITS) | label, _EMPTY, _EMPTY
             shown[p] = labels[p]
             continue
         o = np.uint64(found)
-        share = shares[min(abs(column - u) + abs(line - v), _FAST - 1)]
+        away = min(abs(column - u) + abs(line - v), _FAST - 1)
+        share = shares[away]
+        other = (old_slots[o, 0] & _LABEL) != label
+        if other and shown_near(found, label, pz, old_range_m, old_slots, lens, tolerance, border):
+            share = border_shares[away]
         one, two, three = old_slots[o, 0], old_slots[o, 1], old_slots[o, 2]
         n1, n2, n3 = one & _LABEL, two & _LABEL, three & _LABEL
         w1 = ((one >> _BITS) * share) >> _SHARE_BITS

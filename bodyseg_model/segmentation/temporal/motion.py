@@ -1,23 +1,17 @@
-"""Motion of a body from one frame back to the one before, by its ranges and the middles of its parts."""
+"""Motion of a body from one frame back to the one before, by its ranges and the labels of its parts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import field as dataclass_field
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.segmentation.temporal.cell_loops import Cells, Lens
-from bodyseg_model.segmentation.temporal.motion_loops import (
-    fit_rigid,
-    gain_of_shifts,
-    misfit,
-    moved,
-    part_middles,
-    part_shifts,
-    relax,
-)
+from bodyseg_model.segmentation.temporal.motion_loops import fit_rigid, misfit, moved, relax
+from bodyseg_model.segmentation.temporal.part_loops import gain_of_shifts, match_parts, part_middles, part_shifts
 
 MotionModel = Literal["still", "rigid", "parts"]
 
@@ -34,6 +28,13 @@ _PULL: Final = 0.05  # weight of a part's shift
 _STILL: Final = 0.005  # weight of no motion beyond the body's own
 _ROUNDS: Final = 3
 _SWEEPS: Final = 4
+_MATCH_REACH: Final = 2  # pixels by which the place of a part is improved
+_MATCH_PIXELS: Final = 3000
+_FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
+_MORE: Final = 0.01
+_REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
+_MOST_GAIN: Final = 2.0  # that is remembered, so that a body that begins to bend is soon seen to
+_BENDS: Final = 2.0  # gain from which on a body bends
 
 Motion = NDArray[np.float64]
 """A rigid motion, [3, 4]: rotation and, last, translation, metres."""
@@ -64,36 +65,76 @@ def still() -> Motion:
     return np.eye(4)[:3].copy()
 
 
-def motion_back(
-    new: BodySurface, old: BodySurface, before: Motion, lens: Lens, model: MotionModel
-) -> tuple[Motion, NDArray[np.float32], bool]:
-    """Motion of a body from its new frame to the old one: a rigid one; further displacements of `new.cells`, float32
-    [M, 3], metres; and whether the body bends: whether ranges fit better when parts are shifted.
-
-    before: the rigid motion between the two frames before. The rigid fit starts from no motion, the shift of the body's
-    middle or `before`, whichever fits best. model: "still": no motion at all; "rigid": of the body as a whole; "parts":
-    with the displacements, which fit the surface
-    smoothly and, if the body bends, start from the shifts of the middles of parts.
+class Pixels(NamedTuple):
+    """A body's pixels, int64 [N], ascending, in its new frame, and the images of both frames as flat arrays: ranges,
+    float32 [H * W], metres, the network's labels, uint8 [H * W], and the old frame's slots of evidence.
     """
-    motion, none = still(), np.zeros_like(new.cells.points)
+
+    range_m: NDArray[np.float32]
+    pixels: NDArray[np.intp]
+    labels: NDArray[np.uint8]
+    old_range_m: NDArray[np.float32]
+    old_slots: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """Motion of a body from a frame back to the one before: a rigid one, further displacements of its cells, float32
+    [M, 3], metres, and the gain of shifting its parts, summed up over the frames so far.
+    """
+
+    rigid: Motion
+    field: NDArray[np.float32] = dataclass_field(repr=False)
+    gain: float = 0.0
+
+    @property
+    def bends(self) -> bool:
+        """True if ranges and labels fit better, over the last frames, when parts are shifted."""
+        return self.gain > _BENDS
+
+
+def unmoved(surface: BodySurface) -> BodyMotion:
+    """The motion of a body that was not in the frame before: none."""
+    return BodyMotion(still(), np.zeros_like(surface.cells.points))
+
+
+def motion_back(
+    new: BodySurface,
+    old: BodySurface,
+    before: BodyMotion,
+    pixels: Pixels,
+    lens: Lens,
+    tolerance: np.float32,
+    model: MotionModel,
+) -> BodyMotion:
+    """Motion of a body from its new frame to the old one.
+
+    before: between the two frames before. The rigid fit starts from no motion, the shift of the body's middle or
+    `before`, whichever fits best. model: "still": no motion at all; "rigid": of the body as a whole; "parts": with the
+    displacements, which fit the surface smoothly and, if the body bends, start from the shifts of parts. These are the
+    shifts of their middles, improved where their labels match the old frame better. tolerance: ranges that differ by
+    less, metres, can be of one point.
+    """
     if model == "still":
-        return motion, none, False
+        return unmoved(new)
     shift = still()
     shift[:, 3] = old.middle - new.middle
     noise = max(new.cells.noise_m, old.cells.noise_m)
     gate = max(_GATE_M, (1 + _NOISES) * noise)
     target = old.cells.grid, old.cells.points
-    starts = (motion, shift, before)
+    starts = (still(), shift, before.rigid)
     errors = [misfit(new.cells.points, start, *target, lens, gate) for start in starts]
     motion = starts[int(np.argmin(errors))].copy()
     fit_rigid(new.cells.points, motion, *target, old.cells.normals, lens, gate, _RIGID_STEPS)
     if model == "rigid":
-        return motion, none, False
+        return BodyMotion(motion, np.zeros_like(new.cells.points))
     least = _LEAST_CELLS * float(new.middle[2]) ** 2
     shifts, weights = part_shifts(motion, new.middles, new.areas, old.middles, old.areas, least, _REACH_M)
+    match_parts(*pixels[:3], motion, shifts, weights, *pixels[3:], lens, tolerance, _MATCH_REACH, _MATCH_PIXELS)
     places = moved(motion, new.cells.points)
-    bends = gain_of_shifts(places, new.cells.labels, shifts, weights, *target, lens, gate) > 0
-    if not bends:
+    fall_m, more = gain_of_shifts(places, new.cells.labels, shifts, weights, *target, old.cells.labels, lens, gate)
+    gain = _REMEMBERED * min(max(before.gain, -_MOST_GAIN), _MOST_GAIN) + fall_m / _FALL_M + more / _MORE
+    if gain <= _BENDS:
         shifts[:], weights[:] = 0, 0
     faith = 1 / (1 + (noise / _FAITH_NOISE_M) ** 2)
     scales = (np.float32(value) for value in (gate, faith, _PULL, _STILL))
@@ -101,4 +142,4 @@ def motion_back(
         places, new.cells.neighbours, new.cells.labels, shifts, weights, *target, old.cells.normals, lens, *scales,
         _ROUNDS, _SWEEPS,
     )  # fmt: skip
-    return motion, field, bool(bends)
+    return BodyMotion(motion, field, float(gain))

@@ -1,8 +1,8 @@
 """Motion of a body from one frame back to the frame before, in its cells, compiled with numba.
 
-Three steps: a rigid motion of the body (Gauss-Newton on distances of points to planes, Chen and Medioni 1992), shifts
-of parts, and a smooth field of displacements (as Horn and Schunck 1981 have for brightness, here with distances to
-planes).
+Two steps: a rigid motion of the body (Gauss-Newton on distances of points to planes, Chen and Medioni 1992), and, after
+the shifts of parts in `part_loops`, a smooth field of displacements (as Horn and Schunck 1981 have for brightness, here
+with distances to planes).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from bodyseg_data.core.kernels import compiled
 _kernel = partial(compiled, feature="carrying labels through a video")
 
 _ZERO: Final = np.float32(0)
-_PARTS: Final = 256  # labels are bytes
 _STILL: Final = 1.0  # weight of no further motion in a rigid step, against one for every cell
 _STILL_TURN: Final = 0.002  # of a turn, square metres
 
@@ -124,66 +123,6 @@ def rotation(x: Any, y: Any, z: Any) -> Any:
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         matrix += math.sin(angle) / angle * cross + (1 - math.cos(angle)) / (angle * angle) * (cross @ cross)
     return matrix
-
-
-@_kernel
-def part_middles(points: Any, labels: Any) -> Any:
-    """Mean points of the cells of every part, float64 [256, 3], metres, and their areas, float64 [256], cells times
-    square metres of range.
-    """
-    middles, areas = np.zeros((_PARTS, 3)), np.zeros(_PARTS)
-    for m in range(len(points)):
-        area, part = points[m, 2] * points[m, 2], labels[m]
-        areas[part] += area
-        for i in range(3):
-            middles[part, i] += area * points[m, i]
-    for part in range(_PARTS):
-        if areas[part] > 0:
-            middles[part] /= areas[part]
-    return middles, areas
-
-
-@_kernel
-def part_shifts(motion: Any, middles: Any, areas: Any, old_middles: Any, old_areas: Any, least: Any, reach: Any) -> Any:
-    """Shift of every part beyond the rigid motion, float32 [256, 3], metres, and its weight, float32 [256], 0 to 1: the
-    square of the ratio of its two areas; 0 for a part that is smaller than `least` or would shift more than `reach`.
-    """
-    shifts, weights = np.zeros((_PARTS, 3), np.float32), np.zeros(_PARTS, np.float32)
-    for part in range(_PARTS):
-        if areas[part] > least and old_areas[part] > least:
-            x, y, z = middles[part]
-            squared = 0.0
-            for i in range(3):
-                place = motion[i, 0] * x + motion[i, 1] * y + motion[i, 2] * z + motion[i, 3]
-                shifts[part, i] = old_middles[part, i] - place
-                squared += shifts[part, i] ** 2
-            if squared < reach * reach:
-                ratio = min(areas[part], old_areas[part]) / max(areas[part], old_areas[part])
-                weights[part] = ratio * ratio
-            else:
-                shifts[part] = 0
-    return shifts, weights
-
-
-@_kernel
-def gain_of_shifts(
-    places: Any, labels: Any, shifts: Any, weights: Any, old_index: Any, old_points: Any, lens: Any, gate: Any
-) -> Any:  # fmt: skip
-    """Mean fall, metres, of the difference of range between places [M, 3] and the cells they meet, when the parts are
-    shifted; over the cells of parts that have a weight, 0 without any.
-    """
-    fall, cells = 0.0, 0
-    for m in range(len(places)):
-        part = labels[m]
-        if weights[part] > 0:
-            x, y, z = places[m]
-            o = cell_at(x, y, z, old_index, lens)
-            fall += min(abs(old_points[o, 2] - z), gate) if o >= 0 else gate
-            x, y, z = x + shifts[part, 0], y + shifts[part, 1], z + shifts[part, 2]
-            o = cell_at(x, y, z, old_index, lens)
-            fall -= min(abs(old_points[o, 2] - z), gate) if o >= 0 else gate
-            cells += 1
-    return fall / max(cells, 1)
 
 
 @_kernel
