@@ -20,7 +20,8 @@ from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.files import write_atomically
-from bodyseg_data.shards.manifest import MANIFEST_NAME, ShardRecord, read_manifest, record_from_json, record_to_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import ShardRecord, record_from_json, record_to_json
 
 STATE_NAME: Final = ".packing"
 _SKIPPED: Final = "skipped.json"

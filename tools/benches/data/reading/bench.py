@@ -13,8 +13,8 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import check_bytes
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.tar import check_bytes
 
 RANKS: Final = 64
 RANKS_A_MACHINE: Final = (8, 64)

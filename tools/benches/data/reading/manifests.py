@@ -16,7 +16,8 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.shards.descriptions import Descriptions
-from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest, ShardRecord, read_manifest, record_to_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest, read_manifest
+from bodyseg_data.shards.records import ShardRecord, record_to_json
 
 SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54
