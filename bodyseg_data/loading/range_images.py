@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artif
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform, with_text
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
+from bodyseg_data.core.randomness import Draws, Permutation, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
@@ -44,6 +44,9 @@ from bodyseg_data.shards.records import ShardRecord
 from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
+
+WHOLE_ORDER: Final = 1 << 23
+"""Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
 
 
 class RangeImages(Dataset[dict[str, Any]]):
@@ -256,9 +259,10 @@ class RangeImages(Dataset[dict[str, Any]]):
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: bool = True) -> Requests:
-        """`order` with the epoch of the draws, which is the same for all samples."""
-        order = self.order(epoch, shuffle)
-        return Requests(order, np.broadcast_to(np.int64(epoch), order.shape))
+        """`order`, of many samples in parts, with the epoch of the draws, which is the same for all samples."""
+        in_parts = shuffle and len(self) > WHOLE_ORDER
+        order = Permutation(len(self), self.seed, check_epoch(epoch)) if in_parts else self.order(epoch, shuffle)
+        return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
 
     def spread(self, count: int) -> NDArray[np.int64]:
         """Return at most `count` indices at even distances in stored order, each once, int64 [M]."""
