@@ -35,7 +35,7 @@ from bodyseg_data.shards.stores.store import Store
 
 INDEX_NAME: Final = "samples.index"
 
-HELD_PIECES: Final = 256
+HELD_PIECES: Final = 512
 """Pieces that a process holds, those read last: 13 kB each where shards have 1080 samples."""
 
 FETCHED_PIECES: Final = 64

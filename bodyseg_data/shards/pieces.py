@@ -10,17 +10,20 @@ import struct
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadShard
+from bodyseg_data.core.errors import BadSample, BadShard
+from bodyseg_data.core.sample import check_key
 from bodyseg_data.shards.descriptions import VIEW_FIELDS
-from bodyseg_data.shards.records import BLOCK, Entry, ShardRecord
+from bodyseg_data.shards.records import BLOCK, LARGEST_SAMPLE, Entry, ShardRecord
 
 LARGEST_PIECE: Final = 1 << 26
 """Largest piece, bytes."""
 
 _HEADER: Final = struct.Struct("<4I")
 """Numbers of samples, bodies and views; bytes of the text."""
+
+_ONE: Final = struct.Struct("<I")
+_TWO: Final = struct.Struct("<2I")
 
 _TEXT_FIELDS: Final = {"bodies", "stems", "tails", "notes"}
 _VIEW_MARK: Final = "-d"
@@ -67,58 +70,72 @@ class Piece:
         if len(data) < _HEADER.size:
             raise BadShard(f"{where}: {len(data)} bytes are no index of a shard")
         count, bodies, views, text_size = _HEADER.unpack_from(data)
-        body_kind, view_kind = _kind(bodies), _kind(views)
-        sizes = (4 * (count + 1), 4 * count, body_kind.itemsize * count, view_kind.itemsize * count, 10 * views)
-        if count != samples or _HEADER.size + sum(sizes) + text_size != len(data):
+        self._data, self._count, self._where = data, samples, where
+        self._body_kind, self._view_kind = _kind(bodies), _kind(views)
+        # The places of the columns: blocks, checksums, body, view, table of views, text.
+        self._crc32 = _HEADER.size + 4 * (count + 1)
+        self._body = self._crc32 + 4 * count
+        self._view = self._body + self._body_kind.itemsize * count
+        self._views = self._view + self._view_kind.itemsize * count
+        text = self._views + 2 * len(VIEW_FIELDS) * views
+        if not count or count != samples or text + text_size != len(data):
             raise BadShard(f"{where}: the index must hold {samples} samples, found {len(data)} bytes for {count}")
-        ends = np.cumsum((_HEADER.size, *sizes)).tolist()
-        self._blocks: NDArray[np.uint32] = np.frombuffer(data, "<u4", count + 1, ends[0])
-        self._crc32: NDArray[np.uint32] = np.frombuffer(data, "<u4", count, ends[1])
-        self._body: NDArray[Any] = np.frombuffer(data, body_kind, count, ends[2])
-        self._view: NDArray[Any] = np.frombuffer(data, view_kind, count, ends[3])
-        self._views: NDArray[np.int16] = np.frombuffer(data, "<i2", len(VIEW_FIELDS) * views, ends[4])
-        self._text = _checked_text(data[ends[5] :], where)
-        stems, tails = self._text["stems"], self._text["tails"]
-        if len(stems) != bodies or len(tails) not in (views, count):
+        self._text = _checked_text(data[text:], where)
+        self._stems, self._tails = self._text["stems"], self._text["tails"]
+        if len(self._stems) != bodies or len(self._tails) not in (views, count):
             raise BadShard(f"{where}: 'stems' and 'tails' must be as many as bodies, and as views or samples")
-        if not count or int(self._body.max()) >= bodies or int(self._view.max()) >= views:
-            raise BadShard(f"{where}: the index names rows that it has not")
-        self._stems, self._tails = stems, tails
-        self._tail_of_view = len(tails) == views  # each sample is a view of its own where both numbers are equal
+        self._tail_of_view = len(self._tails) == views  # each sample is a view of its own where both are equal
 
     def __len__(self) -> int:
-        return len(self._crc32)
+        return self._count
 
     def entry(self, index: int) -> Entry:
-        """Place of sample `index`. Raises IndexError beyond the samples."""
-        first, end = int(self._blocks[index]), int(self._blocks[index + 1])
-        return Entry(self._key(index), BLOCK * first, BLOCK * (end - first), int(self._crc32[index]))
+        """Place of sample `index`, 0 to before `len()`. Raises BadShard if it cannot be one."""
+        first, end = _TWO.unpack_from(self._data, _HEADER.size + 4 * index)
+        (checksum,) = _ONE.unpack_from(self._data, self._crc32 + 4 * index)
+        body = self._number(self._body, self._body_kind, index)
+        tail = self._number(self._view, self._view_kind, index) if self._tail_of_view else index
+        if body >= len(self._stems) or tail >= len(self._tails):
+            raise BadShard(f"{self._where}: sample {index} is of a body or view that the index has not")
+        key, length = self._stems[body] + self._tails[tail], BLOCK * (end - first)
+        try:
+            check_key(key)
+        except BadSample as error:
+            raise BadShard(f"{self._where}: {error}") from error
+        if not 0 < length <= LARGEST_SAMPLE:
+            raise BadShard(f"{self._where}: {key}: a sample takes at least a block and at most {LARGEST_SAMPLE} bytes")
+        return Entry(key, BLOCK * first, length, checksum)
 
     def to_json(self) -> dict[str, Any]:
-        """All fields of the shard's record in format 5 but its name, split, size and hash."""
-        blocks = self._blocks.astype(np.int64)
-        views = self._views.reshape(-1, len(VIEW_FIELDS))
+        """All fields of the shard's record in format 5 but its name, split, size and hash. Raises BadShard."""
+        data, count = self._data, self._count
+        blocks = np.frombuffer(data, "<u4", count + 1, _HEADER.size).astype(np.int64)
+        views = np.frombuffer(data[self._views :], "<i2", _HEADER.unpack_from(data)[2] * len(VIEW_FIELDS))
         return {
-            "samples": len(self),
-            "keys": [self._key(index) for index in range(len(self))],
+            "samples": count,
+            "keys": [self.entry(index).key for index in range(count)],
             "offsets": (BLOCK * blocks[:-1]).tolist(),
             "lengths": (BLOCK * np.diff(blocks)).tolist(),
-            "crc32": self._crc32.tolist(),
+            "crc32": np.frombuffer(data, "<u4", count, self._crc32).tolist(),
             "bodies": self._text["bodies"],
-            "views": views.T.tolist(),
-            "body": self._body.tolist(),
-            "view": self._view.tolist(),
+            "views": views.reshape(-1, len(VIEW_FIELDS)).T.tolist(),
+            "body": np.frombuffer(data, self._body_kind, count, self._body).tolist(),
+            "view": np.frombuffer(data, self._view_kind, count, self._view).tolist(),
             "notes": self._text["notes"],
         }
 
-    def _key(self, index: int) -> str:
-        tail = int(self._view[index]) if self._tail_of_view else index
-        return f"{self._stems[self._body[index]]}{self._tails[tail]}"
+    def _number(self, column: int, kind: np.dtype[Any], index: int) -> int:
+        """Number `index` of a column that begins at byte `column`."""
+        start = column + kind.itemsize * index
+        return int.from_bytes(self._data[start : start + kind.itemsize], "little")
+
+
+_KINDS: Final = tuple(map(np.dtype, ("u1", "<u2", "<u4")))
 
 
 def _kind(rows: int) -> np.dtype[Any]:
     """The type of numbers of a table's rows: as many bytes as they need, 1, 2 or 4."""
-    return np.dtype("u1" if rows <= 1 << 8 else "<u2" if rows <= 1 << 16 else "<u4")
+    return _KINDS[(rows > 1 << 8) + (rows > 1 << 16)]
 
 
 def _divided_keys(record: ShardRecord) -> tuple[list[str], list[str]]:

@@ -16,6 +16,9 @@ from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store
 BLOCK: Final = 512
 """Bytes of a block of a tar; samples are whole blocks."""
 
+LARGEST_SAMPLE: Final = 1 << 30
+"""Largest size of a sample in its shard, bytes."""
+
 LARGEST_SHARD: Final = 1 << 40
 """Largest size of a shard, bytes."""
 
@@ -23,7 +26,6 @@ _COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
 _RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, *DESCRIPTION_FIELDS}
 _SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5}\.tar")
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
-_LARGEST_SAMPLE: Final = 1 << 30
 
 
 class Entry(NamedTuple):
@@ -127,10 +129,10 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
             check_key(key)
         except BadSample as error:
             raise BadShard(f"{where}: {error}") from error
-        if offset != end or not 0 < length <= _LARGEST_SAMPLE or length % BLOCK:
+        if offset != end or not 0 < length <= LARGEST_SAMPLE or length % BLOCK:
             raise BadShard(
                 f"{where}: {key}: samples must follow each other in whole blocks of {BLOCK} bytes, each of at most "
-                f"{_LARGEST_SAMPLE}"
+                f"{LARGEST_SAMPLE}"
             )
         end = offset + length
     if end > tree["size"]:
