@@ -101,8 +101,9 @@ def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, S
 def _intact(path: Path, record: ShardRecord) -> bool:
     try:
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == record.sha256
-    except OSError:
+            # Where the set's index is damaged, the samples of a shard are not known: it is made again.
+            return hashlib.file_digest(file, "sha256").hexdigest() == record.sha256 and len(record.keys) == len(record)
+    except (OSError, BadShard):
         return False
 
 
