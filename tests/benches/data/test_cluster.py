@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from benches.data.render import cluster
+from benches.data.render.cluster import Costs
 from fakes import FiguresEntry
 from small_rig import SMALL
 
@@ -29,6 +30,20 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (one["workers"], two["workers"]) == (1, 2)
     assert one["share_of_linear"] == 1
     assert two["share_of_linear"] == pytest.approx(one["seconds"] / two["seconds"] / 2, rel=0.05)
+    for row in (one, two):
+        assert min(row["worker_ms"], row["scheduler_ms"], row["packer_ms"]) > 0
+        assert row["scheduler_ms_a_job"] == pytest.approx(2 * row["scheduler_ms"], abs=1e-3)
+        assert row["predicted_s"] > 0
+    assert 100 < found["job_bytes"] < found["result_bytes"]
+    assert found["machines"]["workers"] == 1000
+
+
+def test_the_slowest_part_sets_the_time() -> None:
+    costs = Costs(worker=20, scheduler=0.05, packer=0.2)
+    assert costs.seconds(1000, 10) == pytest.approx(2), "the workers"
+    assert costs.seconds(1000, 1000) == pytest.approx(0.2), "the process that packs"
+    assert Costs(20, 0.5, 0.2).seconds(1000, 1000) == pytest.approx(0.5), "the scheduler"
+    assert costs.seconds(1000, 4, processors=2) == pytest.approx(10.125), "two processors for all"
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
