@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,12 +23,21 @@ from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack, render_run
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 
-_BODIES: Final = 40
+_VIEWS: Final = 54
+"""Views of a body, and so of a job."""
+
+_IDLE_S: Final = 2.0
+"""Seconds for which idle processes are measured: Dask's take time while they wait, too."""
+
 _PROCESSES: Final = True
 """Workers are processes, as on a cluster, and not threads."""
 
 MACHINES: Final = 1000
 """Number of workers of one core for which the costs predict the speed."""
+
+
+Usage = tuple[float, float, float]
+"""Processor seconds of all workers, of the scheduler, and of the process that packs."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +58,21 @@ class Costs:
 
 
 def bench_cluster(
-    views: int = 54, num_workers: tuple[int, ...] = (1, 2, 4), progress: Progress = silent
+    views: int = 40, num_workers: tuple[int, ...] = (1, 2, 4), progress: Progress = silent
 ) -> dict[str, Any]:
-    """Costs of packing `views` views of each of `_BODIES` open bodies, by clusters of workers of one thread.
+    """Costs of packing `views` open bodies of `_VIEWS` views each, by clusters of workers of one thread.
 
     clusters: for each of `num_workers` the seconds from the first job to the manifest, views a second, the share of the
-    speed of as many times the first cluster's workers; `Costs` in milliseconds a view, scheduler_ms_a_job; and
-    predicted_s, the seconds that the costs of the first cluster predict on the processors of this machine if nothing
-    else runs on them. The body model is loaded before, by a packing of one body. job_bytes, result_bytes: on the
-    connections, for one body. machines: for `MACHINES` workers the views a second by the costs of the last cluster,
+    speed of as many times the first cluster's workers; `Costs` in milliseconds a view, scheduler_ms_a_job; idle_ms, the
+    milliseconds a second that workers, scheduler and packer each take while nothing is packed, which the costs leave
+    out; and predicted_s, the seconds that the costs of the first cluster predict on the processors of this machine if
+    nothing else runs on them. The body model is loaded before, by a packing of one body. job_bytes, result_bytes: on
+    the connections, for one body. machines: for `MACHINES` workers the views a second by the costs of the last cluster,
     and the number of workers from which on more bring nothing. equal: whether all manifests are the same bytes.
     Raises MissingLibrary without `distributed` or Anny.
     """
-    packing = Packing("open", meshes=_BODIES, views=ViewGrid(count=views))
+    packing = Packing("open", meshes=views, views=ViewGrid(count=_VIEWS))
+    count = views * _VIEWS
     cores = processors()
     rows: list[dict[str, Any]] = []
     measured: list[Costs] = []
@@ -70,10 +81,10 @@ def bench_cluster(
     for done, workers in enumerate(num_workers, 1):
         with tempfile.TemporaryDirectory() as folder, _nodes(workers) as nodes:
             sizes = sizes or _sizes(packing)
-            seconds, costs = _packed(packing, workers, nodes, Path(folder))
+            seconds, costs, idle = _packed(packing, workers, nodes, Path(folder))
             manifests.add((Path(folder) / "shards" / MANIFEST_NAME).read_bytes())
         measured.append(costs)
-        speed = _BODIES * views / seconds
+        speed = count / seconds
         first = rows[0] if rows else {"workers": workers, "views_a_second": speed}
         ideal = first["views_a_second"] * workers / first["workers"]
         rows.append(
@@ -83,22 +94,23 @@ def bench_cluster(
                 "views_a_second": round(speed, 2),
                 "share_of_linear": round(speed / ideal, 3),
                 **{f"{name}_ms": round(value, 4) for name, value in asdict(costs).items()},
-                "scheduler_ms_a_job": round(costs.scheduler * views, 3),
-                "predicted_s": round(measured[0].seconds(_BODIES * views, workers, cores), 3),
+                "scheduler_ms_a_job": round(costs.scheduler * _VIEWS, 3),
+                "idle_ms": {name: round(value * 1e3, 2) for name, value in zip(asdict(costs), idle, strict=True)},
+                "predicted_s": round(measured[0].seconds(count, workers, cores), 3),
             }
         )
         progress(done, len(num_workers))
     last = measured[-1]
     return {
-        "views": _BODIES * views,
-        "views_a_job": views,
+        "views": count,
+        "views_a_job": _VIEWS,
         "processors": cores,
         "clusters": rows,
         **sizes,
         "machines": {
             "workers": MACHINES,
             "views_a_second": round(1 / last.seconds(1, MACHINES), 1),
-            "useful_workers": int(last.worker / max(last.scheduler, last.packer)),
+            "useful_workers": int(last.worker / max(last.scheduler, last.packer, 1e-6)),
         },
         "equal": len(manifests) == 1,
     }
@@ -134,8 +146,8 @@ def _sizes(packing: Packing) -> dict[str, int]:
     }
 
 
-def _packed(packing: Packing, workers: int, nodes: Any, folder: Path) -> tuple[float, Costs]:
-    """Seconds of a packing, and its costs."""
+def _packed(packing: Packing, workers: int, nodes: Any, folder: Path) -> tuple[float, Costs, Usage]:
+    """Seconds of a packing, its costs, and what idle processes use, seconds of processor a second."""
     import distributed
 
     address = nodes.scheduler_address.replace("tcp", "dask", 1)
@@ -144,13 +156,25 @@ def _packed(packing: Packing, workers: int, nodes: Any, folder: Path) -> tuple[f
         pack(warm, folder / "warm", engine.executor, workers)
     with distributed.Client(nodes, set_as_default=False) as client, open_engine(address, workers, packing) as engine:
 
-        def used() -> tuple[float, float, float]:
+        def used() -> Usage:
             """Processor seconds so far: of all workers, of the scheduler's thread, of the rest of this process."""
             scheduler = client.run_on_scheduler(time.thread_time)
             return sum(client.run(time.process_time).values()), scheduler, time.process_time() - scheduler
 
-        before, start = used(), time.perf_counter()
-        pack(packing, folder / "shards", engine.executor, workers)
-        seconds, after = time.perf_counter() - start, used()
-    count = len(packing.bodies()) * len(packing.views)
-    return seconds, Costs(*((end - begin) / count * 1e3 for begin, end in zip(before, after, strict=True)))
+        def measured(work: Callable[[], object]) -> tuple[float, Usage]:
+            before, start = used(), time.perf_counter()
+            work()
+            seconds, after = time.perf_counter() - start, used()
+            workers_s, scheduler_s, packer_s = (end - begin for begin, end in zip(before, after, strict=True))
+            return seconds, (workers_s, scheduler_s, packer_s)
+
+        waited, idle = measured(lambda: time.sleep(_IDLE_S))
+        seconds, taken = measured(lambda: pack(packing, folder / "shards", engine.executor, workers))
+    worker, scheduler, packer = (each / waited for each in idle)
+    count = len(packing.bodies()) * len(packing.views) / 1e3
+    costs = Costs(
+        max(taken[0] - worker * seconds, 0.0) / count,
+        max(taken[1] - scheduler * seconds, 0.0) / count,
+        max(taken[2] - packer * seconds, 0.0) / count,
+    )
+    return seconds, costs, (worker, scheduler, packer)
