@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from benches.data.render import cluster
-from benches.data.render.cluster import Costs
+from benches.data.render.cluster import Costs, at_scale
 from fakes import FiguresEntry
 from small_rig import SMALL
 
@@ -37,7 +37,12 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
         assert row["scheduler_ms_a_job"] == pytest.approx(2 * row["scheduler_ms"], abs=1e-3)
         assert row["predicted_s"] > 0
     assert 100 < found["job_bytes"] < found["result_bytes"]
-    assert found["machines"]["workers"] == 1000
+
+
+def test_a_thousand_machines_are_predicted_from_costs_that_were_measured() -> None:
+    assert at_scale(Costs(20, 0.05, 0.2)) == {"workers": 1000, "views_a_second": 5000, "useful_workers": 100}
+    assert at_scale(Costs(20, 0.0, 0.2)) is None
+    assert at_scale(Costs(20, 0.05, 0.0)) is None
 
 
 def test_the_slowest_part_sets_the_time() -> None:

@@ -67,8 +67,7 @@ def bench_cluster(
     milliseconds a second that workers, scheduler and packer each take while nothing is packed, which the costs leave
     out; and predicted_s, the seconds that the costs of the first cluster predict on the processors of this machine if
     nothing else runs on them. The body model is loaded before, by a packing of one body. job_bytes, result_bytes: on
-    the connections, for one body. machines: for `MACHINES` workers the views a second by the costs of the last cluster,
-    and the number of workers from which on more bring nothing. equal: whether all manifests are the same bytes.
+    the connections, for one body. machines: `at_scale` of the costs of the last cluster. equal: whether all manifests are the same bytes.
     Raises MissingLibrary without `distributed` or Anny.
     """
     packing = Packing("open", meshes=views, views=ViewGrid(count=_VIEWS))
@@ -100,19 +99,28 @@ def bench_cluster(
             }
         )
         progress(done, len(num_workers))
-    last = measured[-1]
     return {
         "views": count,
         "views_a_job": _VIEWS,
         "processors": cores,
         "clusters": rows,
         **sizes,
-        "machines": {
-            "workers": MACHINES,
-            "views_a_second": round(1 / last.seconds(1, MACHINES), 1),
-            "useful_workers": int(last.worker / max(last.scheduler, last.packer, 1e-6)),
-        },
+        "machines": at_scale(measured[-1]),
         "equal": len(manifests) == 1,
+    }
+
+
+def at_scale(costs: Costs) -> dict[str, float] | None:
+    """Views a second of `MACHINES` workers, and the number of workers from which on more bring nothing.
+
+    None if scheduler or packer took no more than when idle: a measurement of too few jobs, which predicts nothing.
+    """
+    if not costs.scheduler or not costs.packer:
+        return None
+    return {
+        "workers": MACHINES,
+        "views_a_second": round(1 / costs.seconds(1, MACHINES), 1),
+        "useful_workers": int(costs.worker / max(costs.scheduler, costs.packer)),
     }
 
 
