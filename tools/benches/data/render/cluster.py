@@ -67,7 +67,8 @@ def bench_cluster(
     milliseconds a second that workers, scheduler and packer each take while nothing is packed, which the costs leave
     out; and predicted_s, the seconds that the costs of the first cluster predict on the processors of this machine if
     nothing else runs on them. The body model is loaded before, by a packing of one body. job_bytes, result_bytes: on
-    the connections, for one body. machines: `at_scale` of the costs of the last cluster. equal: whether all manifests are the same bytes.
+    the connections, for one body. machines: `at_scale` of the costs of the last cluster. equal: whether all manifests
+    are the same bytes.
     Raises MissingLibrary without `distributed` or Anny.
     """
     packing = Packing("open", meshes=views, views=ViewGrid(count=_VIEWS))
