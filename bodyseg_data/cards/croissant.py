@@ -82,7 +82,7 @@ def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
         "rai:dataCollection": " ".join([f"Rendered by {facts.renderer}, rig {facts.rig.name}.", *bodies]),
         "rai:dataLimitations": list(texts.LIMITS),
         "rai:personalSensitiveInformation": texts.people(facts),
-        "distribution": [*_shards(facts, publication), *_file_sets(facts, members)],
+        "distribution": [*_files(facts, publication), *_file_sets(facts, members)],
         "recordSet": [
             *(_records(split, member) for split in facts.splits for member in members),
             _parts(),
@@ -102,19 +102,19 @@ def _licence(licence: str) -> dict[str, str]:
     return {"license": f"https://spdx.org/licenses/{licence}.html" if plain else licence}
 
 
-def _shards(facts: SetFacts, publication: Publication) -> list[dict[str, Any]]:
+def _files(facts: SetFacts, publication: Publication) -> list[dict[str, Any]]:
     base = f"{publication.url.rstrip('/')}/" if publication.url else ""
     return [
         {
             "@type": "cr:FileObject",
-            "@id": shard.name,
-            "name": shard.name,
-            "contentUrl": f"{base}{shard.name}",
-            "contentSize": f"{shard.size} B",
-            "encodingFormat": "application/x-tar",
-            "sha256": shard.sha256,
+            "@id": file.name,
+            "name": file.name,
+            "contentUrl": f"{base}{file.name}",
+            "contentSize": f"{file.size} B",
+            "encodingFormat": "application/octet-stream" if file is facts.index else "application/x-tar",
+            "sha256": file.sha256,
         }
-        for shard in facts.shards
+        for file in (*facts.shards, *(() if facts.index is None else (facts.index,)))
     ]
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
 
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.splits import SPLITS, Split
 from bodyseg_data.shards.descriptions import BODY_FIELDS, VIEW_FIELDS
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, Manifest, ShardRecord
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import CheckedFile, ShardRecord
 
-_BODY = {name: column for column, name in enumerate(BODY_FIELDS)}
+_PERSON: Final = ("source", "subset", "subject")
+_BODY: Final = {name: column for column, name in enumerate(BODY_FIELDS)}
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,9 @@ class SplitCounts:
 class SetFacts:
     """Facts of a set.
 
-    digest: SHA-256 of the manifest's content, hexadecimal. sources: of the set and of its bodies, each once. splits:
-    counts of those that hold samples. views: field of a view -> its lowest and highest value. notes: lines on meshes.
+    digest: SHA-256 of the manifest's content, hexadecimal. sources: of the set and of its bodies, each once. index:
+    file beside the manifest, None for a set without one. splits: counts of those that hold samples. views: field of a
+    view -> its lowest and highest value. notes: lines on meshes.
     """
 
     digest: str
@@ -40,7 +44,8 @@ class SetFacts:
     renderer: str
     rig: Rig
     sources: tuple[str, ...]
-    shards: tuple[ShardRecord, ...]
+    shards: Sequence[ShardRecord]
+    index: CheckedFile | None
     splits: Mapping[Split, SplitCounts]
     views: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...]
@@ -62,36 +67,59 @@ class SetFacts:
 
 
 def set_facts(manifest: Manifest) -> SetFacts:
-    """Count the facts of a set."""
-    bodies = {body for shard in manifest.shards for body in shard.descriptions.bodies}
-    views = [view for shard in manifest.shards for view in shard.descriptions.views]
+    """Count the facts of a set, one shard after the other."""
+    counts = {split: _Counts() for split in SPLITS}
+    sources: set[str] = set()
+    views: set[tuple[int, ...]] = set()
+    for shard in manifest.shards:
+        counts[shard.split].add(shard)
+        sources.update(body[_BODY["source"]] for body in shard.descriptions.bodies)
+        views.update(shard.descriptions.views)
     columns = zip(VIEW_FIELDS, zip(*views, strict=True), strict=True)
     return SetFacts(
         digest=manifest.digest,
-        format=MANIFEST_FORMAT,
+        format=manifest.format,
         codec=manifest.codec,
         renderer=manifest.renderer,
         rig=manifest.rig,
-        sources=tuple(dict.fromkeys([manifest.source, *sorted({body[_BODY["source"]] for body in bodies})])),
+        sources=tuple(dict.fromkeys([manifest.source, *sorted(sources)])),
         shards=manifest.shards,
-        splits={split: _counts(manifest, split) for split in SPLITS if manifest.samples(split)},
+        index=manifest.index,
+        splits={split: found.counted() for split, found in counts.items() if found.samples},
         views={name: (min(values), max(values)) for name, values in columns},
         notes=tuple(manifest.notes()),
     )
 
 
-def _counts(manifest: Manifest, split: Split) -> SplitCounts:
-    shards = [shard for shard in manifest.shards if shard.split == split]
-    bodies = {body for shard in shards for body in shard.descriptions.bodies}
-    by_subset: Counter[str] = Counter()
-    for shard in shards:
-        subsets = [body[_BODY["subset"]] for body in shard.descriptions.bodies]
-        by_subset.update(subsets[row] for row in shard.descriptions.body)
-    return SplitCounts(
-        samples=manifest.samples(split),
-        shards=len(shards),
-        size=sum(shard.size for shard in shards),
-        bodies=len(bodies),
-        subjects=len({(body[_BODY["source"]], body[_BODY["subset"]], body[_BODY["subject"]]) for body in bodies}),
-        samples_by_subset=dict(sorted(by_subset.items())),
-    )
+@dataclass
+class _Counts:
+    """Counts of one split, as far as its shards have been added."""
+
+    samples: int = 0
+    shards: int = 0
+    size: int = 0
+    bodies: set[tuple[str, ...]] = field(default_factory=set)
+    by_subset: Counter[str] = field(default_factory=Counter)
+
+    def add(self, shard: ShardRecord) -> None:
+        """Count a shard."""
+        described = shard.descriptions
+        self.samples += len(shard)
+        self.shards += 1
+        self.size += shard.size
+        self.bodies.update(described.bodies)
+        subsets = [body[_BODY["subset"]] for body in described.bodies]
+        self.by_subset.update(subsets[row] for row in described.body)
+
+    def counted(self) -> SplitCounts:
+        """Return the counts."""
+        return SplitCounts(
+            samples=self.samples,
+            shards=self.shards,
+            size=self.size,
+            bodies=len(self.bodies),
+            subjects=len(
+                {(body[_BODY["source"]], body[_BODY["subset"]], body[_BODY["subject"]]) for body in self.bodies}
+            ),
+            samples_by_subset=dict(sorted(self.by_subset.items())),
+        )

@@ -9,7 +9,7 @@ from bodyseg_data.cards.stale import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.shards.faults import find_faults
+from bodyseg_data.shards.faults import find_faults, find_index_faults
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.store import LocalFolder, Store
@@ -35,6 +35,9 @@ def run(options: Options) -> int:
         sys.stdout.write(f"{error}\n")
         return 1
     faults = 0
+    for fault in find_index_faults(store, manifest):
+        sys.stdout.write(f"{fault}\n")
+        faults += 1
     with Progress("verifying", "samples") as progress:
         done, total = 0, manifest.samples()
         for shard in manifest.shards:
@@ -50,6 +53,8 @@ def run(options: Options) -> int:
     for line in stale_cards(store, manifest.digest):
         sys.stdout.write(f"{line}\n")
         faults += 1
+    if faults and manifest.index is not None:
+        return 1  # notes are in the index, which may be what is damaged
     for note in manifest.notes():
         sys.stdout.write(f"note: {note}\n")
     if faults:

@@ -7,6 +7,7 @@ import errno
 import gzip
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,14 +18,20 @@ _CHUNK_BYTES: Final = 1 << 20
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut."""
+    write_chunks_atomically(path, (data,))
+
+
+def write_chunks_atomically(path: Path, chunks: Iterable[bytes]) -> None:
+    """Write chunks of bytes one after the other, as `write_atomically`; an error of their iterator leaves no file."""
     aside = path.with_name(f".{path.name}.part")
     try:
         with aside.open("wb") as file:
-            file.write(data)
+            for chunk in chunks:
+                file.write(chunk)
             file.flush()
             os.fsync(file.fileno())
         aside.replace(path)
-    except OSError:
+    except BaseException:
         with contextlib.suppress(OSError):
             aside.unlink(missing_ok=True)
         raise

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import LabelMap
+from bodyseg_data.core.randomness import Permutation
 from bodyseg_data.core.sample import Sample
 
 if TYPE_CHECKING:
@@ -27,9 +28,12 @@ Request = tuple[int, int]
 
 @dataclass(frozen=True)
 class Requests:
-    """Samples of one epoch in the order of a pass. indices: int64 [N]. epochs: int64 [N], of each sample's draws."""
+    """Samples of one epoch in the order of a pass.
 
-    indices: NDArray[np.int64]
+    indices: int64 [N], or a `Permutation`, whose slices are. epochs: int64 [N], of each sample's draws.
+    """
+
+    indices: NDArray[np.int64] | Permutation
     epochs: NDArray[np.int64]
 
     def part(self, first: int, end: int) -> list[Request]:

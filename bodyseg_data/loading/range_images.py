@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artif
 from bodyseg_data.artifacts.variants import Augmentation, check_variant
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform, with_text
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.randomness import Draws, check_epoch, check_seed, permutation
+from bodyseg_data.core.randomness import Draws, Permutation, check_epoch, check_seed, permutation
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
@@ -38,11 +38,15 @@ from bodyseg_data.loading.transforms.transform import (
     transformed_shape,
     transforms_to_json,
 )
-from bodyseg_data.shards.cache.store import with_cache
+from bodyseg_data.shards.cache.store import with_cache, with_kept_index
 from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.shards.records import ShardRecord
 from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_data.shards.tar import ShardReader
+
+WHOLE_ORDER: Final = 1 << 23
+"""Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
 
 
 class RangeImages(Dataset[dict[str, Any]]):
@@ -89,7 +93,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         model = load_sensor_model(sensor)
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
-        self.manifest = read_manifest(store)
+        self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         self.transforms = check_transforms(transform)
@@ -100,7 +104,7 @@ class RangeImages(Dataset[dict[str, Any]]):
         self._joins_parts = self.label_map != PARTS33
         self.selection = Selection.of(pattern, split, only, where, val_share)
         self._samples = self.selection.choose(self.manifest, str(path))
-        records = [self.manifest.shards[number] for number in np.unique(self._samples[:, 0])]
+        records = (self.manifest.shards[number] for number in self._samples.shards)
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
         self.epoch = 0
         self.epochs_set = 0
@@ -119,7 +123,7 @@ class RangeImages(Dataset[dict[str, Any]]):
     @property
     def keys(self) -> list[str]:
         """Keys of all samples, in stored order."""
-        return [self.manifest.shards[shard].keys[index] for shard, index in self._samples.tolist()]
+        return [key for shard, own in self._chosen_records() for key in map(shard.keys.__getitem__, own)]
 
     @property
     def sets(self) -> tuple[RangeImages, ...]:
@@ -204,14 +208,18 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises as `check_index`."""
-        shard, within = self._samples[check_index(index, len(self._samples))].tolist()
-        return shard, within
+        return self._samples.place(check_index(index, len(self._samples)))
 
     def location(self, index: int) -> tuple[str, str, int]:
         """Return (shard name, key, byte offset in the shard) of a sample."""
         number, within = self._where(index)
         shard = self.manifest.shards[number]
-        return shard.name, shard.keys[within], shard.offsets[within]
+        key, offset, _, _ = shard.entry(within)
+        return shard.name, key, offset
+
+    def _chosen_records(self) -> Iterator[tuple[ShardRecord, list[int]]]:
+        """Yield the shards that hold the chosen samples, and these samples' indices within them, in stored order."""
+        return ((self.manifest.shards[number], own) for number, own in self._samples.by_shard())
 
     def batches(
         self,
@@ -241,9 +249,9 @@ class RangeImages(Dataset[dict[str, Any]]):
     def _digest(self) -> str:
         """Digest of the chosen samples' keys and bytes, in stored order, independent of the cut into shards."""
         digest = hashlib.blake2b(digest_size=16)
-        for number, within in self._samples.tolist():
-            shard = self.manifest.shards[number]
-            digest.update(f"{shard.keys[within]} {shard.crc32[within]}\n".encode())
+        for shard, own in self._chosen_records():
+            keys, checksums = shard.keys, shard.crc32
+            digest.update("".join(f"{keys[index]} {checksums[index]}\n" for index in own).encode())
         return digest.hexdigest()
 
     def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
@@ -251,9 +259,10 @@ class RangeImages(Dataset[dict[str, Any]]):
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: bool = True) -> Requests:
-        """`order` with the epoch of the draws, which is the same for all samples."""
-        order = self.order(epoch, shuffle)
-        return Requests(order, np.broadcast_to(np.int64(epoch), order.shape))
+        """`order`, of many samples in parts, with the epoch of the draws, which is the same for all samples."""
+        in_parts = shuffle and len(self) > WHOLE_ORDER
+        order = Permutation(len(self), self.seed, check_epoch(epoch)) if in_parts else self.order(epoch, shuffle)
+        return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return at most `count` indices at even distances in stored order, each once, int64 [M]."""
@@ -269,9 +278,11 @@ class RangeImages(Dataset[dict[str, Any]]):
         import webdataset
 
         chosen = self.epoch if epoch is None else check_epoch(epoch)
-        held: dict[str, list[int]] = {url: [] for url in self.urls()}
-        for index in range(len(self)):
-            held[f"{self.path}/{self.location(index)[0]}"].append(index)
+        ends = np.cumsum(self._samples.counts).tolist()
+        held = {
+            url: range(end - count, end)
+            for url, count, end in zip(self.urls(), self._samples.counts, ends, strict=True)
+        }
 
         def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
             for shard in shards:
@@ -283,11 +294,11 @@ class RangeImages(Dataset[dict[str, Any]]):
 
     def stored_bytes(self) -> int:
         """Return the bytes that the chosen samples take in their shards, headers included."""
-        return sum(self.manifest.shards[shard].lengths[index] for shard, index in self._samples.tolist())
+        return sum(sum(map(shard.lengths.__getitem__, own)) for shard, own in self._chosen_records())
 
     def urls(self) -> list[str]:
         """Return the paths of the shards that hold the chosen samples, in stored order."""
-        return [f"{self.path}/{self.manifest.shards[number].name}" for number in np.unique(self._samples[:, 0])]
+        return [f"{self.path}/{self.manifest.shards[number].name}" for number in self._samples.shards]
 
 
 def _checked_path(path: str | Path) -> str:

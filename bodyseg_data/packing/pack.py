@@ -186,8 +186,7 @@ def pack(
                 shards=tuple(records[shard.name] for shard in shards),
                 skipped=tuple(SkippedMesh(mesh, reason) for mesh, reason in skips.reasons.items()),
             )
-            if not (out / MANIFEST_NAME).exists():
-                write_manifest(manifest, out)
+            manifest = read_manifest(out) if (out / MANIFEST_NAME).exists() else write_manifest(manifest, out)
             shutil.rmtree(state)
     except BrokenExecutor as error:
         killed = f"a worker process was killed (out of memory?) while packing {out}"

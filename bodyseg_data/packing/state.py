@@ -20,7 +20,8 @@ from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.core.files import write_atomically
-from bodyseg_data.shards.manifest import MANIFEST_NAME, ShardRecord, read_manifest, record_from_json, record_to_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import ShardRecord, record_from_json, record_to_json
 
 STATE_NAME: Final = ".packing"
 _SKIPPED: Final = "skipped.json"
@@ -100,8 +101,9 @@ def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, S
 def _intact(path: Path, record: ShardRecord) -> bool:
     try:
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == record.sha256
-    except OSError:
+            # Where the set's index is damaged, the samples of a shard are not known: it is made again.
+            return hashlib.file_digest(file, "sha256").hexdigest() == record.sha256 and len(record.keys) == len(record)
+    except (OSError, BadShard):
         return False
 
 

@@ -19,7 +19,7 @@ from bodyseg_data.packing.engines.ordered import ordered
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
 from bodyseg_data.packing.state import finished_shards, record_shard
-from bodyseg_data.shards.manifest import ShardRecord
+from bodyseg_data.shards.records import ShardRecord
 from bodyseg_data.shards.tar import ShardWriter
 
 

@@ -7,12 +7,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bodyseg_data.core.errors import BadSample, BadShard, Unreachable
 from bodyseg_data.shards.descriptions import difference
-from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.shards.index import IndexedShards
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import ShardRecord, check_bytes, location
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.stores.store import Store, open_file, store_at
-from bodyseg_data.shards.tar import check_bytes, check_sizes, image_sizes, parse_members, sample_location
+from bodyseg_data.shards.tar import check_sizes, image_sizes, parse_members
 
 
 @dataclass(frozen=True)
@@ -28,17 +33,73 @@ class Fault:
         return f"{self.shard}: {self.key}: offset {self.offset}: {self.problem}"
 
 
+def find_index_faults(where: Path | Store, manifest: Manifest) -> Iterator[Fault]:
+    """Find all faults of a set's index, if it has one: in its size, in every piece, in its hash, and keys used twice.
+
+    A fault inside a piece is reported with the name of its shard as key.
+    """
+    if not isinstance(manifest.shards, IndexedShards):
+        return
+    store, table = store_at(where), manifest.shards.table
+    try:
+        with open_file(store, table.name) as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+        size = store.size(table.name)
+    except (OSError, Unreachable) as error:
+        yield Fault(table.name, "-", 0, f"cannot be read: {error}")
+        return
+    sound = True
+    digests = []
+    for number, shard in enumerate(manifest.shards):
+        try:
+            digests.append(np.array([_short_digest(key) for key in shard.keys], np.uint64))
+        except BadShard as error:
+            sound = False
+            place = table.entry(number)
+            problem = str(error).removeprefix(f"{manifest.shards.where(number)}: ")
+            problem = problem.removeprefix(f"{location(table, number)}: ")
+            yield Fault(table.name, place.key, place.offset, problem)
+    if size != table.size:
+        yield Fault(table.name, "-", min(size, table.size), f"{table.size} bytes expected, found {size}")
+    elif sound and found != table.sha256:
+        yield Fault(table.name, "-", 0, f"altered: SHA-256 {table.sha256} expected, found {found}")
+    if sound:
+        yield from _repeated_keys(manifest, np.concatenate(digests))
+
+
+def _short_digest(key: str) -> int:
+    return int.from_bytes(hashlib.blake2b(key.encode(), digest_size=8).digest(), "little")
+
+
+def _repeated_keys(manifest: Manifest, digests: NDArray[np.uint64]) -> Iterator[Fault]:
+    """Find samples whose key a sample before has. digests: of all keys, 8 bytes each, so that they fit into memory."""
+    order = np.sort(digests)
+    suspects = set(order[1:][order[1:] == order[:-1]].tolist())
+    seen: set[str] = set()
+    for shard in manifest.shards if suspects else ():
+        for index, key in enumerate(shard.keys):
+            if key in seen:
+                yield Fault(shard.name, key, shard.offsets[index], "a sample before it has the same key")
+            elif _short_digest(key) in suspects:
+                seen.add(key)
+
+
 def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
     """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
 
     A fault inside a sample is reported at that sample, any other at the end of the archive.
     """
+    try:
+        keys = shard.keys
+    except BadShard as error:
+        yield Fault(shard.name, "-", 0, f"its samples are not known: {error}")
+        return
     sha256 = hashlib.sha256()
     sound = True
     end = size = 0
     try:
         with open_file(store_at(where), shard.name) as file:
-            for index, key in enumerate(shard.keys):
+            for index, key in enumerate(keys):
                 data = file.read(shard.lengths[index])
                 end += len(data)
                 sha256.update(data)
@@ -47,7 +108,7 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
                     _check_content(manifest, shard, index, data)
                 except (BadShard, BadSample) as error:
                     sound = False
-                    problem = str(error).removeprefix(f"{sample_location(shard, index)}: ").removeprefix(f"{key}: ")
+                    problem = str(error).removeprefix(f"{location(shard, index)}: ").removeprefix(f"{key}: ")
                     yield Fault(shard.name, key, shard.offsets[index], problem)
             size = end
             while rest := file.read(1 << 20):

@@ -19,11 +19,10 @@ from bodyseg_data.core.sample import Sample, SampleInfo, check_key
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import BLOCK, ShardRecord, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
-from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store, store_at
-
-_BLOCK: Final = 512
+from bodyseg_data.shards.stores.store import Store, store_at
 
 
 class ShardWriter:
@@ -79,7 +78,7 @@ class ShardWriter:
             if kind is None:
                 # Two empty blocks end an archive, which is padded to whole records.
                 self._append(
-                    bytes(-(-(self._size + 2 * _BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
+                    bytes(-(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
                 )
                 self._file.flush()
                 os.fsync(self._file.fileno())
@@ -112,7 +111,7 @@ def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
 
 def _member(name: str, data: bytes) -> bytes:
     """Encode one tar member, padded to whole blocks."""
-    return _header(name, len(data)) + data + bytes(-len(data) % _BLOCK)
+    return _header(name, len(data)) + data + bytes(-len(data) % BLOCK)
 
 
 def _header(name: str, size: int) -> bytes:
@@ -163,42 +162,13 @@ class ShardReader:
         rig; Unreachable if a remote set cannot be reached.
         """
         record = self._manifest.shards[shard]
-        for attempt in range(1, READ_ATTEMPTS + 1):
-            try:
-                data = self._store.read(record.name, record.offsets[index], record.lengths[index])
-            except OSError as error:
-                problem = error.strerror or error
-                raise BadShard(f"{sample_location(record, index)}: cannot be read: {problem}") from error
-            try:
-                check_bytes(data, record, index)
-                break
-            except BadShard:
-                if attempt == READ_ATTEMPTS or not self._store.prepare_reread(record.name):
-                    raise
-        key = record.keys[index]
+        data, key = read_checked(self._store, record, index), record.entry(index).key
         try:
             sample = decode_sample(key, parse_members(key, data), projector, out, self._projectors)
             check_sizes(sample, *self._sizes)
         except BadSample as error:
-            raise BadShard(f"{sample_location(record, index)}: {error}") from error
+            raise BadShard(f"{location(record, index)}: {error}") from error
         return sample
-
-
-def sample_location(record: ShardRecord, index: int) -> str:
-    """Describe a sample by shard, key and offset, for messages."""
-    return f"{record.name}: {record.keys[index]}: offset {record.offsets[index]}"
-
-
-def check_bytes(data: bytes, record: ShardRecord, index: int) -> None:
-    """Raise BadShard, naming shard, key, offset and both checksums, unless `data` is as it was written."""
-    length, checksum = record.lengths[index], record.crc32[index]
-    if len(data) != length:
-        where = sample_location(record, index)
-        raise BadShard(f"{where}: cut short: {length} bytes expected, found {len(data)}")
-    found = zlib.crc32(data)
-    if found != checksum:
-        where = sample_location(record, index)
-        raise BadShard(f"{where}: altered: CRC-32 {checksum:08x} expected, found {found:08x}")
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:
@@ -210,18 +180,18 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
     position, end = 0, len(data)
     while position < end:
         try:
-            name, kind, size = _read_header(data[position : position + _BLOCK])
+            name, kind, size = _read_header(data[position : position + BLOCK])
         except (tarfile.HeaderError, UnicodeDecodeError) as error:
             raise BadSample(f"{key}: no tar header at byte {position} of the sample: {error}") from error
         stem, _, extension = name.partition(".")
         # `isreg` would accept sparse files.
         if kind != tarfile.REGTYPE or stem != key or not extension or extension in members:
             raise BadSample(f"{key}: a sample holds plain files called {key}.*, once each, found {name!r}")
-        start = position + _BLOCK
+        start = position + BLOCK
         if not 0 <= size <= end - start:
             raise BadSample(f"{key}: {name} claims {size} bytes, the sample ends before")
         members[extension] = data[start : start + size]
-        position = start + -(-size // _BLOCK) * _BLOCK
+        position = start + -(-size // BLOCK) * BLOCK
     return members
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 from bodyseg_data.cards.stale import CARD_NAMES
 from bodyseg_data.core.errors import BadShard
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.manifest import LARGEST_MANIFEST, MANIFEST_NAME, Manifest, read_manifest
+from bodyseg_data.shards.records import CheckedFile
 from bodyseg_data.shards.stores.store import Store, open_file
-
-_LARGEST_PAGE: Final = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -49,19 +47,25 @@ class Bundle:
 
 
 def set_bundle(store: Store) -> Bundle:
-    """Return the bundle of a set: shards, cards, manifest. Raises as `read_manifest`."""
+    """Return the bundle of a set: index, shards, cards, manifest. Raises as `read_manifest`."""
     manifest = read_manifest(store)
     return Bundle(
-        tuple(SharedFile(shard.name, shard.size, shard.sha256) for shard in manifest.shards),
+        tuple(SharedFile(file.name, file.size, file.sha256) for file in _large_files(manifest)),
         MANIFEST_NAME,
         read_page(store, MANIFEST_NAME),
         pages_of(store, CARD_NAMES),
     )
 
 
+def _large_files(manifest: Manifest) -> Iterator[CheckedFile]:
+    """Yield the index of a set that has one, and its shards."""
+    yield from () if manifest.index is None else (manifest.index,)
+    yield from manifest.shards
+
+
 def read_page(store: Store, name: str) -> bytes:
     """Read a small file. Raises BadShard if it is missing."""
-    data = store.read_file(name, _LARGEST_PAGE)
+    data = store.read_file(name, LARGEST_MANIFEST)
     if data is None:
         raise BadShard(f"{store.name}/{name} is missing")
     return data
@@ -69,14 +73,14 @@ def read_page(store: Store, name: str) -> bytes:
 
 def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
     """Read those of the small files `names` that a store holds."""
-    found = {name: store.read_file(name, _LARGEST_PAGE) for name in names}
+    found = {name: store.read_file(name, LARGEST_MANIFEST) for name in names}
     return {name: data for name, data in found.items() if data is not None}
 
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
     """Return names of files of the set in `store` that a bundle which takes its place has not."""
     try:
-        held = [shard.name for shard in read_manifest(store).shards]
+        held = [file.name for file in _large_files(read_manifest(store))]
     except BadShard:  # a network, or a set of another format: what it holds is not known
         held = []
     cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}

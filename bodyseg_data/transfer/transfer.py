@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.shards.manifest import LARGEST_MANIFEST
 from bodyseg_data.transfer.bundle import Bundle, superseded
 from bodyseg_data.transfer.targets import Target
-
-_LARGEST_INDEX: Final = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ def transfer(
     target that holds another bundle without `replace`, BadShard for bytes that are not those of their checksum, OSError
     or Unreachable.
     """
-    held = target.store.read_file(bundle.index, _LARGEST_INDEX)
+    held = target.store.read_file(bundle.index, LARGEST_MANIFEST)
     other = held is not None and held != bundle.index_bytes
     if other and not replace:
         raise BadConfig(f"{target.store.name} holds another {bundle.index}: choose another place, or --replace it")

@@ -25,7 +25,8 @@ from bodyseg_data.loading.selection.sample_table import BodyRow, SampleTable
 from bodyseg_data.loading.selection.selection import Selection
 from bodyseg_data.loading.selection.validation import groups, mark_val
 from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import ShardRecord
 
 
 def infos(*fields: dict[str, Any]) -> list[SampleInfo]:
@@ -65,7 +66,8 @@ def planned(source: str, shard_samples: int = 1080, views: int = 2) -> Manifest:
 
 def chosen_keys(manifest: Manifest, split: ReadSplit | None, val_share: float = 0.0, **options: Any) -> list[str]:
     selection = Selection.of("*", split, options.get("only", ()), options.get("where", ()), val_share)
-    return [manifest.shards[number].keys[index] for number, index in selection.choose(manifest, "here").tolist()]
+    chosen = selection.choose(manifest, "here")
+    return [manifest.shards[number].keys[index] for number, own in chosen.by_shard() for index in own]
 
 
 def met(text: str, *described: SampleInfo) -> list[bool]:

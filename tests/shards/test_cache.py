@@ -23,7 +23,8 @@ from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreac
 from bodyseg_data.shards.cache.folder import ShardCache, default_folder
 from bodyseg_data.shards.cache.store import CachedStore, with_cache
 from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest, ShardRecord, read_manifest
+from bodyseg_data.shards.manifest import Manifest, read_manifest
+from bodyseg_data.shards.records import ShardRecord
 from bodyseg_data.shards.stores.addresses import open_store
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file

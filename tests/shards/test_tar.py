@@ -21,7 +21,8 @@ from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadSample, BadShard
 from bodyseg_data.shards.codecs.png import encode_png
 from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import MANIFEST_NAME, _digest, read_manifest, record_from_json, record_to_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME, _digest, read_manifest
+from bodyseg_data.shards.records import record_from_json, record_to_json
 from bodyseg_data.shards.sample_codec import encode_sample
 from bodyseg_data.shards.tar import ShardReader, ShardWriter, _read_header, parse_members
 
@@ -170,10 +171,13 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 5', found 'list'"),
+        (lambda data: b"[]", "'format' must be 'bodyseg shards 5' or 'bodyseg shards 6', found 'list'"),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
-        (_edit("format", "bodyseg shards 3"), "'format' must be 'bodyseg shards 5', found 'bodyseg shards 3'"),
+        (
+            _edit("format", "bodyseg shards 3"),
+            "must be 'bodyseg shards 5' or 'bodyseg shards 6', found 'bodyseg shards 3'",
+        ),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
         (lambda data: data.replace(b'"samples":5', b'"samples":6', 1), "altered after it was written"),
     ],

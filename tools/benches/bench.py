@@ -50,7 +50,7 @@ BENCHES: Final = {
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
-    "cluster": Bench("data.render.cluster", None, "views of each body, 54", optional=("num_workers",)),
+    "cluster": Bench("data.render.cluster", None, "bodies of 54 views, 40", optional=("num_workers",)),
     "reading": Bench("data.reading.bench", required=("data",)),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
     "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),

@@ -141,7 +141,7 @@ class Mixture(Dataset[dict[str, Any]]):
         end = 0
         for stream, start, count, offset in zip(self._streams, starts, counts, self._starts[:-1], strict=True):
             given = stream.take(start, count, shuffle)
-            np.add(given.indices, offset, out=indices[end : end + count])
+            np.add(given.indices[:], offset, out=indices[end : end + count])
             epochs[end : end + count] = given.epochs
             end += count
         if not shuffle:

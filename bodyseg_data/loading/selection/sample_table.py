@@ -1,16 +1,15 @@
-"""The descriptions of all samples of a set as arrays, made from the manifest without opening a shard."""
+"""The descriptions of all samples of a set as arrays, made from its records without opening a shard."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.shards.descriptions import Descriptions
-from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import ShardRecord
 
 Row = TypeVar("Row")
 
@@ -34,12 +33,14 @@ class SampleTable:
     view: NDArray[np.int32]
 
     @classmethod
-    def of(cls, manifest: Manifest) -> SampleTable:
-        """Join the descriptions of all shards."""
-        shards = [shard.descriptions for shard in manifest.shards]
-        bodies, body = _joined(shards, lambda shard: (shard.bodies, shard.body))
-        views, view = _joined(shards, lambda shard: (shard.views, shard.view))
-        return cls(bodies, views, body, view)
+    def of(cls, shards: Iterable[ShardRecord]) -> SampleTable:
+        """Join the descriptions of shards, of which one at a time is in memory."""
+        bodies, views = _Joined[BodyRow](), _Joined[ViewRow]()
+        for shard in shards:
+            described = shard.descriptions
+            bodies.add(described.bodies, described.body)
+            views.add(described.views, described.view)
+        return cls(list(bodies.rows), list(views.rows), bodies.numbers(), views.numbers())
 
     def where_body(self, fits: Callable[[BodyRow], bool]) -> NDArray[np.bool_]:
         """Mark the samples whose body's row meets a condition, bool [N]; asked once a body."""
@@ -50,13 +51,18 @@ class SampleTable:
         return np.array([fits(row) for row in self.views], np.bool_)[self.view]
 
 
-def _joined(
-    shards: list[Descriptions], columns: Callable[[Descriptions], tuple[tuple[Row, ...], tuple[int, ...]]]
-) -> tuple[list[Row], NDArray[np.int32]]:
-    """One table of the rows of all shards, and the rows' numbers in it, int32 [N]."""
-    known: dict[Row, int] = {}
-    numbers = []
-    for shard in shards:
-        rows, column = columns(shard)
-        numbers.append(np.array([known.setdefault(row, len(known)) for row in rows], np.int32)[np.array(column)])
-    return list(known), np.concatenate(numbers)
+class _Joined(Generic[Row]):
+    """One table of the rows of several. rows: each with its number."""
+
+    def __init__(self) -> None:
+        self.rows: dict[Row, int] = {}
+        self._parts: list[NDArray[np.int32]] = []
+
+    def add(self, rows: tuple[Row, ...], column: tuple[int, ...]) -> None:
+        """Add the table of a shard and its samples' numbers of rows."""
+        numbers = np.array([self.rows.setdefault(row, len(self.rows)) for row in rows], np.int32)
+        self._parts.append(numbers[np.array(column)])
+
+    def numbers(self) -> NDArray[np.int32]:
+        """Numbers of the samples' rows in the joined table, int32 [N]."""
+        return np.concatenate(self._parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import READ_SPLITS, SPLITS, ReadSplit
+from bodyseg_data.loading.selection.chosen_samples import ChosenSamples
 from bodyseg_data.loading.selection.conditions import Condition, parse_conditions, texts_of
 from bodyseg_data.loading.selection.sample_table import SampleTable
 from bodyseg_data.loading.selection.validation import check_val_share, mark_val
@@ -57,40 +59,50 @@ class Selection:
             **({"val_share": self.val_share} if self.divides_train else {}),
         }
 
-    def choose(self, manifest: Manifest, path: str) -> NDArray[np.int64]:
-        """Shard number and index within it of the samples, in stored order, int64 [N, 2].
+    def choose(self, manifest: Manifest, path: str) -> ChosenSamples:
+        """Choose the samples of a set. The index of one that has it is read only where single samples are chosen.
 
         Raises BadConfig, naming `path`, if there is none, or if train cannot be divided.
         """
-        shards = manifest.shards
-        sizes = np.array([len(shard) for shard in shards])
-        number = np.repeat(np.arange(len(shards)), sizes)
-        index = np.arange(len(number)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         stored = "train" if self.split == "val" else self.split
-        fits = [stored in (None, shard.split) and Path(shard.name).match(self.pattern) for shard in shards]
-        chosen = np.repeat(np.array(fits, np.bool_), sizes)
-        if chosen.any() and (self.where or self.divides_train):
-            chosen &= self._described(manifest, sizes)
-        if self.only:
-            patterns = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
-            keys = [key for shard in shards for key in shard.keys]
-            for sample in np.flatnonzero(chosen).tolist():
-                chosen[sample] = any(match(keys[sample]) for match in patterns)
-        if not chosen.any():
+        counts = {
+            number: len(shard)
+            for number, shard in enumerate(manifest.shards)
+            if stored in (None, shard.split) and (self.pattern == "*" or Path(shard.name).match(self.pattern))
+        }
+        chosen = ChosenSamples(tuple(counts), tuple(counts.values()))
+        if counts and (self.where or self.only or self.divides_train):
+            chosen = self._filtered(manifest, chosen.shards)
+        if not len(chosen):
             held = ", ".join(f"{manifest.samples(name)} {name}" for name in SPLITS)
             wanted = " ".join((self.pattern, *self.only, *(condition.text for condition in self.where)))
             raise BadConfig(
                 f"{path} has no sample of split {self.split!r} that matches {wanted!r}; the set holds {held}"
             )
-        return np.stack([number[chosen], index[chosen]], axis=1)
+        return chosen
 
-    def _described(self, manifest: Manifest, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Mark the samples whose descriptions fit, bool [N]."""
-        table = SampleTable.of(manifest)
-        marks = np.ones(len(table.body), np.bool_)
-        for condition in self.where:
-            marks &= condition.marks(table)
-        if self.divides_train:
-            train = np.repeat([shard.split == "train" for shard in manifest.shards], sizes)
-            marks &= mark_val(table, train, self.val_share) == (self.split == "val")
-        return marks
+    def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:
+        """Choose the samples of some shards whose keys and descriptions fit, one shard after the other."""
+        parts = self._parts_of_train(manifest) if self.divides_train else {}
+        patterns = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
+        marks = []
+        for number in numbers:
+            shard = manifest.shards[number]
+            own = parts.get(number, np.ones(len(shard), np.bool_))
+            if self.where:
+                table = SampleTable.of([shard])
+                for condition in self.where:
+                    own &= condition.marks(table)
+            if patterns:
+                for sample in np.flatnonzero(own).tolist():
+                    own[sample] = any(match(shard.keys[sample]) for match in patterns)
+            marks.append(own)
+        return ChosenSamples.marked(numbers, marks)
+
+    def _parts_of_train(self, manifest: Manifest) -> dict[int, NDArray[np.bool_]]:
+        """Mark the samples of all shards of train that belong to the split: shard number -> bool [M]."""
+        train = [number for number, shard in enumerate(manifest.shards) if shard.split == "train"]
+        table = SampleTable.of(manifest.shards[number] for number in train)
+        val = mark_val(table, np.ones(len(table.body), np.bool_), self.val_share)
+        ends = np.cumsum([len(manifest.shards[number]) for number in train])
+        return dict(zip(train, np.split(val == (self.split == "val"), ends[:-1]), strict=True))

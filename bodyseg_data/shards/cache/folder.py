@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.shards.manifest import ShardRecord
+from bodyseg_data.shards.records import CheckedFile
 
 DEFAULT_CACHE_BYTES: Final = 20 * 10**9
 """Default size limit, bytes: room for about 300 000 samples."""
@@ -53,15 +53,15 @@ class ShardCache:
     limit: int
     in_use_s: float = IN_USE_S
 
-    def path(self, record: ShardRecord) -> Path:
+    def path(self, record: CheckedFile) -> Path:
         """Path of the complete shard, present or not."""
         return self.folder / f"{record.sha256}.tar"
 
-    def part(self, record: ShardRecord) -> Path:
+    def part(self, record: CheckedFile) -> Path:
         """Path of the shard during its download."""
         return self.folder / f"{record.sha256}.{record.size}.part"
 
-    def read(self, record: ShardRecord, offset: int, length: int) -> bytes | None:
+    def read(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
         """Read bytes of a shard and mark it as used; None if the complete shard is not in the cache."""
         try:
             with self.path(record).open("rb", buffering=0) as file:
@@ -73,7 +73,7 @@ class ShardCache:
             return None
 
     @contextlib.contextmanager
-    def claim(self, record: ShardRecord) -> Iterator[int | None]:
+    def claim(self, record: CheckedFile) -> Iterator[int | None]:
         """Open and lock the part file, as a descriptor, for the download of the shard.
 
         Waits while another process downloads it. None if the shard is complete by then or there is no room for it.
@@ -87,7 +87,7 @@ class ShardCache:
                 fcntl.flock(handle, fcntl.LOCK_UN)
                 os.close(handle)
 
-    def finish(self, record: ShardRecord) -> None:
+    def finish(self, record: CheckedFile) -> None:
         """Turn the claimed part, now complete, into the shard."""
         self.part(record).replace(self.path(record))
 
@@ -95,7 +95,7 @@ class ShardCache:
         """Bytes taken by shards; partial downloads count in full."""
         return sum(entry.size for entry in self._entries())
 
-    def _wait_for_part(self, record: ShardRecord) -> int | None:
+    def _wait_for_part(self, record: CheckedFile) -> int | None:
         while not self.path(record).exists():
             handle = self._open_part(record)
             if handle is None:
@@ -109,7 +109,7 @@ class ShardCache:
             time.sleep(_POLL_S)
         return None
 
-    def _open_part(self, record: ShardRecord) -> int | None:
+    def _open_part(self, record: CheckedFile) -> int | None:
         """Open the part file, created if there is room; None if there is not."""
         part = self.part(record)
         with contextlib.suppress(FileNotFoundError):

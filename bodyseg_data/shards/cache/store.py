@@ -7,14 +7,16 @@ import hashlib
 import os
 import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.shards.cache.folder import DEFAULT_CACHE_BYTES, ShardCache, default_folder, is_same_file
-from bodyseg_data.shards.manifest import ShardRecord
+from bodyseg_data.shards.index import IndexedShards
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import CheckedFile, check_bytes
 from bodyseg_data.shards.stores.remote import RemoteFolder
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, Store
-from bodyseg_data.shards.tar import check_bytes
 
 
 class CachedStore:
@@ -24,7 +26,7 @@ class CachedStore:
     read by byte range. The choice never changes, so no shard is downloaded again and again.
     """
 
-    def __init__(self, remote: RemoteFolder, records: Iterable[ShardRecord], cache: ShardCache) -> None:
+    def __init__(self, remote: RemoteFolder, records: Iterable[CheckedFile], cache: ShardCache) -> None:
         self._remote, self._cache = remote, cache
         self._records = {record.name: record for record in records}
         self._to_cache = set()
@@ -68,14 +70,14 @@ class CachedStore:
             return True
         return spoiled
 
-    def _from_cache(self, record: ShardRecord, offset: int, length: int) -> bytes | None:
+    def _from_cache(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
         try:
             return self._cache.read(record, offset, length)
         except OSError as error:
             self._disable_cache(error)
             return None
 
-    def _ensure_cached(self, record: ShardRecord) -> bool:
+    def _ensure_cached(self, record: CheckedFile) -> bool:
         """Download the shard unless it is cached; False if it cannot be cached."""
         try:
             with self._cache.claim(record) as handle:
@@ -86,7 +88,7 @@ class CachedStore:
             self._disable_cache(error)
             return False
 
-    def _fill(self, record: ShardRecord, handle: int) -> None:
+    def _fill(self, record: CheckedFile, handle: int) -> None:
         try:
             problem = self._fetch(record, handle)
             if problem is None:
@@ -102,7 +104,7 @@ class CachedStore:
                 os.ftruncate(handle, 0)  # leave a full disk as it was
             raise
 
-    def _fetch(self, record: ShardRecord, handle: int) -> str | None:
+    def _fetch(self, record: CheckedFile, handle: int) -> str | None:
         """Continue the download of the part file until its hash is right; otherwise return the problem."""
         problem = None
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
@@ -124,7 +126,7 @@ class CachedStore:
         _warn(f"{self._cache.folder}: {error.strerror or error}: shards are no longer kept there, but read by range")
 
 
-def with_cache(store: Store, records: Iterable[ShardRecord], folder: str | Path | None, limit: int | None) -> Store:
+def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path | None, limit: int | None) -> Store:
     """Add a cache to a remote store; a local store, and any with `limit` 0, is returned unchanged.
 
     folder: default `default_folder()`. limit: bytes, default DEFAULT_CACHE_BYTES. Raises BadConfig.
@@ -148,11 +150,19 @@ def with_cache(store: Store, records: Iterable[ShardRecord], folder: str | Path 
     return CachedStore(store, records, cache)
 
 
+def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None, limit: int | None) -> Manifest:
+    """Return the manifest, read from `store`, with its index, if it has one, kept in the cache as `with_cache`."""
+    if not isinstance(manifest.shards, IndexedShards):
+        return manifest
+    kept = with_cache(store, [manifest.shards.table], folder, limit)
+    return replace(manifest, shards=manifest.shards.kept_in(kept))
+
+
 def _warn(text: str) -> None:
     warnings.warn(text, RuntimeWarning, stacklevel=3)
 
 
-def _find_altered(record: ShardRecord, handle: int) -> tuple[int, str] | None:
+def _find_altered(record: CheckedFile, handle: int) -> tuple[int, str] | None:
     """Find the offset of the first altered bytes of a file and the problem; None if the hash is right."""
     with os.fdopen(handle, "rb", closefd=False) as file:
         file.seek(0)
@@ -160,9 +170,10 @@ def _find_altered(record: ShardRecord, handle: int) -> tuple[int, str] | None:
         if found == record.sha256:
             return None
         file.seek(0)
-        for index, offset in enumerate(record.offsets):
+        for index in range(len(record)):
+            _, offset, length, _ = record.entry(index)
             try:
-                check_bytes(file.read(record.lengths[index]), record, index)
+                check_bytes(file.read(length), record, index)
             except BadShard as error:
                 return offset, str(error)
         return file.tell(), f"{record.name}: altered: SHA-256 {record.sha256} expected, found {found}"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from benches.data.render import cluster
+from benches.data.render.cluster import Costs, at_scale
 from fakes import FiguresEntry
 from small_rig import SMALL
 
@@ -17,7 +18,8 @@ from bodyseg_data.packing.options import Packing
 def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setitem(SOURCES, "open", FiguresEntry())
-    monkeypatch.setattr(cluster, "_BODIES", 2)
+    monkeypatch.setattr(cluster, "_VIEWS", 2)
+    monkeypatch.setattr(cluster, "_IDLE_S", 0.05)
     monkeypatch.setattr(cluster, "_PROCESSES", False)
     monkeypatch.setattr(cluster, "Packing", lambda *words, **options: Packing(*words, **{**options, "rig": SMALL}))
     steps: list[tuple[int, int]] = []
@@ -29,6 +31,26 @@ def test_clusters_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (one["workers"], two["workers"]) == (1, 2)
     assert one["share_of_linear"] == 1
     assert two["share_of_linear"] == pytest.approx(one["seconds"] / two["seconds"] / 2, rel=0.05)
+    for row in (one, two):
+        assert row["worker_ms"] > 0
+        assert set(row["idle_ms"]) == {"worker", "scheduler", "packer"}
+        assert row["scheduler_ms_a_job"] == pytest.approx(2 * row["scheduler_ms"], abs=1e-3)
+        assert row["predicted_s"] > 0
+    assert 100 < found["job_bytes"] < found["result_bytes"]
+
+
+def test_a_thousand_machines_are_predicted_from_costs_that_were_measured() -> None:
+    assert at_scale(Costs(20, 0.05, 0.2)) == {"workers": 1000, "views_a_second": 5000, "useful_workers": 100}
+    assert at_scale(Costs(20, 0.0, 0.2)) is None
+    assert at_scale(Costs(20, 0.05, 0.0)) is None
+
+
+def test_the_slowest_part_sets_the_time() -> None:
+    costs = Costs(worker=20, scheduler=0.05, packer=0.2)
+    assert costs.seconds(1000, 10) == pytest.approx(2), "the workers"
+    assert costs.seconds(1000, 1000) == pytest.approx(0.2), "the process that packs"
+    assert Costs(20, 0.5, 0.2).seconds(1000, 1000) == pytest.approx(0.5), "the scheduler"
+    assert costs.seconds(1000, 4, processors=2) == pytest.approx(10.125), "two processors for all"
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

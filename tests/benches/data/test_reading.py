@@ -16,9 +16,10 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     monkeypatch.setattr(bench, "RANKS_A_MACHINE", (2, 4))
     monkeypatch.setattr(bench, "BATCH", 2)
     monkeypatch.setattr(bench, "SIZES", (SHARD_SAMPLES,))
+    monkeypatch.setattr(bench, "LARGEST", 3 * SHARD_SAMPLES)
     steps: list[tuple[int, int]] = []
     found = bench.bench_reading(str(small_set), lambda done, total: steps.append((done, total)))
-    assert steps == [(done, 4) for done in range(1, 5)]
+    assert steps == [(done, 6) for done in range(1, 7)]
     alone, two, four = found["ranks"]
     train = [shard for shard in read_manifest(small_set).shards if shard.split == "train"]
     size = sum(shard.size for shard in train)
@@ -26,11 +27,18 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     assert (four["requests"], four["bytes"], four["times_the_set"]) == (2, size, 1.0)
     assert (two["requests"], two["times_the_set"]) == (4, 2.0)
     assert 1 < two["shards_a_rank"] <= two["shards"] == 2
-    (opened,) = found["opening"]
-    assert opened["samples"] == SHARD_SAMPLES
-    assert opened["cpu_s"] > 0
-    assert 50 < opened["bytes"] / SHARD_SAMPLES < 200
-    assert opened["memory_bytes"] > 10e6
+    whole, indexed, largest = found["opening"]
+    assert [(row["samples"], row["indexed"]) for row in (whole, indexed, largest)] == [
+        (SHARD_SAMPLES, False),
+        (SHARD_SAMPLES, True),
+        (3 * SHARD_SAMPLES, True),
+    ]
+    assert min(row["cpu_s"] for row in (whole, indexed, largest)) > 0
+    assert 50 < whole["bytes"] / SHARD_SAMPLES < 200
+    assert whole["index_bytes"] == 0
+    assert largest["index_bytes"] == 3 * indexed["index_bytes"]
+    assert 10 < indexed["index_bytes"] / SHARD_SAMPLES < 30
+    assert largest["bytes"] - indexed["bytes"] < 2 * 500, "a short line a shard"
     assert set(found["fits"]) == {"bytes", "cpu_s", "memory_bytes"}
 
 

@@ -63,7 +63,7 @@ def test_anything_else_that_happens_to_files_is_reported(damaged: Damaged) -> No
 
 def test_a_reader_that_lets_damage_through_would_be_seen(damaged: Damaged, monkeypatch: pytest.MonkeyPatch) -> None:
     tally = Tally()
-    monkeypatch.setattr("bodyseg_data.shards.tar.check_bytes", lambda data, record, index: None)
+    monkeypatch.setattr("bodyseg_data.shards.records.check_bytes", lambda data, record, index: None)
     monkeypatch.setattr("benches.fuzzing.damage.find_faults", lambda folder, manifest, shard: [])
     shard = damaged.manifest.shards[0]
     last = shard.lengths[0] - 1  # padding of the first sample's last member: no image changes

@@ -26,7 +26,8 @@ from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BodysegError
 from bodyseg_data.core.rig import parse_rig
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest, record_from_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import record_from_json
 from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_data.shards.tar import parse_members
 from bodyseg_model.commands.cli import main

@@ -19,7 +19,8 @@ from numpy.random import Generator
 from bodyseg_data.core.errors import BadShard, BodysegError
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import MANIFEST_NAME, ShardRecord, read_manifest
+from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import ShardRecord
 
 BLOCK: Final = 512
 

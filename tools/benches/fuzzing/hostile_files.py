@@ -20,7 +20,8 @@ from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.core.splits import SPLITS
 from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest, ShardRecord
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import ShardRecord
 from bodyseg_data.shards.sample_codec import encode_sample
 
 KEY: Final = "open-A-posture-00-d215-a040"

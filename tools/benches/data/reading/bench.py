@@ -13,15 +13,15 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.cache.store import with_cache
 from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.shards.records import check_bytes
 from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.tar import check_bytes
 
 RANKS: Final = 64
 RANKS_A_MACHINE: Final = (8, 64)
 BATCH: Final = 16
 SIZES: Final = (1_080_000, 3_240_000, 10_800_000)
 """Samples of the manifests that are opened."""
-EXTRAPOLATED: Final = 100_000_000
+LARGEST: Final = 99_999_360
 
 _BLOCK_BYTES: Final = 4 << 20
 """Requests of protocols other than HTTP are of at most this size."""
@@ -49,23 +49,25 @@ def bench_reading(data: str, progress: ProgressCallback = silent) -> dict[str, A
     """Requests and bytes of one epoch of `RANKS` ranks over the set `data`, a local folder, and costs of opening sets.
 
     ranks: for each number of ranks that share a machine, and so a cache, requests, bytes sent over the bytes of the
-    set, and shards that a rank reads of; the row without a cache reads samples by byte range. opening: for manifests
-    of `SIZES` samples; fits: lines through them, and their value for `EXTRAPOLATED` samples. Raises BadConfig for a set
-    with fewer samples than ranks.
+    set, and shards that a rank reads of; the row without a cache reads samples by byte range. opening: for sets of
+    `SIZES` samples, without and with an index, and for one of `LARGEST` with an index; fits: lines through those
+    without, and their value for `LARGEST` samples. Raises BadConfig for a set with fewer samples than ranks.
     """
     folder = Path(data)
     images = RangeImages(folder, variant="none", split="train")
     if len(images) < RANKS:
         raise BadConfig(f"bench reading needs a set of at least {RANKS} training samples, found {len(images)}")
-    steps = len(RANKS_A_MACHINE) + 1 + len(SIZES)
+    kinds = [*((samples, indexed) for samples in SIZES for indexed in (False, True)), (LARGEST, True)]
+    steps = len(RANKS_A_MACHINE) + 1 + len(kinds)
     rows = []
     for done, group in enumerate((None, *RANKS_A_MACHINE), 1):
         rows.append(_epoch(images, folder, group))
         progress(done, steps)
     opening = []
-    for samples in SIZES:
-        opening.append(cost_of_opening(images.manifest, samples))
+    for samples, indexed in kinds:
+        opening.append(cost_of_opening(images.manifest, samples, indexed))
         progress(len(rows) + len(opening), steps)
+    whole = [row for row in opening if not row["indexed"]]
     return {
         "rank_count": RANKS,
         "batch": BATCH,
@@ -74,8 +76,8 @@ def bench_reading(data: str, progress: ProgressCallback = silent) -> dict[str, A
         "manifest_bytes": (folder / MANIFEST_NAME).stat().st_size,
         "ranks": rows,
         "opening": opening,
-        "extrapolated_to": EXTRAPOLATED,
-        "fits": {name: fit(opening, name, EXTRAPOLATED) for name in ("bytes", "cpu_s", "memory_bytes")},
+        "extrapolated_to": LARGEST,
+        "fits": {name: fit(whole, name, LARGEST) for name in ("bytes", "cpu_s", "memory_bytes")},
     }
 
 

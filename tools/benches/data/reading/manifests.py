@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import resource
 import tempfile
 import time
 from collections.abc import Sequence
@@ -15,13 +14,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.shards.descriptions import Descriptions
-from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest, ShardRecord, read_manifest, record_to_json
+from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, write_index
+from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest
+from bodyseg_data.shards.records import ShardRecord, record_to_json
+from bodyseg_data.shards.stores.store import LocalFolder
 
 SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54
 """Samples of a shard and views of a body, those of `bodyseg shard`."""
 
+_FOUND: Final = 1000
 _ONLY_SHARDS: Final = b'"shards":[]'
 
 
@@ -50,16 +54,52 @@ def write_large_manifest(example: Manifest, samples: int, folder: Path) -> None:
         out.write(sha256.hexdigest().encode())
 
 
-def cost_of_opening(example: Manifest, samples: int) -> dict[str, Any]:
-    """Bytes of a manifest of `samples`; processor seconds of reading it, and peak memory of the process, bytes."""
+def write_large_index(example: Manifest, samples: int, folder: Path) -> None:
+    """Write manifest and index of a set as `write_large_manifest`, but for all pieces of the index, which are equal.
+
+    Opening a set and finding single samples take the same for equal pieces, which are written in seconds.
+    """
+    record = _record(0)
+    one = write_index([record], folder)
+    data, count = (folder / INDEX_NAME).read_bytes(), samples // SHARD_SAMPLES
+    sha256 = hashlib.sha256()
+    with (folder / INDEX_NAME).open("wb") as out:
+        for _ in range(count):
+            out.write(data)
+            sha256.update(data)
+    table = replace(
+        one,
+        size=count * one.size,
+        sha256=sha256.hexdigest(),
+        names=tuple(f"train-{number:05d}.tar" for number in range(count)),
+        splits=one.splits * count,
+        hashes=tuple(hashlib.sha256(str(number).encode()).hexdigest() for number in range(count)),
+        **{name: np.tile(getattr(one, name), count) for name in ("samples", "sizes", "crc32")},
+        ends=np.arange(1, count + 1) * one.size,
+    )
+    manifest = replace(example, shards=IndexedShards(table, LocalFolder(folder)))
+    (folder / MANIFEST_NAME).write_bytes(_compact(manifest.to_json()) + b"\n")
+
+
+def cost_of_opening(example: Manifest, samples: int, indexed: bool) -> dict[str, Any]:
+    """Costs of opening a set of `samples` in a process of its own. indexed: its manifest has an index.
+
+    bytes: that opening reads; index_bytes: beside them. cpu_s: processor seconds. memory_bytes: that the process
+    takes in addition, at most. order_cpu_s, order_memory_bytes: the same of the first samples of a shuffled epoch.
+    sample_us: processor microseconds of finding one of `_FOUND` samples anywhere in the set.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_large_manifest(example, samples, folder)
+        (write_large_index if indexed else write_large_manifest)(example, samples, folder)
         context = multiprocessing.get_context("spawn")
         with context.Pool(1) as pool:
-            seconds, memory = pool.apply(_open, (folder,))
-        size = (folder / MANIFEST_NAME).stat().st_size
-    return {"samples": samples, "bytes": size, "cpu_s": round(seconds, 3), "memory_bytes": memory}
+            found = pool.apply(_open, (folder,))
+        index = folder / INDEX_NAME
+        sizes = {
+            "bytes": (folder / MANIFEST_NAME).stat().st_size,
+            "index_bytes": index.stat().st_size if indexed else 0,
+        }
+    return {"samples": samples, "indexed": indexed, **sizes, **found}
 
 
 def fit(rows: Sequence[dict[str, Any]], name: str, at: int) -> dict[str, float]:
@@ -107,12 +147,43 @@ def _record(number: int) -> ShardRecord:
     )
 
 
-def _open(folder: Path) -> tuple[float, int]:
-    start = time.process_time()
-    manifest = read_manifest(folder)
-    seconds = time.process_time() - start
-    del manifest  # held until here, as a reader holds it
-    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def _open(folder: Path) -> dict[str, float]:
+    opening = _Usage()
+    images = RangeImages(folder, variant="none", split="train")
+    cpu_s, memory = opening.read()
+    ordering = _Usage()
+    images.requests(0).part(0, 1)
+    order_cpu_s, order_memory = ordering.read()
+    chosen = np.random.default_rng(0).integers(0, len(images), _FOUND).tolist()
+    finding = _Usage()
+    for index in chosen:
+        images.location(index)
+    return {
+        "cpu_s": round(cpu_s, 3),
+        "memory_bytes": memory,
+        "order_cpu_s": round(order_cpu_s, 3),
+        "order_memory_bytes": order_memory,
+        "sample_us": round(finding.read()[0] / _FOUND * 1e6, 2),
+    }
+
+
+class _Usage:
+    """Processor time and memory of this process from now on."""
+
+    def __init__(self) -> None:
+        Path("/proc/self/clear_refs").write_text("5")  # starts the count of the most memory anew
+        self._memory, self._start = _status("VmRSS"), time.process_time()
+
+    def read(self) -> tuple[float, int]:
+        """Return processor seconds, and the most memory in addition to that at the start, bytes."""
+        seconds = time.process_time() - self._start
+        return seconds, max(0, _status("VmHWM") - self._memory)
+
+
+def _status(field: str) -> int:
+    """Memory of this process by the name of the kernel, bytes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) << 10 for line in lines if line.startswith(f"{field}:"))
 
 
 def _compact(tree: dict[str, Any]) -> bytes:

@@ -1,0 +1,248 @@
+"""The index of a large set: a file of one piece a shard, each read when it is needed.
+
+So opening a set, and the memory of a process that reads it, take the same for any number of samples but for a short
+line a shard. The manifest names size and hash of the file and the checksum of every piece, and is written after it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Final, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadShard
+from bodyseg_data.core.files import write_chunks_atomically
+from bodyseg_data.core.splits import Split
+from bodyseg_data.shards.descriptions import Descriptions
+from bodyseg_data.shards.pieces import LARGEST_PIECE, Piece, encode_piece
+from bodyseg_data.shards.records import (
+    LARGEST_SHARD,
+    Entry,
+    ShardRecord,
+    check_head,
+    location,
+    read_checked,
+    record_from_json,
+)
+from bodyseg_data.shards.stores.store import Store
+
+INDEX_NAME: Final = "samples.index"
+
+HELD_PIECES: Final = 512
+"""Pieces that a process holds, those read last: 13 kB each where shards have 1080 samples."""
+
+FETCHED_PIECES: Final = 64
+"""Pieces that a reader of a remote set fetches one by one before it fetches the whole file into the cache."""
+
+_TEXTS: Final = ("name", "split", "sha256")
+_NUMBERS: Final = {
+    "samples": (1, LARGEST_PIECE),
+    "size": (0, LARGEST_SHARD),
+    "piece_bytes": (1, LARGEST_PIECE),
+    "piece_crc32": (0, (1 << 32) - 1),
+}
+"""Columns of numbers of the table of shards, with the least and the greatest value."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShardTable:
+    """Table of a set's S shards, and the place of each one's piece in the index, which it describes as a `CheckedFile`.
+
+    size, sha256: of the index. names, splits, hashes (SHA-256): of shards. samples, sizes (bytes): of shards, int64
+    [S]. ends: of pieces, bytes, int64 [S]. crc32: of pieces, int64 [S].
+    """
+
+    size: int
+    sha256: str
+    names: tuple[str, ...]
+    splits: tuple[Split, ...]
+    hashes: tuple[str, ...]
+    samples: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    crc32: NDArray[np.int64]
+
+    @property
+    def name(self) -> str:
+        """Name of the index."""
+        return INDEX_NAME
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def entry(self, index: int) -> Entry:
+        """Place of the piece of shard `index`; its key is the shard's name."""
+        start = int(self.ends[index - 1]) if index else 0
+        return Entry(self.names[index], start, int(self.ends[index]) - start, int(self.crc32[index]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to the field `shards` of a manifest."""
+        columns = (self.samples, self.sizes, np.diff(self.ends, prepend=0), self.crc32)
+        return {
+            "index": {"name": self.name, "size": self.size, "sha256": self.sha256},
+            **dict(zip(_TEXTS, (self.names, self.splits, self.hashes), strict=True)),
+            **{name: column.tolist() for name, column in zip(_NUMBERS, columns, strict=True)},
+        }
+
+
+def table_from_json(tree: Any, where: str) -> ShardTable:
+    """Parse and check the field `shards` of a manifest with an index. Raises BadShard, naming `where` and the rule."""
+    names = {"index", *_TEXTS, *_NUMBERS}
+    if not isinstance(tree, dict) or set(tree) != names:
+        raise BadShard(f"{where}: 'shards' must have the fields {sorted(names)}")
+    file = tree["index"]
+    if not isinstance(file, dict) or set(file) != {"name", "size", "sha256"} or file["name"] != INDEX_NAME:
+        raise BadShard(f"{where}: 'index' must have the name {INDEX_NAME!r}, a size and a SHA-256")
+    columns = [tree[name] for name in (*_TEXTS, *_NUMBERS)]
+    if not all(isinstance(column, list) and column and len(column) == len(columns[0]) for column in columns):
+        raise BadShard(f"{where}: the columns of 'shards' must be lists of one length, at least 1")
+    for name, split, sha256 in zip(*columns[: len(_TEXTS)], strict=True):
+        check_head(name, split, sha256, where)
+    check_head(tree["name"][0], tree["split"][0], file["sha256"], f"{where}: 'index'")
+    for name, (least, greatest) in _NUMBERS.items():
+        if set(map(type, tree[name])) != {int} or not least <= min(tree[name]) <= max(tree[name]) <= greatest:
+            raise BadShard(f"{where}: {name!r} must hold whole numbers of {least} to {greatest}")
+    if len(set(tree["name"])) != len(tree["name"]):
+        raise BadShard(f"{where}: shard names must be unique")
+    ends = np.cumsum(np.array(tree["piece_bytes"], np.int64))
+    if file["size"] != int(ends[-1]):
+        raise BadShard(f"{where}: the pieces take {ends[-1]} bytes, the index {file['size']!r}")
+    return ShardTable(
+        size=file["size"],
+        sha256=file["sha256"],
+        names=tuple(tree["name"]),
+        splits=tuple(tree["split"]),
+        hashes=tuple(tree["sha256"]),
+        samples=np.array(tree["samples"], np.int64),
+        sizes=np.array(tree["size"], np.int64),
+        ends=ends,
+        crc32=np.array(tree["piece_crc32"], np.int64),
+    )
+
+
+class IndexedShards(Sequence[ShardRecord]):
+    """Records of the shards of a set with an index. A record reads its piece when its samples are asked for.
+
+    store: gives the pieces. kept: gives them from the first `FETCHED_PIECES` on, such as one that keeps the whole file
+    on this machine. May be forked, pickled and used by several threads.
+    """
+
+    def __init__(self, table: ShardTable, store: Store, kept: Store | None = None) -> None:
+        self.table = table
+        self._store, self._kept = store, kept or store
+        self._fetched = 0
+        self.piece = lru_cache(HELD_PIECES)(self._read_piece)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return IndexedShards, (self.table, self._store, self._kept)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @overload
+    def __getitem__(self, index: int) -> ShardRecord: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[ShardRecord]: ...
+    def __getitem__(self, index: int | slice) -> ShardRecord | Sequence[ShardRecord]:
+        if isinstance(index, slice):
+            return tuple(_IndexedShard(self, number) for number in range(len(self))[index])
+        return _IndexedShard(self, range(len(self))[index])
+
+    def kept_in(self, store: Store) -> IndexedShards:
+        """Return these records, with pieces read from `store` from the first `FETCHED_PIECES` on."""
+        return IndexedShards(self.table, self._store, store)
+
+    def where(self, number: int) -> str:
+        """Place of a shard's piece, for messages."""
+        return f"{self._store.name}/{location(self.table, number)}"
+
+    def _read_piece(self, number: int) -> Piece:
+        """Read the piece of a shard. Raises BadShard or Unreachable."""
+        store = self._store if self._fetched < FETCHED_PIECES else self._kept
+        self._fetched += 1
+        data = read_checked(store, self.table, number)
+        return Piece(data, int(self.table.samples[number]), self.where(number))
+
+
+class _IndexedShard(ShardRecord):
+    """Record of one shard whose samples' columns are read from the index when they are first used."""
+
+    _shards: IndexedShards
+    _number: int
+
+    def __init__(self, shards: IndexedShards, number: int) -> None:
+        table = shards.table
+        head = {"name": table.names[number], "split": table.splits[number], "sha256": table.hashes[number]}
+        vars(self).update(head, size=int(table.sizes[number]), _shards=shards, _number=number)
+
+    def __len__(self) -> int:
+        return int(self._shards.table.samples[self._number])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _IndexedShard, (self._shards, self._number)
+
+    def entry(self, index: int) -> Entry:
+        return self._shards.piece(self._number).entry(index)
+
+    @cached_property
+    def _whole(self) -> ShardRecord:
+        """The record with all columns, checked."""
+        head = {name: getattr(self, name) for name in ("name", "split", "size", "sha256")}
+        return record_from_json(
+            {**head, **self._shards.piece(self._number).to_json()}, self._shards.where(self._number)
+        )
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return self._whole.keys
+
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        return self._whole.offsets
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        return self._whole.lengths
+
+    @property
+    def crc32(self) -> tuple[int, ...]:
+        return self._whole.crc32
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self._whole.notes
+
+    @property
+    def descriptions(self) -> Descriptions:
+        return self._whole.descriptions
+
+
+def write_index(records: Iterable[ShardRecord], folder: Path) -> ShardTable:
+    """Write the index of shards into a folder, atomically, and return their table; one record at a time is in memory.
+
+    Raises BadShard for a shard of too many samples.
+    """
+    sha256 = hashlib.sha256()
+    heads: list[tuple[str, Split, str]] = []
+    numbers: list[tuple[int, int, int, int]] = []
+
+    def pieces() -> Iterator[bytes]:
+        for record in records:
+            data = encode_piece(record)
+            sha256.update(data)
+            heads.append((record.name, record.split, record.sha256))
+            numbers.append((len(record), record.size, len(data), zlib.crc32(data)))
+            yield data
+
+    write_chunks_atomically(folder / INDEX_NAME, pieces())
+    names, splits, hashes = zip(*heads, strict=True)
+    samples, sizes, lengths, crc32 = np.array(numbers, np.int64).T
+    ends = np.cumsum(lengths)
+    return ShardTable(int(ends[-1]), sha256.hexdigest(), names, splits, hashes, samples, sizes, ends, crc32)
