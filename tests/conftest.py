@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,10 +20,12 @@ from folders import SHARED_DATA, TESTS
 from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.commands import shard
 from bodyseg_data.core.errors import MissingLibrary
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.packing.engines.engine import Engine
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack
 
@@ -162,6 +165,18 @@ def pack_figures() -> Callable[..., Path]:
         return out
 
     return pack_into
+
+
+@pytest.fixture
+def packing_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let `bodyseg shard` render in a thread of this process: processes of its own load the body model each anew."""
+
+    @contextmanager
+    def engine_here(name: str, workers: int | None, packing: Packing) -> Iterator[Engine]:
+        with ThreadPoolExecutor(1) as thread:
+            yield Engine(thread, 1)
+
+    monkeypatch.setattr(shard, "open_engine", engine_here)
 
 
 @pytest.fixture(scope="session")
