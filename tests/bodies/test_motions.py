@@ -324,7 +324,7 @@ def test_feet_are_on_the_floor(frames: Any, built: Callable[[str, str, int], Flo
             assert vertices[:, 1].min() == 0
             assert max(_lowest(vertices, "Lt. foot"), _lowest(vertices, "Rt. foot")) < 0.015, (subject, index)
         gait = {"B": STRIDES_B, "C": STRIDES_C}[subject]
-        for index in range(100, 130, 4):
+        for index in range(100, 130, 6):
             vertices = built(subject, "march", index)
             feet = {"Lt.": _lowest(vertices, "Lt. foot"), "Rt.": _lowest(vertices, "Rt. foot")}
             assert vertices[:, 1].min() == 0 and min(feet.values()) < 0.003, (subject, index)
