@@ -511,15 +511,16 @@ class _Silent(BaseHTTPRequestHandler):
 
 
 def test_somebody_else_there(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
-    with HTTPServer(("127.0.0.1", 0), _Silent) as server:
-        serving = threading.Thread(target=server.serve_forever)
-        serving.start()
-        assert "is no Dask scheduler (" in connecting_to(server.server_port)
-        server.shutdown()
-        serving.join()
+    with monkeypatch.context() as patch:
+        patch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.2)
+        with socket.create_server(("127.0.0.1", 0)) as silent:
+            assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
+        with HTTPServer(("127.0.0.1", 0), _Silent) as server:
+            serving = threading.Thread(target=server.serve_forever)
+            serving.start()
+            assert "is no Dask scheduler (" in connecting_to(server.server_port)
+            server.shutdown()
+            serving.join()
     import distributed
 
     with distributed.Client(f"tcp://127.0.0.1:{nodes.port}", set_as_default=False) as client:
