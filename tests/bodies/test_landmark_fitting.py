@@ -233,6 +233,7 @@ def obj(mesh: Mesh, scale: float) -> str:
     return "\n".join([*lines, *("f {} {} {}".format(*(face + 1)) for face in mesh.faces), ""])
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 @pytest.mark.parametrize(("units", "scale", "up", "gap_m"), [("auto", 1000, "auto", 0.03), ("cm", 100, "y", 0.07)])
 def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_poor(
     tmp_path: Path,
@@ -264,6 +265,7 @@ def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_p
     assert sum(line.endswith("look closely") for line in table) == 13
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_a_source_without_landmarks_can_be_proposed_for(
     tmp_path: Path, standing: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +350,7 @@ def test_the_bench_refuses_what_it_has_no_use_for(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
     counts = len(standing.mesh.vertices), len(standing.mesh.faces)
     right = standing.landmarks.copy()

@@ -91,7 +91,7 @@ def test_scenes_are_what_they_say(seen: ExactView) -> None:
 
 
 @pytest.fixture(scope="module")
-def figures() -> dict[str, Any]:
+def figures(quick_geodesics: None) -> dict[str, Any]:
     pytest.importorskip("anny")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "GROUPS", (GROUPS[0], GROUPS[1], GROUPS[4]))

@@ -12,6 +12,8 @@ from folders import ROOT
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 
+pytestmark = pytest.mark.usefixtures("quick_geodesics")
+
 KEPT = ROOT / "docs" / "results" / "quantisation.json"
 
 
