@@ -166,6 +166,7 @@ def write_two_people(folder: Path) -> None:
         write_by_vertex(folder / place / "landmarks.json")
 
 
+@pytest.mark.usefixtures("packing_here")
 @pytest.mark.parametrize("name", WALKED)
 def test_the_commands_of_a_tutorial_run(name: str, workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = ROOT / "docs" / name

@@ -44,7 +44,9 @@ def test_the_notebooks_run(small_set: Path, tmp_path: Path, monkeypatch: pytest.
         cells += [v4.new_code_cell("%reset -f"), *with_short_parameters(read(path), small_set)]
     over_files = Config({"KernelManager": {"transport": "ipc"}})  # not over ports, of which it warns
     whole = v4.new_notebook(cells=cells)
-    NotebookClient(whole, timeout=120, kernel_name="python3", config=over_files).execute()
+    # The kernel is killed behind the last cell: left to end by itself, it takes seconds.
+    client = NotebookClient(whole, timeout=120, kernel_name="python3", config=over_files, shutdown_kernel="immediate")
+    client.execute()
     assert len(NOTEBOOKS) == 3 and all(cell.execution_count for cell in whole.cells)
 
 

@@ -58,12 +58,13 @@ def smooth_surface(range_m: NDArray[np.floating], known: Mask, camera: Camera, r
     sides = [_along(image, offsets**power, 1) for power in range(3)]
     right = np.stack([_along(sides[i], offsets**j, 0) for i, j in _POWERS], -1)
     square = _along(_along(image**2, offsets**0, 1), offsets**0, 0)
-    matrix = np.stack([np.stack([moments[a + c, b + d] for c, d in _POWERS], -1) for a, b in _POWERS], -2)
     enough = moments[0, 0] >= max(_FULL * len(offsets) ** 2, len(_POWERS) + 3)
+    few = {power: moment[enough] for power, moment in moments.items()}
+    matrix = np.stack([np.stack([few[a + c, b + d] for c, d in _POWERS], -1) for a, b in _POWERS], -2)
     fitted = np.full((*enough.shape, 6), np.nan)
     scale = np.array([float(radius) ** (i + j) for i, j in _POWERS])
-    scaled = matrix[enough] / (scale[:, None] * scale)
-    scaled += 1e-9 * moments[0, 0][enough][:, None, None] * np.eye(6)
+    scaled = matrix / (scale[:, None] * scale)
+    scaled += 1e-9 * few[0, 0][:, None, None] * np.eye(6)
     fitted[enough] = np.linalg.solve(scaled, (right[enough] / scale)[..., None])[..., 0] / scale
     rest = np.maximum(square - (fitted * right).sum(-1), 0)
     with np.errstate(invalid="ignore", divide="ignore"):

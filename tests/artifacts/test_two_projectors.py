@@ -62,10 +62,10 @@ def test_a_pixel_is_in_shadow_where_neither_projector_lights_it() -> None:
     assert wrong / pixels < 0.005
 
 
-def test_ten_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> None:
+def test_five_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> None:
     source, wrong, pixels, dark = open_source("open"), 0, 0, 0
-    for number, ref in enumerate(postures()):
-        body, view = source.build(ref), View((215, 255, 295)[number % 3], 36 * number)
+    for number, ref in enumerate(postures()[::2]):
+        body, view = source.build(ref), View((215, 255, 295)[number % 3], 72 * number)
         renderer = EmbreeRenderer(body.mesh)
         exact = [exact_view(each, renderer, body, ref, view, scales=(1,)) for each in RIG.by_projector()]
         inside, truth = exact[0].inside | exact[1].inside, exact[0].lit | exact[1].lit
@@ -73,7 +73,7 @@ def test_ten_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> N
         wrong += int(((lit != truth) & inside).sum())
         pixels += int(inside.sum())
         dark += int((~truth & inside).sum())
-    assert pixels > 300_000 and dark > 0.01 * pixels
+    assert pixels > 150_000 and dark > 0.01 * pixels
     assert wrong / pixels < 0.005
 
 

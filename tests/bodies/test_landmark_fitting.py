@@ -29,7 +29,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
     surface_distance,
 )
 from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.search import fit_body, propose  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.bodies.source import Body  # noqa: E402
@@ -175,36 +175,38 @@ def test_farthest_points_are_far_from_each_other() -> None:
     assert len(farthest(line[:3], 5)) == 3
 
 
+Limits = tuple[float, float, float, float]
+"""Most that a proposal may be off: median and worst, cm; share of the surface; median distance of the fit, m."""
+
+SCANNED: Limits = (3.5, 10, 0.2, 0.03)
+MODELLED: Limits = (1, 5, 0.05, 0.015)
+
+
 @pytest.fixture(scope="module")
-def person(pymeshlab: object) -> tuple[Mesh, np.ndarray, Proposal]:
-    """Another shape than the open body's mean, decimated, shuffled, turned."""
-    source = open_source("open")
-    built = source.build(next(ref for ref in source.bodies() if ref.mesh == "person-100"))
+def target(request: pytest.FixtureRequest) -> tuple[Body, Limits]:
+    """A clothed man as scanned, the harder one; without the real frames, a person of the open set."""
+    try:
+        source, name, limits = open_source("mit", request.getfixturevalue("mit_folder")), "I_crane_0000", SCANNED
+    except pytest.skip.Exception:
+        source, name, limits = open_source("open"), "person-100", MODELLED
+    return source.build(next(ref for ref in source.bodies() if ref.mesh == name)), limits
+
+
+@pytest.mark.usefixtures("pymeshlab")
+def test_a_body_is_found_whatever_its_numbering_and_facing(target: tuple[Body, Limits]) -> None:
+    """Decimated, shuffled and turned. The search takes ten seconds of processor, so one body has all of it."""
+    built, (median_cm, worst_cm, wrong_surface, distance_m) = target
     turn = about_y(2.2)
     mesh = shuffled(built.mesh, 1)
     mesh = Mesh(mesh.name, mesh.vertices @ turn.T, mesh.faces)
-    return mesh, built.mesh.vertices[built.landmarks] @ turn.T, propose(mesh)
-
-
-def test_a_person_of_the_open_set_is_found_whatever_the_numbering(person: tuple[Mesh, np.ndarray, Proposal]) -> None:
-    mesh, positions, proposal = person
-    figures = measure(mesh, positions, proposal)
+    proposal = propose(mesh)
+    figures = measure(mesh, built.mesh.vertices[built.landmarks] @ turn.T, proposal)
     assert figures["swapped"] == 0
-    assert figures["median_cm"] < 1 and figures["worst_cm"] < 5, figures
-    assert figures["wrong_surface"] < 0.05
+    assert figures["median_cm"] <= median_cm and figures["worst_cm"] <= worst_cm, figures
+    assert figures["wrong_surface"] < wrong_surface
     assert len(set(proposal.landmarks.vertices)) == 33
-    assert proposal.distance_m.shape == (33,) and np.median(proposal.distance_m) < 0.015
+    assert proposal.distance_m.shape == (33,) and np.median(proposal.distance_m) < distance_m
     assert (proposal.landmarks.vertex_count, proposal.landmarks.face_count) == (len(mesh.vertices), len(mesh.faces))
-
-
-def test_a_clothed_man_as_scanned_is_found(mit_folder: Path, body: FittingBody) -> None:
-    source = open_source("mit", mit_folder)
-    built = source.build(next(ref for ref in source.bodies() if ref.mesh == "I_crane_0000"))
-    proposal = fit_body(body, built.mesh).proposal(body.landmark_vertices)  # as `propose` does
-    figures = measure(built.mesh, built.mesh.vertices[built.landmarks], proposal)
-    assert figures["swapped"] == 0
-    assert figures["median_cm"] <= 3.5 and figures["worst_cm"] <= 10, figures
-    assert figures["wrong_surface"] < 0.2
 
 
 def test_a_mesh_too_coarse_for_33_landmarks_is_refused() -> None:
@@ -231,6 +233,7 @@ def obj(mesh: Mesh, scale: float) -> str:
     return "\n".join([*lines, *("f {} {} {}".format(*(face + 1)) for face in mesh.faces), ""])
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 @pytest.mark.parametrize(("units", "scale", "up", "gap_m"), [("auto", 1000, "auto", 0.03), ("cm", 100, "y", 0.07)])
 def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_poor(
     tmp_path: Path,
@@ -262,6 +265,7 @@ def test_the_command_writes_landmarks_picture_and_table_and_says_that_a_fit_is_p
     assert sum(line.endswith("look closely") for line in table) == 13
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_a_source_without_landmarks_can_be_proposed_for(
     tmp_path: Path, standing: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -346,6 +350,7 @@ def test_the_bench_refuses_what_it_has_no_use_for(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_the_bench_counts_errors_and_swaps(standing: Body) -> None:
     counts = len(standing.mesh.vertices), len(standing.mesh.faces)
     right = standing.landmarks.copy()

@@ -167,8 +167,8 @@ def test_a_folder_may_be_named(sources: Path, tmp_path: Path, monkeypatch: pytes
 def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(sources)}
     command = [sys.executable, "-c", "from outer import outer; print(outer(3))"]
-    running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    assert [process.communicate(timeout=100)[0].strip() for process in running] == ["1024"] * 3
+    running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert [process.communicate(timeout=100)[0].strip() for process in running] == ["1024"] * 2
     assert len({file.parent for file in kept(tmp_path)}) == 2, "one folder for each function"
     assert not list((tmp_path / "cache").rglob("*.tmp.*"))
     assert answer(sources) == 1024

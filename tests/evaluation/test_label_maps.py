@@ -170,10 +170,13 @@ def call(run: Path, data: Path, out: Path, *more: object) -> dict[str, Any]:
 def test_the_command_scores_the_classes_of_the_network(
     figures_set: Path, runs: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
-    tree = call(runs[name], figures_set, tmp_path, "--figures", tmp_path / "figures")
+    drawn = ["--figures", tmp_path / "figures"] if name == "faces" else []
+    tree = call(runs[name], figures_set, tmp_path, *drawn)
     label_map = {"limbs14": LIMBS, "faces": FACES}[name]
     assert tree["labels"] == tree["card"]["labels"] == label_map.to_json()
     assert len(tree["parts"]) == len(tree["confusion"]) == len(label_map)
+    if not drawn:
+        return
     pictures = sorted((tmp_path / "figures").iterdir())
     assert [path.name for path in pictures] == [
         "border_distance.png", "confidence.png", "confusion.png", "parts.png", "samples.png",

@@ -269,7 +269,7 @@ ENDLESS = """
 import multiprocessing, sys
 from bodyseg_data import RangeImages, loader
 multiprocessing.set_forkserver_preload(["bodyseg_data.loading.range_images"])  # which every worker would load anew
-two = [loader(RangeImages(sys.argv[1]), 3, int(sys.argv[3]), worker_method="process", start_method=sys.argv[2])
+two = [loader(RangeImages(sys.argv[1], "none"), 3, int(sys.argv[3]), worker_method="process", start_method=sys.argv[2])
        for _ in range(2)]
 passes = [iter(batches) for batches in two]
 while True:

@@ -324,7 +324,7 @@ def test_closing_begins_no_further_request() -> None:
 ENDLESS = """
 import sys, threading
 from bodyseg_data import RangeImages, loader
-two = [loader(RangeImages(sys.argv[1]), 3, 2, worker_method="thread") for _ in range(2)]
+two = [loader(RangeImages(sys.argv[1], "none"), 3, 2, worker_method="thread") for _ in range(2)]
 passes = [iter(batches) for batches in two]
 said = False
 while True:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -113,7 +115,27 @@ def test_an_unknown_network_is_refused() -> None:
         build("unet")
 
 
-def test_a_new_network_is_one_new_file_and_one_line(figures_set: Path, tmp_path: Path) -> None:
+@contextmanager
+def imported_from(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The package as it is in a folder; behind this, the modules that were there before are there again."""
+
+    def ours() -> list[str]:
+        return [name for name in sys.modules if name.split(".")[0] == PACKAGE.name]
+
+    with monkeypatch.context() as patch:
+        for name in ours():
+            patch.delitem(sys.modules, name)
+        patch.syspath_prepend(folder)
+        try:
+            yield import_module(PACKAGE.name)
+        finally:
+            for name in ours():
+                del sys.modules[name]
+
+
+def test_a_new_network_is_one_new_file_and_one_line(
+    figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The toy network is put into a copy of the package, then trained, evaluated, exported and used by its commands."""
     copy = tmp_path / "bodyseg_model"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
@@ -129,22 +151,11 @@ def test_a_new_network_is_one_new_file_and_one_line(figures_set: Path, tmp_path:
         ["evaluate", "--data", data, "--run", run, "--frames", "2", "--json", str(tmp_path / "scores.json")],
         ["export", "--run", run, "--out", str(tmp_path / "toy.safetensors")],
     ]
-    script = (
-        "import json, sys\n"
-        "import bodyseg_model\n"
-        "from bodyseg_model.commands.cli import main\n"
-        "assert bodyseg_model.__file__ == sys.argv[1], bodyseg_model.__file__\n"
-        "sys.exit(max(main(words) for words in json.loads(sys.argv[2])))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(copy / "__init__.py"), json.dumps(commands)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{PACKAGE.parent}", "OMP_NUM_THREADS": "1"},
-        cwd=tmp_path,
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stderr
+    with imported_from(tmp_path, monkeypatch) as package:
+        assert package.__file__ == str(copy / "__init__.py")
+        main = import_module("bodyseg_model.commands.cli").main
+        for words in commands:
+            assert main(words) == 0, words
     card = json.loads((tmp_path / "toy.json").read_text())
     assert (card["network"], card["settings"]) == ("toy", {"width": 5})
     assert card["recipe"]["steps"] == 2 and card["recipe"]["crop"], "the recipe of compact is the default"

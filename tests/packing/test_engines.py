@@ -33,6 +33,7 @@ from small_rig import SMALL, SMALL_FILE
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.commands.cli import main
 from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
@@ -429,11 +430,14 @@ def test_a_lost_scheduler_loses_nothing(
 COMMAND = "import figure_worker; from bodyseg_data.commands.cli import main; raise SystemExit(main())"
 
 
-def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
+def command_words(nodes: Nodes, out: Path) -> list[str]:
     words = ["shard", "--source", "open", "--views", "4", "--azimuth-span", "360", "--shard-samples", "5"]
-    words += ["--rig", str(SMALL_FILE)]
+    return [*words, "--rig", str(SMALL_FILE), "--engine", nodes.engine, "--out", str(out)]
+
+
+def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
     return start_interruptible(
-        [sys.executable, "-c", COMMAND, *words, "--engine", nodes.engine, "--out", str(out)],
+        [sys.executable, "-c", COMMAND, *command_words(nodes, out)],
         env=os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -441,12 +445,13 @@ def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
     )
 
 
-def test_the_command_packs_on_a_cluster(nodes: Nodes, tmp_path: Path, figures_set: Path) -> None:
-    with command(nodes, tmp_path / "shards") as process:
-        said, printed = process.communicate(timeout=60)
-    assert process.returncode == 0, printed
-    assert said.startswith(f"{tmp_path / 'shards'}: 24 samples in 6 shards")
-    assert all(line.startswith("packing: ") for line in printed.splitlines())
+def test_the_command_packs_on_a_cluster(
+    nodes: Nodes, tmp_path: Path, figures_set: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command_words(nodes, tmp_path / "shards")) == 0
+    said = capfd.readouterr()
+    assert said.out.startswith(f"{tmp_path / 'shards'}: 24 samples in 6 shards")
+    assert all(line.startswith("packing: ") for line in said.err.splitlines())
     assert contents(tmp_path / "shards") == contents(figures_set)
 
 
@@ -511,15 +516,16 @@ class _Silent(BaseHTTPRequestHandler):
 
 
 def test_somebody_else_there(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
-    with HTTPServer(("127.0.0.1", 0), _Silent) as server:
-        serving = threading.Thread(target=server.serve_forever)
-        serving.start()
-        assert "is no Dask scheduler (" in connecting_to(server.server_port)
-        server.shutdown()
-        serving.join()
+    with monkeypatch.context() as patch:
+        patch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.2)
+        with socket.create_server(("127.0.0.1", 0)) as silent:
+            assert "is no Dask scheduler (TimeoutError)" in connecting_to(silent.getsockname()[1])
+        with HTTPServer(("127.0.0.1", 0), _Silent) as server:
+            serving = threading.Thread(target=server.serve_forever)
+            serving.start()
+            assert "is no Dask scheduler (" in connecting_to(server.server_port)
+            server.shutdown()
+            serving.join()
     import distributed
 
     with distributed.Client(f"tcp://127.0.0.1:{nodes.port}", set_as_default=False) as client:

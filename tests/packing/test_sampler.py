@@ -65,7 +65,7 @@ def sample_of(renderer_name: str, view: View, rig: Rig | None = None) -> tuple[S
 
 
 @pytest.mark.parametrize("renderer", ["raster", "embree", "opengl"])
-@pytest.mark.parametrize("azimuth", [0, 90, 200, 350])
+@pytest.mark.parametrize("azimuth", [0, 200])
 def test_every_pixel_of_a_ball_says_what_geometry_says(renderer: str, azimuth: int) -> None:
     view = View(215, azimuth)
     sample, rig = sample_of(renderer, view)
@@ -118,7 +118,7 @@ def check_against_whole_frames(rig: Rig, mesh: Mesh, parts: Partition, view: Vie
     return int(stored.sum()), int((projector_range > 0).sum()), int((by_nothing & ~expected).sum())
 
 
-@pytest.mark.parametrize("distance", [150, 215, 295])
+@pytest.mark.parametrize("distance", [150, 295])
 @pytest.mark.parametrize("azimuth", [0, 60, 170, 290])
 def test_a_sample_is_that_of_whole_frames(distance: int, azimuth: int) -> None:
     mesh = figure()
@@ -158,7 +158,7 @@ def test_open_bodies_samples_are_those_of_whole_frames(index: int) -> None:
     source = open_source("open")
     body = source.build(source.bodies()[index])
     parts = partition(body.mesh, body.landmarks)
-    for view in (View(215, 0), View(255, 60), View(295, 130)):
+    for view in (View(215, 0), View(295, 130)):
         stored, seen, shaded = check_against_whole_frames(RIG, body.mesh, parts, view)
         assert 0 < stored < 0.3 * seen and shaded > 0
 

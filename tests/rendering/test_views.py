@@ -24,8 +24,8 @@ Check = Callable[[Mesh, PlacedCamera], int]
 pytestmark = pytest.mark.parametrize("check", [check_filled, check_rays])
 
 
-@pytest.mark.parametrize("azimuth", [0, 40, 90, 215])
-@pytest.mark.parametrize("distance", [150, 215, 295])
+@pytest.mark.parametrize("azimuth", [0, 40, 215])
+@pytest.mark.parametrize("distance", [150, 295])
 def test_shapes_from_all_round(check: Check, azimuth: int, distance: int) -> None:
     for mesh in (ball(subdivisions=1), figure()):
         for camera in RIG.placed(mesh.centre, View(distance, azimuth)):

@@ -5,6 +5,7 @@ Packages name what they need and their licence in their metadata; the versions a
 
 from __future__ import annotations
 
+import functools
 import re
 import sys
 import tomllib
@@ -132,6 +133,7 @@ def families(licence: str) -> set[str]:
     return {name for name, pattern in _FAMILIES.items() if re.search(pattern, licence)}
 
 
+@functools.cache
 def _installed(name: str) -> tuple[Sequence[Requirement], Licensed]:
     try:
         found = distribution(name)

@@ -8,6 +8,8 @@ from benches.data.surface import clothes
 
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 
+pytestmark = pytest.mark.usefixtures("quick_geodesics")
+
 
 def image(noise_mm: float) -> np.ndarray:
     rows, columns = np.mgrid[0:90, 0:60] / 200

@@ -11,6 +11,8 @@ from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.meshes.mesh import Mesh
 
+pytestmark = pytest.mark.usefixtures("quick_geodesics")
+
 RADIUS = 0.3
 
 

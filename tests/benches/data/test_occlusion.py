@@ -19,6 +19,7 @@ from benches.data.occlusion.tallies import SCENES
 from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown
 from folders import ROOT
 from shapes import figure
+from small_rig import SMALL
 
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.bodies.source import Body, BodyRef
@@ -91,9 +92,10 @@ def test_scenes_are_what_they_say(seen: ExactView) -> None:
 
 
 @pytest.fixture(scope="module")
-def figures() -> dict[str, Any]:
+def figures(quick_geodesics: None) -> dict[str, Any]:
     pytest.importorskip("anny")
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "load_rig", lambda: SMALL)
         patch.setattr(bench, "GROUPS", (GROUPS[0], GROUPS[1], GROUPS[4]))
         seen: list[tuple[int, int]] = []
         measured = bench_occlusion(1, lambda done, total: seen.append((done, total)))

@@ -5,19 +5,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benches.data.occlusion import quantisation
 from benches.data.occlusion.quantisation import LIMIT, RESOLUTION_MM, STEPS_MM, bench_quantisation
 from benches.data.occlusion.quantisation_figure import draw_quantisation
 from folders import ROOT
+from small_rig import SMALL
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
+
+pytestmark = pytest.mark.usefixtures("quick_geodesics")
 
 KEPT = ROOT / "docs" / "results" / "quantisation.json"
 
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
-    return bench_quantisation(views=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quantisation, "load_rig", lambda: SMALL)
+        return bench_quantisation(views=1)
 
 
 def test_no_views_are_refused() -> None:

@@ -12,6 +12,7 @@ from benches.data.surface import reduction as benches
 from benches.data.surface.reduction_figure import draw_reduction
 from fakes import Figures, FiguresEntry
 from shapes import figure
+from small_rig import SMALL
 
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import SOURCES
@@ -39,6 +40,7 @@ def figures(pymeshlab: Any) -> dict[str, Any]:
     steps: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(SOURCES, "open", FiguresEntry(make=PosedFigures))
+        patch.setattr(benches, "load_rig", lambda: SMALL)
         patch.setattr(benches, "SHARES", (1.0, 0.5))
         patch.setattr(benches, "TOLERANCES_MM", (0.2,))
         patch.setattr(benches, "EDGE_MM", 40)

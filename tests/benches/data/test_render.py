@@ -19,6 +19,8 @@ from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.packing.options import Packing
 
+pytestmark = pytest.mark.usefixtures("quick_geodesics")
+
 PACKING = Packing("open", meshes=1, views=ViewGrid(count=2))
 VIEWS = list(PACKING.views)
 

@@ -32,7 +32,7 @@ from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_data.shards.tar import parse_members
 from bodyseg_model.commands.cli import main
 
-INPUTS = int(os.environ.get("BODYSEG_FUZZ", "120"))
+INPUTS = int(os.environ.get("BODYSEG_FUZZ", "60"))
 """How many inputs each reader gets here; `bench reliability` feeds 100 000."""
 
 

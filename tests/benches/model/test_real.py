@@ -19,6 +19,7 @@ pytest.importorskip("embreex")
 pytest.importorskip("pygeodesic")
 
 from benches.model.real import bench, steady  # noqa: E402
+from benches.model.real import labels as surface_labelling  # noqa: E402
 from benches.model.real.agreement import agreement  # noqa: E402
 from benches.model.real.bench import Results, bench_real, settled  # noqa: E402
 from benches.model.real.figure import draw_real  # noqa: E402
@@ -247,11 +248,17 @@ def test_repeatability() -> None:
     assert placements.labels.tolist() == [0, 1]
 
 
+def along_edges(method: str, *surface: Any) -> Any:
+    """In place of exact distances, which take a second of processor; labels of exact ones are tested above."""
+    return nearest_sources("edges", *surface)
+
+
 @pytest.fixture(scope="module")
 def coarse() -> Iterator[pytest.MonkeyPatch]:
-    """The bench with voxels of 6 mm, and with a network that labels by columns, so that right and left differ."""
+    """The bench with voxels of 6 mm, distances along edges, and a network that labels by columns: right is not left."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "fuse", partial(fuse, voxel_m=VOXEL_M))
+        patch.setattr(surface_labelling, "nearest_sources", along_edges)
         patch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
         yield patch
 
@@ -311,6 +318,7 @@ def test_a_still_person_is_labelled_in_every_way(
 ) -> None:
     write(tmp_path / "made", frames[:3], body)
     monkeypatch.setattr(steady, "fuse", lambda frames: fused)
+    monkeypatch.setattr(surface_labelling, "nearest_sources", along_edges)
     monkeypatch.setattr(steady, "fitted", lambda frames, surface: frames)
     found = still_person(Trained(Places(1, 12), {"rig": load_rig().to_json()}), tmp_path / "made", 3)
     assert (found["recording"], found["frames"], found["mirrored"]) == ("made", 3, False)

@@ -159,6 +159,7 @@ def test_the_page_names_results_with_other_labels(tmp_path: Path) -> None:
 
 
 def test_the_records_that_are_committed_are_of_declared_steps() -> None:
-    records = Records(everything(), Places(Path("nowhere"), Path("nowhere"), RESULTS))
+    graph = everything()
+    records = Records(graph, Places(Path("nowhere"), Path("nowhere"), RESULTS))
     for name in json.loads((RESULTS / "steps.json").read_text())["steps"]:
-        assert records.get(everything().steps[name]) is not None
+        assert records.get(graph.steps[name]) is not None
