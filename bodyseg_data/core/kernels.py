@@ -77,8 +77,8 @@ def _numba(feature: str) -> Any:
 def _folder(named: str, digest: str) -> Path | None:
     """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
 
-    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it: numba
-    would raise OSError at the first call, after it has compiled.
+    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it:
+    numba would raise OSError at the first call, after it has compiled.
     """
     try:
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()

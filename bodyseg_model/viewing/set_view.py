@@ -22,6 +22,7 @@ from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.drawing.contact_sheet import colour_range
+from bodyseg_data.drawing.window import Window, window_of
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
 from bodyseg_model.evaluation.training_fit import RigFit
@@ -117,7 +118,6 @@ class SetView:
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
         self.label_map = PARTS33 if trained is None else trained.label_map
         self.rig = self.images.manifest.rig
-        self._layout = Layout.of(_COLUMNS, (self.rig.camera.rows, self.rig.camera.columns))
         self._clean = lru_cache(maxsize=4)(self.images.clean)
 
     def __len__(self) -> int:
@@ -161,7 +161,7 @@ class SetView:
         return Drawing(
             self.points_of(images, shown.colouring),
             images.devices,
-            self._layout.draw(self._panels(images, shown)),
+            self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
             self.facts_of(images, shown),
             float(np.median(seen)) / self.rig.camera.focal_px if len(seen) else _GAP_M,
             len(seen),
@@ -174,6 +174,12 @@ class SetView:
         picked = images.layers.picked(lambda each: each.ravel()[None, seen])
         xyz = points_at(self.metres(images.layers.range), images.placed[0])
         return Points(xyz, self._colours(colouring, picked)[0])
+
+    def layout_of(self, sample: Sample) -> tuple[Layout, Window]:
+        """Layout of a sample's panels, and the part of its images that they show: its body, where that is small."""
+        window = window_of([sample.range])
+        rows, columns = sample.range[window].shape
+        return Layout.of(_COLUMNS, (rows, columns)), window
 
     def metres(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Range in metres, float32 [H, W], of range in steps of the set's rig."""
@@ -216,7 +222,12 @@ class SetView:
     def _panels(self, images: SampleImages, shown: Shown) -> list[list[Panel]]:
         """Two lines: what is stored and the network's answer; the five variants."""
         sample, made, layers = images.sample, images.variants, images.layers
-        reduced, span, projector = self._layout.reduced, _span(sample.range), sample.occluder_range()
+        layout, window = self.layout_of(sample)
+        span, projector = _span(sample.range), sample.occluder_range()
+
+        def reduced(image: NDArray[Any]) -> NDArray[Any]:
+            return layout.reduced(image[window] if image.shape == sample.range.shape else image)
+
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
