@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ _MARGIN: Final = 0.08  # of the longer side of what is measured, around it
 _MOST_CROPPED: Final = 0.4  # images stay whole where the window would keep more of them than this share
 
 
-def window_of(images: Sequence[NDArray[np.uint16]]) -> Window:
-    """Return rows and columns of all pixels that any of the images [H, W] measures, with a margin.
+def window_of(images: Sequence[NDArray[Any]]) -> Window:
+    """Return rows and columns of all pixels where any of the images [H, W] is above 0, with a margin.
 
     Images stay whole if these are more than two fifths of them, as before a narrow camera, or if their sizes differ.
     """

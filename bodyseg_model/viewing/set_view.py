@@ -119,6 +119,7 @@ class SetView:
         self.label_map = PARTS33 if trained is None else trained.label_map
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
+        self._asked = False
 
     def __len__(self) -> int:
         return len(self.images)
@@ -191,6 +192,9 @@ class SetView:
     def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""
         batch = torch.from_numpy(self.metres(layers.range))[None, None].to(device_of(trained.network))
+        if not self._asked:  # the first answer takes longer than others, for what is loaded then
+            predict(trained.network, batch)
+            self._asked = True
         start = time.perf_counter()
         labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
         milliseconds = 1000 * (time.perf_counter() - start)

@@ -190,7 +190,8 @@ class Page:
                 handle = self._devices[device.name] = self.server.scene.add_camera_frustum(
                     name, device.fov_rad, device.aspect, scale=_DEVICE_M, thickness=0.006, color=colour
                 )
-                self.server.scene.add_label(f"{name}/name", device.name)
+                beside = (0.0, _DEVICE_M * (number - 0.6), 0.0)  # y is down: the camera's above, the projectors' below
+                self.server.scene.add_label(f"{name}/name", device.name, position=beside)
             handle.wxyz, handle.position = device.wxyz, device.position_m
             handle.visible = self._devices_shown
 
