@@ -185,7 +185,13 @@ def _set_view(options: Options, trained: Trained) -> SetView:
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
     step_m = None if options.units is None else metres_a_step(options.units)
-    frames = find_frames([Path(each) for each in options.source], options.topic, step_m)
+    paths = [Path(each) for each in options.source]
+    try:
+        frames = find_frames(paths, options.topic, step_m)
+    except BadConfig as error:
+        if not all(path.is_dir() for path in paths):
+            raise
+        raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
     # Of other classes than the 33 parts, things are told by their shape alone.
     score = None if options.keep_things else shipped_score("parts" if trained.label_map == PARTS33 else "shape")
