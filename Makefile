@@ -61,7 +61,7 @@ dist: $(VENV)/release
 	$(VENV)/release/bin/python -m build
 	$(VENV)/release/bin/twine check --strict dist/*
 
-# Known faults of the exact versions, from PyPI's own list; needs the network, and installs none of them.
+# Known faults of the exact versions, from PyPI's own list: it asks pypi.org, also where pip has a mirror. Installs none.
 audit: $(VENV)/release
 	$(VENV)/release/bin/pip-audit --requirement tools/requirements.lock --no-deps --disable-pip --strict
 

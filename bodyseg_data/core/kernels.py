@@ -25,6 +25,9 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
+_ROOM: Final = 1 << 20
+"""Bytes that a disk must have free for one function's machine code, which takes a 20th of it."""
+
 _one_at_a_time = threading.Lock()
 
 
@@ -74,13 +77,16 @@ def _numba(feature: str) -> Any:
 def _folder(named: str, digest: str) -> Path | None:
     """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
 
-    Only this user may write there, for its files are run.
+    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it:
+    numba would raise OSError at the first call, after it has compiled.
     """
     try:
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
         folder = (Path(named) if named else Path(cache) / "bodyseg" / "kernels") / digest
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
+            if not any(folder.glob("*.nbc")) and tried.write(bytes(_ROOM)) < _ROOM:
+                return None
     except (OSError, RuntimeError):  # RuntimeError: this user has no home
         return None
     return folder

@@ -18,6 +18,7 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.sample import HELD, Sample
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, fitted, font
+from bodyseg_data.drawing.window import Window, window_of
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""
@@ -27,8 +28,6 @@ _CAPTION: Final = 20
 _NOTE: Final = 18
 _PANEL_ROWS: Final = 320
 _PANEL_COLUMNS: Final = 480
-_MARGIN: Final = 0.08  # of the longer side of what is measured, around it in a cropped panel
-_MOST_CROPPED: Final = 0.4  # panels stay whole where the crop would keep more of the image than this share
 
 # Near to far: light to dark as well as warm to cold, so that it also reads in grey.
 _RAMP: Final = np.array(
@@ -69,7 +68,7 @@ def draw_sheet(
     sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
     labels are coloured by.
     """
-    seen = _window([row.sample.range for row in rows])
+    seen = window_of([row.sample.range for row in rows])
     panels = [_panels(row, shown, sensor, label_map, seen) for row in rows]
     heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
     widths = [
@@ -96,24 +95,8 @@ def draw_sheet(
     return sheet
 
 
-def _window(images: Sequence[NDArray[np.uint16]]) -> tuple[slice, slice]:
-    """Rows and columns of all pixels that any of the images [H, W] measures, with a margin; all of them if they are
-    most of an image, or if sizes differ.
-    """
-    whole = slice(None), slice(None)
-    if len({image.shape for image in images}) != 1:
-        return whole
-    measured = np.any([image > 0 for image in images], axis=0)
-    spans = [np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0)]
-    if not measured.any():
-        return whole
-    margin = round(_MARGIN * max(int(span[-1] - span[0]) for span in spans))
-    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + margin + 1) for span in spans)
-    return (rows, columns) if measured[rows, columns].size < _MOST_CROPPED * measured.size else whole
-
-
 def _panels(
-    row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelMap, seen: tuple[slice, slice]
+    row: Row, shown: VariantName, sensor: SensorModel, label_map: LabelMap, seen: Window
 ) -> list[tuple[str, Image.Image]]:
     """Captions and pictures of one line. All camera range panels share the scale of the clean one.
 

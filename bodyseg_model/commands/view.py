@@ -184,7 +184,13 @@ def _set_view(options: Options, trained: Trained) -> SetView:
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
     step_m = None if options.units is None else metres_a_step(options.units)
-    frames = find_frames([Path(each) for each in options.source], options.topic, step_m)
+    paths = [Path(each) for each in options.source]
+    try:
+        frames = find_frames(paths, options.topic, step_m)
+    except BadConfig as error:
+        if not all(path.is_dir() for path in paths):
+            raise
+        raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
     score = None if options.keep_things else score_for(trained.label_map)
     segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)

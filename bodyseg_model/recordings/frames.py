@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import refuse_special
-from bodyseg_model.recordings.formats import find_format, has_suffix
+from bodyseg_model.recordings.formats import SUFFIXES, find_format
 from bodyseg_model.recordings.frame_names import result_names
 from bodyseg_model.recordings.frame_png import parse_frame
 from bodyseg_model.recordings.frame_tars import Member, list_tar
@@ -160,9 +160,11 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecord
         return [png_file(file) for file in pngs]
     if (found := find_format(path)) is not None:
         return found.open(path, topic, step_m)
-    parts = [file for file in files if has_suffix(file)]
+    parts = [file for file in files if file.suffix.lower() in SUFFIXES]
     if not parts:
-        raise BadConfig(f"a folder of frames must hold .png files, found none in {path}")
+        raise BadConfig(
+            f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
+        )
     opened = [open_recording(part, topic, step_m) for part in sorted(parts, key=lambda part: natural_key(part.name))]
     return StoredRecording(
         str(path), tuple(frame for part in opened for frame in part.frames), opened[0].camera, opened[0].step_m

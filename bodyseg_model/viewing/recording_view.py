@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final, Literal, get_args
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,14 @@ from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.drawing.style import THING
+from bodyseg_data.drawing.window import window_of
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.recordings.camera_files import FrameCameras
 from bodyseg_model.recordings.frames import to_metres
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
 from bodyseg_model.segmentation.overlay import draw_overlay
-from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
+from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
 from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
 from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
@@ -116,6 +118,7 @@ class RecordingView:
             raise BadConfig("a recording must hold a frame, found none")
         self.frames, self.label_map = frames, label_map
         self._cameras, self._segmenters = cameras, segmenters
+        self._prepared: WeakSet[Segmenter] = WeakSet()
         self.labelled = lru_cache(maxsize=_KEPT)(self._labelled)
 
     def __len__(self) -> int:
@@ -148,6 +151,9 @@ class RecordingView:
             camera = self._cameras.of(file, (pixels.shape[0], pixels.shape[1])).camera
             lens, segmenter = self._segmenters.of(camera)
             range_m = to_metres(pixels if lens is None else lens(pixels), file.step_m)
+        if segmenter not in self._prepared:  # else the first frame's times would be those of loading
+            segmenter.prepare()
+            self._prepared.add(segmenter)
         found = segmenter(range_m)
         total = watch.milliseconds["read"] + sum(found.milliseconds.values())
         return Labelled(range_m, found, found.confidence, segmenter.camera, total)
@@ -171,23 +177,25 @@ class RecordingView:
         return label_image(frame.segmentation.labels, seen, self.label_map), class_legend(self.label_map)
 
     def _picture(self, frame: Labelled, changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        shape = (frame.range_m.shape[0], frame.range_m.shape[1])
-        layout, found = Layout.of(2, shape), frame.segmentation
+        """The whole frame with its labels; below it confidence and flicker, of bodies alone where they are small."""
+        found = frame.segmentation
         bodies = [body.pixels for body in found.bodies]
         overlay = draw_overlay(frame.range_m, found.labels, bodies, self.label_map)
+        whole = Layout.of(1, (overlay.shape[0], overlay.shape[1]))
+        measured = frame.body_m > 0
+        window = window_of([measured])
+        rows, columns = measured[window].shape
+        near = Layout.of(2, (rows, columns))
+        confidences = share_image(near.reduced(frame.confidence[window]), near.reduced(measured[window]))
+        changed = _change_image(near.reduced(changes[window]))
         sure = found.mean_confidence
-        people = _counted(found)
-        confidences = share_image(layout.reduced(frame.confidence), layout.reduced(frame.body_m > 0))
         note = "nobody" if sure is None else f"mean {sure:.0%}"
-        return layout.draw(
-            [
-                [
-                    Panel("labels on the range image", layout.reduced(overlay), people),
-                    Panel("confidence", confidences, note),
-                ],
-                [Panel("flicker", _change_image(layout.reduced(changes)), "labels beside those of the frame before")],
-            ]
-        )
+        below = [
+            Panel("confidence", confidences, note),
+            Panel("flicker", changed, "labels beside those of the frame before"),
+        ]
+        above = [Panel("labels on the range image", whole.reduced(overlay), _counted(found))]
+        return np.concatenate([whole.draw([above]), near.draw([below])])
 
     def facts(self, number: int, frame: Labelled, before: Labelled | None) -> tuple[str, ...]:
         """Lines of text on a frame: its name, people and things, times, confidence and flicker."""

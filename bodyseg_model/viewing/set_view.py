@@ -22,6 +22,7 @@ from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.drawing.contact_sheet import colour_range, span_of
+from bodyseg_data.drawing.window import Window, window_of
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
@@ -116,8 +117,8 @@ class SetView:
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
         self.label_map = PARTS33 if trained is None else trained.label_map
         self.rig = self.images.manifest.rig
-        self._layout = Layout.of(_COLUMNS, (self.rig.camera.rows, self.rig.camera.columns))
         self._clean = lru_cache(maxsize=4)(self.images.clean)
+        self._asked = False
 
     def __len__(self) -> int:
         return len(self.images)
@@ -159,7 +160,7 @@ class SetView:
         return Drawing(
             self.points_of(images, shown.colouring),
             images.devices,
-            self._layout.draw(self._panels(images, shown)),
+            self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
             self.facts_of(images, shown),
             point_gap_m(range_m, self.rig.camera),
             int(np.count_nonzero(range_m)),
@@ -173,12 +174,21 @@ class SetView:
         xyz = points_at(metres(images.layers.range, self.rig.range_step_m), images.placed[0])
         return Points(xyz, self._colours(colouring, picked)[0])
 
+    def layout_of(self, sample: Sample) -> tuple[Layout, Window]:
+        """Layout of a sample's panels, and the part of its images that they show: its body, where that is small."""
+        window = window_of([sample.range])
+        rows, columns = sample.range[window].shape
+        return Layout.of(_COLUMNS, (rows, columns)), window
+
     def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
         return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
 
     def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""
         batch = torch.from_numpy(metres(layers.range, self.rig.range_step_m))[None, None].to(device_of(trained.network))
+        if not self._asked:  # the first answer takes longer than others, for what is loaded then
+            predict(trained.network, batch)
+            self._asked = True
         start = time.perf_counter()
         labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
         milliseconds = 1000 * (time.perf_counter() - start)
@@ -210,7 +220,12 @@ class SetView:
     def _panels(self, images: SampleImages, shown: Shown) -> list[list[Panel]]:
         """Two lines: what is stored and the network's answer; the five variants."""
         sample, made, layers = images.sample, images.variants, images.layers
-        reduced, span, projector = self._layout.reduced, span_of(sample.range), sample.occluder_range()
+        layout, window = self.layout_of(sample)
+        span, projector = span_of(sample.range), sample.occluder_range()
+
+        def reduced(image: NDArray[Any]) -> NDArray[Any]:
+            return layout.reduced(image[window] if image.shape == sample.range.shape else image)
+
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),

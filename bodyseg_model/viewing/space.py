@@ -25,6 +25,8 @@ _AROUND: Final = 1.35
 """A window takes in so many times what it looks at."""
 
 _GAP_M: Final = 0.01
+_NAME_M: Final = 0.13
+"""Distance of a device and its name."""
 
 _OPENCV: Final = np.diag([1.0, -1.0, -1.0])
 """Axes of a camera that looks along -z, rows: to its right, down, forward."""
@@ -117,6 +119,15 @@ def viewpoint(
     away = _AROUND * span / 2 / np.tan(fov_rad / 2)
     towards = np.array(_DIRECTIONS[kind])
     return middle + away * towards / np.linalg.norm(towards), middle
+
+
+def name_heights(devices: Sequence[Device]) -> list[float]:
+    """Height of each device's name above the device, metres: names of devices that nearly coincide lie apart.
+
+    The highest device has its name above it, of equally high ones the leftmost; the next ones have theirs below them.
+    """
+    order = sorted(devices, key=lambda each: (-round(each.position_m[1], 1), each.position_m[0]))
+    return [_NAME_M if each is order[0] else -_NAME_M * order.index(each) for each in devices]
 
 
 def quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:

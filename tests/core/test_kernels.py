@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import resource
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -134,19 +135,25 @@ def test_another_processor_or_setting_has_other_code(monkeypatch: pytest.MonkeyP
     assert len(digests) == 4
 
 
-@pytest.mark.parametrize("where", ["a file", "no home", "full"])
+@pytest.mark.parametrize("where", ["a file", "no home", "no room for a file", "no room for its bytes"])
 def test_without_a_folder_that_can_be_written_loops_still_run(
     where: str, sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     if where == "a file":
         (tmp_path / "cache").write_text("")
     elif where == "no home":
         monkeypatch.delenv("XDG_CACHE_HOME")
         monkeypatch.setattr(Path, "expanduser", _no_home)
-    else:
+    elif where == "no room for a file":
         monkeypatch.setattr(kernels.tempfile, "TemporaryFile", _no_room)
-    assert answer(sources) == 1024
-    assert not kept(tmp_path)
+    else:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))
+    try:
+        assert answer(sources) == 1024
+        assert not kept(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def _no_home(path: Path) -> Path:

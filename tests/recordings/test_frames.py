@@ -88,7 +88,11 @@ def test_files_come_first_and_groups_as_they_are_given(tmp_path: Path) -> None:
 def test_what_is_not_there_or_empty_is_named(tmp_path: Path) -> None:
     assert refusal(tmp_path / "no.png") == f"cannot read {tmp_path / 'no.png'}: No such file or directory"
     assert refusal(tmp_path / "no.tar") == f"cannot read {tmp_path / 'no.tar'}: No such file or directory"
-    assert refusal(tmp_path) == f"a folder of frames must hold .png files, found none in {tmp_path}"
+    kinds = ".bag, .db3, .mcap, .npy, .npz, .tif, .tiff, .mkv"
+    assert (
+        refusal(tmp_path)
+        == f"a folder of frames must hold .png files or recordings ({kinds}), found none in {tmp_path}"
+    )
     tar = tar_of(tmp_path / "a.tar", ("a.txt", b"a"))
     assert refusal(tar) == f"a tar of frames must hold .png files, found none in {tar}"
     os.mkfifo(tmp_path / "pipe.png")

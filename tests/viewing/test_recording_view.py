@@ -20,7 +20,7 @@ from bodyseg_model.recordings.camera_files import FrameCameras
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.segmenter import Segmentation, Segmenters
+from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
 from bodyseg_model.viewing.recording_view import (
     CONFIDENCE_LEGEND,
     FLICKER_LEGEND,
@@ -108,6 +108,27 @@ def test_frames_of_other_recordings_are_not_the_frame_before(tmp_path: Path) -> 
     view = view_of(tmp_path / "left", frame(10))
     view.frames = find_frames(frames)
     assert not any("flicker" in fact for fact in view.draw(ShownFrame(2)).facts)
+
+
+def test_confidence_and_flicker_are_drawn_of_bodies_alone_below_the_whole_frame(tmp_path: Path) -> None:
+    """A body of 40 x 20 in a frame of 60 x 80 fills 420 of its rows below, less the margin; above it 280."""
+    picture = view_of(tmp_path, frame(30)).draw(ShownFrame()).picture
+    new = (picture == FLICKER_LEGEND[3][1]).all(-1)
+    rows = np.flatnonzero(new.any(1))
+    assert np.count_nonzero(new) == pytest.approx(40 * 20 * (420 / 46) ** 2, rel=0.05)
+    assert rows[0] > 476, "below the frame"
+    whole = view_of(tmp_path, np.full((60, 80), 1500, np.uint16)).draw(ShownFrame()).picture
+    assert whole.shape[1] == picture.shape[1]
+
+
+def test_the_first_frame_is_timed_without_what_is_loaded_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared: list[Segmenter] = []
+    monkeypatch.setattr(Segmenter, "prepare", lambda segmenter: prepared.append(segmenter))
+    view = view_of(tmp_path, frame(10), frame(12))
+    view.draw(ShownFrame(1))
+    assert len(prepared) == 1, "once a camera"
 
 
 def test_frames_are_labelled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,6 +88,24 @@ def test_without_a_network_nothing_is_answered(view: SetView, small_set: Path) -
     assert alone.warning is None and alone.index_of("nobody") is None
 
 
+def test_panels_show_the_body_alone_where_it_is_small_in_the_image(view: SetView) -> None:
+    sample = view.images.clean(0)
+    sides = [(0, 0), (300, 500)]
+    wide = replace(
+        sample,
+        range=np.pad(sample.range, sides),
+        projector_range=np.pad(sample.projector_range, sides),
+        labels=np.pad(sample.labels, sides, constant_values=255),
+    )
+    layout, (rows, columns) = view.layout_of(wide)
+    assert np.count_nonzero(wide.range[rows, columns]) == np.count_nonzero(sample.range)
+    assert layout.width / layout.rows == pytest.approx(
+        wide.range[rows, columns].shape[1] / sample.range.shape[0], rel=0.05
+    )
+    assert (columns.start, columns.stop) != (None, None)
+    assert (layout.reduced(wide.range[rows, columns]) > 0).mean() > 0.2
+
+
 def test_samples_are_chosen_by_filters(view: SetView) -> None:
     key = view.images.keys[5]
     one = view.chosen("train", [key], [])

@@ -11,9 +11,11 @@ from bodyseg_data.core.rigs.camera import axes_at, rolled
 from bodyseg_data.core.views import View
 from bodyseg_model.viewing.space import (
     VIEWPOINTS,
+    Device,
     Viewpoint,
     camera_alone,
     device,
+    name_heights,
     points_at,
     quaternion,
     rig_before,
@@ -92,3 +94,13 @@ def test_viewpoints_of_nothing_look_at_the_middle() -> None:
     place, at = viewpoint(np.zeros((0, 3), np.float32), [], "camera", 0.7, 1.0)
     np.testing.assert_allclose(at, 0)
     assert place[2] > 1
+
+
+def test_names_of_devices_lie_apart() -> None:
+    def at(name: str, x: float, y: float) -> Device:
+        return Device(name, (1.0, 0.0, 0.0, 0.0), (x, y, 2.0), 0.7, 1.5)
+
+    camera, beside, above = at("camera", 0.0, 0.0), at("projector", 0.05, 0.001), at("second projector", 0.0, 0.5)
+    assert name_heights([camera]) == [0.13]
+    assert name_heights([camera, beside]) == [0.13, -0.13]
+    assert name_heights([camera, beside, above]) == [-0.13, -0.26, 0.13]

@@ -24,6 +24,15 @@ def test_sets_are_told_from_recordings(tmp_path: Path, small_set: Path) -> None:
         is_set([str(small_set), str(tmp_path)])
 
 
+def test_a_folder_without_frames_may_be_a_set_whose_packing_has_not_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", str(tmp_path)]) == 2
+    assert "a set of shards has manifest.json, which is written last\n" in capsys.readouterr().err
+    assert main(["view", str(tmp_path / "walk.png")]) == 2
+    assert "manifest.json" not in capsys.readouterr().err
+
+
 def test_options_of_the_other_kind_are_refused() -> None:
     with pytest.raises(BadConfig, match="--keep-things is for frames, found it with a set"):
         check_options(Options(("x",), keep_things=True), "set")

@@ -50,6 +50,9 @@ FORMATS: Final[dict[str, Format]] = {
 }
 """Name -> format. The order is that of messages."""
 
+SUFFIXES: Final = tuple(suffix for each in FORMATS.values() for suffix in each.suffixes)
+"""Suffixes of the names of recordings, in lower case."""
+
 _LONGEST_MAGIC: Final = max(len(magic) for each in FORMATS.values() for magic in each.magic)
 
 
@@ -69,8 +72,3 @@ def find_format(path: Path) -> Format | None:
     by_content = (each for each in FORMATS.values() if start.startswith(each.magic))
     by_suffix = (each for each in FORMATS.values() if path.suffix.lower() in each.suffixes)
     return next(by_content, None) or next(by_suffix, None)
-
-
-def has_suffix(path: Path) -> bool:
-    """True for a name with a suffix of one of `FORMATS`."""
-    return any(path.suffix.lower() in each.suffixes for each in FORMATS.values())

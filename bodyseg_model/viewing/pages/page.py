@@ -17,7 +17,7 @@ from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pages.redrawing import Redrawing
 from bodyseg_model.viewing.pages.server import close_server, open_server
 from bodyseg_model.viewing.pictures import facts_html, legend_html, sheet_of
-from bodyseg_model.viewing.space import VIEWPOINTS, viewpoint
+from bodyseg_model.viewing.space import VIEWPOINTS, name_heights, viewpoint
 
 if TYPE_CHECKING:
     import viser
@@ -80,6 +80,7 @@ class Page:
         )
         self.point_scale = 1.3
         self._devices: dict[str, viser.CameraFrustumHandle] = {}
+        self._names: dict[str, viser.LabelHandle] = {}
         self._devices_shown = True
 
     def add_view_controls(self) -> None:
@@ -182,7 +183,8 @@ class Page:
             self.facts.content = facts_html(drawing.facts, self._warning)
 
     def _show_devices(self, drawing: Drawing) -> None:
-        for number, device in enumerate(drawing.devices):
+        heights = name_heights(drawing.devices)
+        for number, (device, height) in enumerate(zip(drawing.devices, heights, strict=True)):
             handle = self._devices.get(device.name)
             if handle is None:
                 colour = _DEVICE_COLOURS[min(number, len(_DEVICE_COLOURS) - 1)]
@@ -190,9 +192,11 @@ class Page:
                 handle = self._devices[device.name] = self.server.scene.add_camera_frustum(
                     name, device.fov_rad, device.aspect, scale=_DEVICE_M, thickness=0.006, color=colour
                 )
-                self.server.scene.add_label(f"{name}/name", device.name)
+                self._names[device.name] = self.server.scene.add_label(f"{name}_name", device.name)
             handle.wxyz, handle.position = device.wxyz, device.position_m
-            handle.visible = self._devices_shown
+            x, y, z = device.position_m
+            self._names[device.name].position = (x, y + height, z)
+            handle.visible = self._names[device.name].visible = self._devices_shown
 
     def _save(self, client: viser.ClientHandle) -> None:
         """Write the panels and the points as one client sees them as a PNG."""

@@ -9,8 +9,11 @@ import pytest
 from benches.site.commands import described_commands
 from benches.site.contents import linked_inside, moved_inside, sections, with_toctrees
 from benches.site.docstrings import as_rst, parameters
+from benches.site.finishing import SHORT, link_pictures, mark_short_code
 from benches.site.modules import documentation, public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
+from docutils import nodes
+from docutils.utils import new_document
 
 import bodyseg_data
 from bodyseg_model.commands.cli import COMMANDS
@@ -73,10 +76,24 @@ def test_every_room_and_public_name_has_a_place() -> None:
     assert "bodyseg_data.loading.transforms.crop" in found["bodyseg_data.loading"]
     assert "bodyseg_model.networks" in found and "bodyseg_data.commands" not in found
     page = room_page("a.b", ["a.b", "a.b.c"])
-    assert page.startswith("# a.b\n") and "## c\n" in page and page.count(".. automodule:: a.b") == 2
+    assert page.startswith("# a.\u200bb\n") and "## c\n" in page and page.count(".. automodule:: a.b") == 2
     table = public_names()
     assert all(f"`{name} <bodyseg_data." in table for name in bodyseg_data.__all__)
     assert "|  |" not in table
+
+
+def test_short_code_is_marked_and_pictures_lead_to_their_files() -> None:
+    page = new_document("page")
+    short, long = nodes.literal(text="x" * SHORT), nodes.literal(text="x" * (SHORT + 1))
+    linked = nodes.reference(refuri="elsewhere")
+    linked += nodes.image(uri="chart.png")
+    page += [short, long, nodes.image(uri="chart.png"), nodes.image(uri="https://example.org/a.png"), linked]
+    mark_short_code(page)
+    link_pictures(page, "results/index", {"chart.png": "chart1.png"})
+    assert (short["classes"], long["classes"]) == (["short"], [])
+    assert [link["refuri"] for link in page.findall(nodes.reference)] == ["../_images/chart1.png", "elsewhere"]
+    assert len([*page.findall(nodes.image)]) == 3
+    assert isinstance(page[3], nodes.image), "a picture of another site stays as it is"
 
 
 def test_documentation_is_that_of_classes_functions_and_constants() -> None:

@@ -25,10 +25,10 @@ from PIL import Image
 
 from benches.browser.chromium import Tab, chromium, open_tab
 from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_model.commands import cli
 from bodyseg_model.viewing.pages.server import LOOPBACK
 from bodyseg_model.viewing.pictures import WIDTH, Layout
+from bodyseg_model.viewing.set_view import SetView
 
 WINDOW: Final = (1400, 900)
 PREFIX: Final = "/lab/view"
@@ -207,8 +207,8 @@ def _interruptible() -> None:
 
 
 def _look(address: str, folder: Path, out: Path, saves: Path) -> None:
-    camera = read_manifest(folder).rig.camera
-    layout = Layout.of(len(VARIANTS), (camera.rows, camera.columns))
+    view = SetView(folder)
+    layout, _ = view.layout_of(view.images.clean(0))
     with contextlib.closing(Proxy(PREFIX, int(address.rpartition(":")[2]))) as proxy, open_tab(*WINDOW) as tab:
         page = f"http://{LOOPBACK}:{proxy.port}{PREFIX}/"
         tab.open(page)

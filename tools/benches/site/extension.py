@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from docutils import nodes
 from myst_parser.parsers.sphinx_ import MystParser
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
@@ -12,6 +13,7 @@ from sphinx.application import Sphinx
 from benches.site.commands import described_commands
 from benches.site.contents import GENERATED, OUTSIDE, OVERVIEWS, linked_inside, moved_inside, with_toctrees
 from benches.site.docstrings import as_rst, parameters
+from benches.site.finishing import link_pictures, mark_short_code
 from benches.site.modules import public_names, room_page, rooms
 from benches.site.notebooks import as_markdown
 from bodyseg_model.commands.cli import COMMANDS
@@ -39,6 +41,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", convert_docstring)
     app.connect("source-read", fill_page)
+    app.connect("doctree-resolved", finish_page)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -77,3 +80,9 @@ def fill_page(_: Sphinx, name: str, source: list[str]) -> None:
         pages = "\n".join(f"{GENERATED}/{room}" for room in rooms())
         text = text.replace(_ROOMS_MARK, f"```{{toctree}}\n:maxdepth: 1\n\n{pages}\n```")
     source[0] = text
+
+
+def finish_page(app: Sphinx, page: nodes.document, name: str) -> None:
+    """Change a page whose links are resolved, before it is written."""
+    mark_short_code(page)
+    link_pictures(page, name, {path: file for path, (_, file) in app.env.images.items()})

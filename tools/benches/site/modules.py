@@ -17,6 +17,9 @@ PACKAGES: Final = (bodyseg_data, bodyseg_model)
 _COMMANDS: Final = "commands"
 """The room that the page of commands describes."""
 
+_MAY_BREAK: Final = "\u200b"
+"""A space without width, at which a long title may be broken."""
+
 
 def rooms() -> dict[str, list[str]]:
     """Return room -> the names of its modules, the room itself first."""
@@ -37,7 +40,7 @@ def _modules(package: ModuleType, room: str) -> Iterator[str]:
 
 def room_page(room: str, modules: Sequence[str]) -> str:
     """Return the Markdown page of a room: what each of its modules documents, under the module's name."""
-    lines = [f"# {room}", ""]
+    lines = [f"# {room.replace('.', '.' + _MAY_BREAK)}", ""]
     for module in modules:
         lines += [f"## {module.removeprefix(f'{room}.')}", ""] if module != room else []
         lines += ["```{eval-rst}", f".. automodule:: {module}", "```", ""]
