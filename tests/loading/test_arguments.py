@@ -142,8 +142,9 @@ def test_more_than_there_is_takes_no_more_than_there_is(images: RangeImages) -> 
 
 
 @pytest.mark.parametrize(("samples", "size", "ranks"), [(7, 3, 2), (7, 10, 2), (5, 5, 5), (9, 2, 4)])
-def test_the_largest_batch(samples: int, size: int, ranks: int, images: RangeImages) -> None:
-    images._samples = images._samples[:samples]
+def test_the_largest_batch(samples: int, size: int, ranks: int, figures_set: Path) -> None:
+    keys = RangeImages(figures_set, "all", "train").keys[:samples]
+    images = RangeImages(figures_set, "all", "train", only=keys)
     orders = [BatchOrder(images, size, rank=rank, world_size=ranks) for rank in range(ranks)]
     assert max(len(batch) for order in orders for batch in order) <= orders[0].largest <= size
 
