@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
-from bodyseg_data.core.system.machine import hardware, processors
+from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
@@ -89,6 +89,7 @@ class Options:
     no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif", 10.0)
+    ahead: bool = option("find the next frame's surfaces while this one is labelled", False)
     threads: int | None = option("threads that compute the network on the processor (default: all)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 
@@ -116,10 +117,10 @@ def run(options: Options) -> int:
         out.begin()
         first.prepare()
         start = time.perf_counter()
-        # One thread reads recordings, one writes results, and this one labels. All files are read by the first.
+        # One thread writes results. If another reads ahead, it alone reads recordings.
         read = (_read(file, cameras, skipping, segmenters, messages is not None) for file in frames)
         with (
-            contextlib.closing(read_ahead(read) if processors() > 1 else read) as coming,
+            contextlib.closing(read_ahead(read) if options.ahead else read) as coming,
             Progress("segmenting", "frames") as progress,
             WriteBehind() as behind,
         ):

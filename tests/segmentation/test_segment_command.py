@@ -427,8 +427,9 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     assert report(out)["frames"] == len(list((out / "labels").iterdir())) == 5
 
 
+@pytest.mark.parametrize("ahead", [(), ("--ahead",)])
 def test_an_interruption_while_the_next_frame_is_read_leaves_this_one_whole(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ahead: tuple[str, ...], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = Skipping.read
 
@@ -438,15 +439,15 @@ def test_an_interruption_while_the_next_frame_is_read_leaves_this_one_whole(
         return read(skipping, file)
 
     monkeypatch.setattr(Skipping, "read", interrupted)
-    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 130
+    assert run(recording, "--focal", "100", *ahead, "--out", tmp_path / "out") == 130
     assert sorted(path.name for path in (tmp_path / "out/labels").iterdir()) == ["7.png", "8.png", "9.png"]
 
 
-def test_one_processor_reads_no_frame_ahead_and_gives_the_same_labels(
+def test_frames_read_ahead_have_the_same_labels(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = []
-    for count in (1, 2):
+    for ahead in ((), ("--ahead",)):
         threads: set[str] = set()
         read = Skipping.read
 
@@ -456,10 +457,9 @@ def test_one_processor_reads_no_frame_ahead_and_gives_the_same_labels(
 
         with monkeypatch.context() as patched:
             patched.setattr(Skipping, "read", noted)
-            patched.setattr(segment, "processors", lambda count=count: count)
-            out = tmp_path / str(count)
-            assert run(recording, "--focal", "100", "--threads", "1", "--out", out) == 0
-        assert ("reading" in threads) == (count == 2)
+            out = tmp_path / f"out{len(ahead)}"
+            assert run(recording, "--focal", "100", "--threads", "1", *ahead, "--out", out) == 0
+        assert ("reading" in threads) == bool(ahead)
         found.append([pixels(file) for file in sorted((out / "labels").iterdir())])
     np.testing.assert_array_equal(found[0], found[1])
 

@@ -60,6 +60,7 @@ WAYS: Final = {
     "NumPy": Way(loops="numpy"),
     "things labelled, too": Way(options={"keep_things": True}),
     "no pictures": Way(options={"no_overlay": True}),
+    "ahead, one thread": Way(options={"ahead": True, "threads": 1}),
     "OpenVINO": Way(options={"backend": "openvino"}),
     "OpenVINO, bfloat16": Way(options={"backend": "openvino", "precision": "bfloat16"}),
     "OpenVINO, bfloat16, one thread": Way(options={"backend": "openvino", "precision": "bfloat16", "threads": 1}),
