@@ -23,7 +23,8 @@ def figures(small_set: Path) -> dict[str, Any]:
     ticks: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "VARIANTS", ("all",))
-        patch.setattr(bench, "START_METHOD", "fork")  # a spawned process loads PyTorch anew
+        # Not "fork": the process of the tests has threads, and a fork of it may die of what they held.
+        patch.setattr(bench, "START_METHOD", "forkserver")
         patch.setenv(VARIABLE, "numpy")  # for the processes: of so few pixels, loading the compiler costs more
         found = bench.measure(
             small_set,
@@ -59,13 +60,13 @@ def test_the_figure_shows_it(figures: dict[str, Any], tmp_path: Path) -> None:
 
 
 def test_other_images_are_seen(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "START_METHOD", "fork")
+    monkeypatch.setattr(bench, "START_METHOD", "forkserver")
     with pytest.raises(BadSample, match=r"^0 workers \(thread\) deliver other images than were stored$"):
         bench._rounds(small_set, [Setup("all", "thread", 0)], 5, 1, {"other": 1}, lambda: None)
 
 
 def test_a_training_is_measured(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "START_METHOD", "fork")
+    monkeypatch.setattr(bench, "START_METHOD", "forkserver")
     monkeypatch.setattr(bench, "TRAINING_STEPS", 3)
     monkeypatch.setattr(bench, "TRAINING_BATCH", 1)
     found = bench._trainings(small_set, [Setup("all", "thread", 1)], 1, lambda: None)
