@@ -62,6 +62,17 @@ class Thing:
     person: float
     confidence: NDArray[np.float32] | None = field(default=None, repr=False)
 
+    @classmethod
+    def of(
+        cls,
+        range_m: NDArray[np.float32],
+        pixels: NDArray[np.intp],
+        person: float,
+        confidence: NDArray[np.float32] | None = None,
+    ) -> Thing:
+        """Return the thing at `pixels` of a frame, float32 [H, W], metres."""
+        return cls(pixels, float(np.median(range_m.ravel()[pixels])), person, confidence)
+
 
 @dataclass(frozen=True)
 class Segmentation:
@@ -205,7 +216,7 @@ class Segmenter:
         for surface in found.surfaces:
             pixels, shape = surface.pixels, surface.shape
             if surface.thing is not None:
-                things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), surface.thing))
+                things.append(Thing.of(range_m, pixels, surface.thing))
                 continue
             with watch("resample"):
                 view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
@@ -218,7 +229,7 @@ class Segmenter:
                 with watch("people"):
                     person = self.people.of_answer(shape, pixels, range_m, self.camera, named, confidence)
                 if person < self.people.cutoff:
-                    things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), person, confidence))
+                    things.append(Thing.of(range_m, pixels, person, confidence))
                     continue
             bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
             with watch("back"):

@@ -125,15 +125,7 @@ def numbers(number: int, array: NDArray[np.float32]) -> Pieces:
 Layers = list[tuple[str, NDArray[np.float32], NDArray[np.float32]]]
 
 
-NARROW = {
-    "conv1": (6, 3, 11, 11),
-    "conv2": (16, 3, 5, 5),
-    "conv3": (24, 16, 3, 3),
-    "conv4": (24, 12, 3, 3),
-    "conv5": (16, 12, 3, 3),
-    "fc6": (256, 576),
-    "fc7": (256, 256),
-}
+NARROW = {name: (out // 16, max(into // 16, 3), *kernel) for name, (out, into, *kernel) in SHAPES.items()}
 """A sixteenth of AlexNet's channels: the files of all formats but one, whose 240 MB take a second each."""
 
 

@@ -17,9 +17,8 @@ _PARTS: Final = 256  # labels are bytes
 _LABEL: Final = np.uint32(255)
 _NEAREST_M: Final = 0.1  # before the camera
 _LEAST_PIXELS: Final = 20  # of a part that is matched
-_BETTER: Final = (
-    0.02  # of a part's pixels: by so much more of them must agree at another place than at the expected one
-)
+_BETTER: Final = 0.02
+"""Share of a part's pixels by which more must agree at another place than at the expected one."""
 
 
 @_kernel

@@ -67,7 +67,7 @@ def bench_steady(
     trained = load_network(runs[0] if runs else SHIPPED)
 
     def half(number: int) -> ProgressCallback:
-        """ProgressCallback of the first or the second half, in steps of a thousandth."""
+        """Progress of the first or the second half, in steps of a thousandth."""
         return lambda done, total: progress(500 * number + 500 * done // total, 1000)
 
     still = still_person(trained, Path(data), views, half(0))
