@@ -118,8 +118,6 @@ class _Counts:
             shards=self.shards,
             size=self.size,
             bodies=len(self.bodies),
-            subjects=len(
-                {(body[_BODY["source"]], body[_BODY["subset"]], body[_BODY["subject"]]) for body in self.bodies}
-            ),
+            subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in self.bodies}),
             samples_by_subset=dict(sorted(self.by_subset.items())),
         )

@@ -27,6 +27,7 @@ from bodyseg_data.shards.records import (
     Entry,
     ShardRecord,
     check_head,
+    check_sha256,
     location,
     read_checked,
     record_from_json,
@@ -105,7 +106,7 @@ def table_from_json(tree: Any, where: str) -> ShardTable:
         raise BadShard(f"{where}: the columns of 'shards' must be lists of one length, at least 1")
     for name, split, sha256 in zip(*columns[: len(_TEXTS)], strict=True):
         check_head(name, split, sha256, where)
-    check_head(tree["name"][0], tree["split"][0], file["sha256"], f"{where}: 'index'")
+    check_sha256(file["sha256"], f"{where}: 'index'")
     for name, (least, greatest) in _NUMBERS.items():
         if set(map(type, tree[name])) != {int} or not least <= min(tree[name]) <= max(tree[name]) <= greatest:
             raise BadShard(f"{where}: {name!r} must hold whole numbers of {least} to {greatest}")

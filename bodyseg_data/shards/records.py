@@ -99,6 +99,11 @@ def check_head(name: Any, split: Any, sha256: Any, where: str) -> None:
     where = f"{where}: {name}"
     if split not in SPLITS or not name.startswith(f"{split}-"):
         raise BadShard(f"{where}: the split must be one of {', '.join(SPLITS)} and start the name, found {split!r}")
+    check_sha256(sha256, where)
+
+
+def check_sha256(sha256: Any, where: str) -> None:
+    """Raise BadShard, naming `where`, unless it is a SHA-256 in hexadecimal."""
     if not isinstance(sha256, str) or not _SHA256.fullmatch(sha256):
         raise BadShard(f"{where}: 'sha256' must be 64 hexadecimal digits")
 
