@@ -29,6 +29,7 @@ from fakes import Figures, FiguresEntry
 from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
 from processes import start_interruptible
+from servers import free_port
 from small_rig import SMALL, SMALL_FILE
 
 from bodyseg_data.bodies.source import Body, BodyRef
@@ -102,8 +103,7 @@ class Nodes:
             )
 
     def start_scheduler(self, **environment: str) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
         self.scheduler = self.start("scheduler", *words, **environment)
         until(lambda: answers(self.port), "the scheduler does not start")
@@ -497,8 +497,7 @@ def connecting_to(port: int) -> str:
 
 
 def test_nobody_there() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     assert (
         connecting_to(port)
         == f"no Dask scheduler at 127.0.0.1:{port}: Connection refused; start one with: dask scheduler"

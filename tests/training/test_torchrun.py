@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 from folders import HELPERS
+from servers import free_port
 from small_training import log
 
 from bodyseg_data import RangeImages, loader
@@ -48,7 +47,7 @@ class Ran:
 def ran(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     folder = tmp_path_factory.mktemp("torchrun")
     trainings = _together(small_set, folder / "together"), _ending(small_set, folder / "ending")
-    jobs = json.dumps(list(zip(_free_ports(len(trainings)), trainings, strict=True)))
+    jobs = json.dumps([(free_port(), training) for training in trainings])
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
     done = subprocess.run(
         [*torchrun, str(HELPERS / "torchrun_worker.py"), str(folder), str(small_set), "2", jobs],
@@ -60,12 +59,6 @@ def ran(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     )
     assert done.returncode == 0, done.stderr
     return Ran(folder, done.stderr)
-
-
-def _free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        opened = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [one.getsockname()[1] for one in opened]
 
 
 def test_loaders_share_batches_and_go_on_with_one_and_three(small_set: Path, ran: Ran) -> None:
