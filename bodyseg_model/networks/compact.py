@@ -62,8 +62,6 @@ class Compact(Network):
     """
 
     output_stride: int = 4
-    margin: int = 64
-    crop_multiple: int = 64
 
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()

@@ -39,7 +39,6 @@ Axis = tuple[NDArray[np.int64], NDArray[np.float32]]
 def label_pixels(
     scores: NDArray[np.float32],
     range_m: NDArray[np.float32],
-    corner: tuple[int, int],
     stride: int,
     labels: NDArray[np.uint8],
     confidence: NDArray[np.float32],
@@ -47,22 +46,21 @@ def label_pixels(
 ) -> None:
     """Write labels and confidences of one image's measured pixels, uint8 and float32 [H, W]; others stay as they are.
 
-    scores: [h, w, C], finite, C contiguous; score (i, j) belongs to the point ((i + 1/2) stride, (j + 1/2) stride) of a
-    window of the image that begins at `corner` (row, column) and is as large as its scores, or ends with the image.
-    range_m: [H, W], metres, 0 = nothing measured. threads: among which rows are divided; the bits do not depend on it.
+    scores: [ceil(H / stride), ceil(W / stride), C], finite, C contiguous; score (i, j) belongs to the point
+    ((i + 1/2) stride, (j + 1/2) stride) of the image. range_m: [H, W], metres, 0 = nothing measured. threads: among
+    which rows are divided; the bits do not depend on it.
     """
-    rows = min(range_m.shape[0] - corner[0], scores.shape[0] * stride)
-    columns = min(range_m.shape[1] - corner[1], scores.shape[1] * stride)
+    rows, columns = range_m.shape
     down, across = interpolation(rows, stride), interpolation(columns, stride)
     if not use_compiled():
-        _label_in_numpy(scores, range_m, corner, down, across, labels, confidence)
+        _label_in_numpy(scores, range_m, down, across, labels, confidence)
         return
     loops = import_module("bodyseg_model.networks.labelling_compiled")
     starts = _pieces(scores.shape[0] + 1, min(threads, max(1, rows * columns // _LEAST_PIXELS)))
     weights = down[1], across[1]
 
     def work(first: int, last: int) -> None:
-        loops.label_rows(scores, range_m, corner[0], corner[1], stride, *weights, first, last, labels, confidence)
+        loops.label_rows(scores, range_m, stride, *weights, first, last, labels, confidence)
 
     others = [threading.Thread(target=work, args=piece) for piece in starts[1:]]
     for thread in others:
@@ -89,15 +87,13 @@ def interpolation(size: int, stride: int) -> Axis:
 def _label_in_numpy(
     scores: NDArray[np.float32],
     range_m: NDArray[np.float32],
-    corner: tuple[int, int],
     down: Axis,
     across: Axis,
     labels: NDArray[np.uint8],
     confidence: NDArray[np.float32],
 ) -> None:
     """As `label_pixels`, some pixels at a time."""
-    window = np.s_[corner[0] : corner[0] + len(down[0]), corner[1] : corner[1] + len(across[0])]
-    rows, columns = np.nonzero(range_m[window] > 0)
+    rows, columns = np.nonzero(range_m > 0)
     last_row, last_column = scores.shape[0] - 1, scores.shape[1] - 1
     for first in range(0, len(rows), _CHUNK):
         row, column = rows[first : first + _CHUNK], columns[first : first + _CHUNK]
@@ -105,7 +101,7 @@ def _label_in_numpy(
         left, right = np.maximum(across[0][column], 0), np.minimum(across[0][column] + 1, last_column)
         corners = scores[top, left], scores[top, right], scores[bottom, left], scores[bottom, right]
         best, share = label_points(*corners, down[1][row, None], across[1][column, None])
-        labels[window][row, column], confidence[window][row, column] = best, share
+        labels[row, column], confidence[row, column] = best, share
 
 
 def label_points(

@@ -20,8 +20,6 @@ _HALF, _ONE, _LEAST = np.float32(0.5), np.float32(1), np.float32(-np.inf)
 def _label_rows(
     scores: Any,
     range_m: Any,
-    first_row: Any,
-    first_column: Any,
     stride: Any,
     down: Any,
     across: Any,
@@ -52,7 +50,7 @@ def _label_rows(
             seen = False
             for row in range(row_start, row_end):
                 for column in range(column_start, column_end):
-                    seen |= range_m[first_row + row, first_column + column] > 0
+                    seen |= range_m[row, column] > 0
                     lower_weight[count] = down[row]
                     right_weight[count] = across[column]
                     count += 1
@@ -98,8 +96,8 @@ def _label_rows(
                     series = ((((_P0 * rest + _P1) * rest + _P2) * rest + _P3) * rest + _P4) * rest + _P5
                     total[p] += series * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
             p = 0
-            for row in range(first_row + row_start, first_row + row_end):
-                for column in range(first_column + column_start, first_column + column_end):
+            for row in range(row_start, row_end):
+                for column in range(column_start, column_end):
                     if range_m[row, column] > 0:
                         labels[row, column] = label[p]
                         confidence[row, column] = _ONE / total[p]

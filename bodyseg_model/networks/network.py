@@ -30,12 +30,6 @@ class Network(nn.Module, ABC):
     output_stride: int = 1
     """Pixels of the image along each side between two neighbouring scores of `scores`."""
 
-    margin: int = 1 << 16
-    """Empty pixels around a body beyond which more of them hardly change the scores; the default keeps whole images."""
-
-    crop_multiple: int = 1
-    """Crops begin at multiples of so many pixels, so that cells lie in a crop as they lie in the whole image."""
-
     default_recipe: ClassVar[str] = "compact"
     """Key of `training.recipes.PRESETS`: the recipe of a training that names none."""
 

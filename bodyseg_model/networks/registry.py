@@ -13,7 +13,6 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.batch_transforms import body_window
 from bodyseg_model.networks.labelling import label_pixels
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.range_input import check_range_images
@@ -82,9 +81,9 @@ def device_of(network: nn.Module) -> torch.device:
 def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     """Labels and confidences of range images in metres, float32 [B, 1, H, W], 0 = nothing measured.
 
-    network: in evaluation mode. Its input is cropped to the bodies of the batch with its `margin` around them; scores
-    that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a wrong shape or a
-    network in training mode.
+    network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
+    labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
+    wrong shape or a network in training mode.
     """
     check_range_images(range_m)
     if network.training:
@@ -92,34 +91,28 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     confidence = torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device)
-    window = body_window(measured, network.margin, network.crop_multiple)
-    if window is None:
+    if not measured.any():
         return Prediction(labels, confidence)
-    rows, columns = window
-    scores = network.scores(range_m[:, :, rows, columns]).float()
+    scores = network.scores(range_m).float()
     if network.output_stride > 1 and scores.device.type == "cpu" and bool(torch.isfinite(scores).all()):
         by_point = scores.permute(0, 2, 3, 1).contiguous().numpy()
         arrays = range_m[:, 0].float().contiguous().numpy(), labels.numpy(), confidence.numpy()
-        corner, threads = (rows.start, columns.start), torch.get_num_threads()
         for image, (metres, best, share) in zip(by_point, zip(*arrays, strict=True), strict=True):
-            label_pixels(image, metres, corner, network.output_stride, best, share, threads)
+            label_pixels(image, metres, network.output_stride, best, share, torch.get_num_threads())
         return Prediction(labels, confidence)
-    return _label_on_device(network, scores, measured, window, Prediction(labels, confidence))
+    return _label_on_device(network, scores, measured, Prediction(labels, confidence))
 
 
-def _label_on_device(
-    network: Network, scores: torch.Tensor, measured: torch.Tensor, window: tuple[slice, slice], empty: Prediction
-) -> Prediction:
+def _label_on_device(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
     """Label with torch: on another device, where every pixel has scores, or where some are not finite; confidences are
     then not, either.
     """
-    rows, columns = window
-    seen = measured[:, rows, columns]
+    rows, columns = measured.shape[1:]
     scores = scores.contiguous(memory_format=torch.channels_last)
     if network.output_stride > 1:
         scores = F.interpolate(scores, scale_factor=network.output_stride, mode="bilinear", align_corners=False)
-    scores = scores.permute(0, 2, 3, 1)[:, : seen.shape[1], : seen.shape[2]][seen]
+    scores = scores.permute(0, 2, 3, 1)[:, :rows, :columns][measured]
     best, label = scores.max(1)
-    empty.labels[:, rows, columns][seen] = label.to(torch.uint8)
-    empty.confidence[:, rows, columns][seen] = 1 / (scores - best[:, None]).exp_().sum(1)
+    empty.labels[measured] = label.to(torch.uint8)
+    empty.confidence[measured] = 1 / (scores - best[:, None]).exp_().sum(1)
     return empty

@@ -25,12 +25,11 @@ OPSET: Final = 18
 """Version of ONNX's operators that graphs use."""
 
 RANGE: Final = "range_m"
-WINDOW: Final = "window"
 SCORES: Final = "scores"
 LABELS: Final = "labels"
 CONFIDENCE: Final = "confidence"
-"""Names of values: range images [B, 1, H, W], metres; the window of them around the bodies, [B, 1, h, w]; its scores,
-[B, h / stride, w / stride, C], rounded up; labels uint8 and confidences float32, [B, H, W]."""
+"""Names of values: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up; labels uint8
+and confidences float32, [B, H, W]."""
 
 _EXAMPLE: Final = (1, 1, 200, 136)
 _AXES: Final = {RANGE: {0: "images", 2: "rows", 3: "columns"}} | {
@@ -48,38 +47,21 @@ class _Answer(nn.Module):
     def forward(self, range_m: torch.Tensor) -> tuple[torch.Tensor, ...]:
         network = self.network
         measured = range_m[:, 0] > 0
-        rows = _window(measured.any(2).any(0), network)
-        columns = _window(measured.any(1).any(0), network)
-        # Plain indices: a slice whose ends are computed would be traced as constant.
-        window = range_m.index_select(2, rows).index_select(3, columns)
-        scores = network.scores(window).permute(0, 2, 3, 1).contiguous()
+        scores = network.scores(range_m).permute(0, 2, 3, 1).contiguous()
         full = scores.permute(0, 3, 1, 2)
         if network.output_stride > 1:
             full = F.interpolate(full, scale_factor=network.output_stride, mode="bilinear", align_corners=False)
-        full = full[:, :, : window.shape[2], : window.shape[3]]
+        full = full[:, :, : range_m.shape[2], : range_m.shape[3]]
         best, label = full.max(1)
         share = 1 / (full - best[:, None]).exp().sum(1)
-        height, width = range_m.shape[2:]
-        sides = columns[0], width - 1 - columns[-1], rows[0], height - 1 - rows[-1]
-        placed = [F.pad(image, sides) for image in (label.float(), share)]  # type: ignore[arg-type]  # traced numbers
-        labels = torch.where(measured, placed[0], torch.tensor(float(BACKGROUND))).to(torch.uint8)
-        return labels, torch.where(measured, placed[1], torch.tensor(0.0)), window, scores
-
-
-def _window(seen: torch.Tensor, network: Network) -> torch.Tensor:
-    """Indices of the rows or columns of `batch_transforms.body_window`, from bool [N]; all of them if none is True."""
-    size = seen.shape[0]
-    flags = seen.to(torch.int32)
-    first = (flags.argmax() - network.margin).clamp(min=0) // network.crop_multiple * network.crop_multiple
-    beyond = flags.flip(0).argmax() - network.margin  # rows or columns behind the last one of the window
-    indices: torch.Tensor = torch.arange(first, size - beyond.clamp(min=0))  # type: ignore[call-overload]  # traced numbers
-    return indices
+        labels = torch.where(measured, label.float(), torch.tensor(float(BACKGROUND))).to(torch.uint8)
+        return labels, torch.where(measured, share, torch.tensor(0.0)), scores
 
 
 def answer_graph(network: Network) -> Any:
     """A network as an onnx.ModelProto: `RANGE` -> `LABELS` and `CONFIDENCE`, for any number of images of any size.
 
-    The values `WINDOW` and `SCORES` are in it by these names. network: in evaluation mode. Raises BadConfig for a
+    The value `SCORES` is in it by this name. network: in evaluation mode. Raises BadConfig for a
     network that cannot be traced, MissingLibrary without onnx.
     """
     onnx = import_onnx()
@@ -87,7 +69,7 @@ def answer_graph(network: Network) -> Any:
         raise BadConfig("a network is written as ONNX in evaluation mode: call network.eval() first")
     example = torch.zeros(_EXAMPLE)
     example[:, :, 20:-20, 20:-20] = 2.5
-    buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, WINDOW, SCORES]
+    buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, SCORES]
     try:
         # Traced sizes are compared where layers check their input; that the trace fixes these checks is wanted.
         # What it prints of a graph that it cannot write is of no use to users.
@@ -108,26 +90,11 @@ def answer_graph(network: Network) -> Any:
         raise BadConfig(f"{type(network).__name__} cannot be written as ONNX: {first[0]}") from error
     model = onnx.load_from_string(buffer.getvalue())
     del model.graph.output[2:]
-    _drop_conversion(model)
     return model
 
 
-def _drop_conversion(model: Any) -> None:
-    """Let `WINDOW` name what it is made of, where that is only converted to float32, which it is: some nodes read it
-    before the conversion.
-    """
-    (node,) = (node for node in model.graph.node if WINDOW in node.output)
-    if node.op_type not in ("Cast", "Identity"):
-        return
-    source = node.input[0]
-    model.graph.node.remove(node)
-    for other in model.graph.node:
-        for names in (other.input, other.output):
-            names[:] = [WINDOW if name == source else name for name in names]
-
-
 def scores_part(model: Any) -> Any:
-    """The part of an `answer_graph` from `WINDOW` to `SCORES`, an onnx.ModelProto.
+    """The part of an `answer_graph` from `RANGE` to `SCORES`, an onnx.ModelProto.
 
     Raises BadConfig for a graph that does not have these values.
     """
@@ -136,19 +103,19 @@ def scores_part(model: Any) -> Any:
     needed, open_names = set[str](), [SCORES]
     while open_names:
         name = open_names.pop()
-        if name not in makes or name == WINDOW or makes[name].name in needed:
+        if name not in makes or makes[name].name in needed:
             continue
         needed.add(makes[name].name)
         open_names += makes[name].input
     nodes = [node for node in model.graph.node if node.name in needed]
     used = {name for node in nodes for name in node.input}
-    if RANGE in used or WINDOW not in used:
-        raise BadConfig(f"an ONNX file must compute {SCORES!r} from {WINDOW!r}, as `bodyseg export --onnx` writes it")
+    if RANGE not in used:
+        raise BadConfig(f"an ONNX file must compute {SCORES!r} from {RANGE!r}, as `bodyseg export --onnx` writes it")
     value, kind = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
     graph = onnx.helper.make_graph(
         nodes,
         SCORES,
-        [value(WINDOW, kind, ["images", 1, "rows", "columns"])],
+        [value(RANGE, kind, ["images", 1, "rows", "columns"])],
         [value(SCORES, kind, ["images", "score_rows", "score_columns", None])],
         [array for array in model.graph.initializer if array.name in used],
     )

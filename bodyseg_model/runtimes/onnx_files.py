@@ -28,8 +28,6 @@ class GraphFacts:
 
     classes: int
     output_stride: int
-    margin: int
-    crop_multiple: int
     precision: Precision = "float32"
     calibration: dict[str, Any] = field(default_factory=dict)
 
@@ -39,7 +37,7 @@ class GraphFacts:
     @classmethod
     def of(cls, network: Network) -> GraphFacts:
         """Properties of a network."""
-        return cls(network.classes, network.output_stride, network.margin, network.crop_multiple)
+        return cls(network.classes, network.output_stride)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_model.runtimes.graphs import SCORES, WINDOW
+from bodyseg_model.runtimes.graphs import RANGE, SCORES
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.runtimes.runtime import Runtime
 
@@ -28,9 +28,9 @@ class OnnxRuntime(Runtime):
         options.log_severity_level = _ERRORS_ONLY
         self._session = library.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
-    def scores(self, window: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Runtime.scores`."""
-        found: NDArray[np.float32] = self._session.run([SCORES], {WINDOW: window})[0]
+        found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
         return found
 
     @classmethod

@@ -29,9 +29,9 @@ class OpenVino(Runtime):
         }
         self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
 
-    def scores(self, window: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Runtime.scores`."""
-        found: NDArray[np.float32] = self._request.infer([window], share_inputs=True)[0]
+        found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
         return found
 
     @classmethod

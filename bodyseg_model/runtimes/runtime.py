@@ -25,10 +25,10 @@ class Runtime(ABC):
 
     @abstractmethod
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        """Compile a graph from `graphs.WINDOW` to `graphs.SCORES` for so many threads. Raises MissingLibrary."""
+        """Compile a graph from `graphs.RANGE` to `graphs.SCORES` for so many threads. Raises MissingLibrary."""
 
     @abstractmethod
-    def scores(self, window: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Compute scores [B, h, w, C] of range images [B, 1, H, W], C contiguous."""
 
     @classmethod
@@ -48,14 +48,13 @@ class RuntimeNetwork(Network):
     def __init__(self, model: OnnxModel, name: str, runtime: type[Runtime], precision: Precision) -> None:
         super().__init__({}, model.facts.classes)
         check_precision(name, runtime, model.facts.precision, precision)
-        facts = model.facts
-        self.output_stride, self.margin, self.crop_multiple = facts.output_stride, facts.margin, facts.crop_multiple
+        self.output_stride = model.facts.output_stride
         self.model = model
         self._runtime, self._graph = runtime, model.scores_bytes()
         self._sessions: dict[int, Runtime] = {}
         self.identity: dict[str, Any] = {"backend": name, "version": runtime.version(), "precision": precision}
-        if facts.calibration:
-            self.identity["calibration"] = facts.calibration
+        if model.facts.calibration:
+            self.identity["calibration"] = model.facts.calibration
         self._precision: Precision = precision
         self.eval()
 

@@ -13,8 +13,7 @@ class Bfloat16(Network):
 
     def __init__(self, network: Network) -> None:
         super().__init__(network.settings, network.classes)
-        self.output_stride, self.margin = network.output_stride, network.margin
-        self.crop_multiple = network.crop_multiple
+        self.output_stride = network.output_stride
         self.network = network
         self.train(network.training)
 

@@ -18,7 +18,6 @@ from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.batch_transforms import body_window
 from bodyseg_model.networks.checkpoints import half_weights
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
@@ -27,20 +26,6 @@ BATCH_SIZES: Final = (2, 7, 16)
 
 Computation = Callable[[torch.Tensor], torch.Tensor]
 """Range images float32 [B, 1, H, W] -> labels uint8 [B, H, W]."""
-
-
-class Uncropped(Network):
-    """Wraps a network so that `predict` gives it whole images instead of windows around bodies."""
-
-    def __init__(self, network: Network) -> None:
-        super().__init__()
-        self.network = network
-        self.eval()
-
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute the wrapped network's scores of every pixel."""
-        scores: torch.Tensor = self.network(range_m)
-        return scores
 
 
 def numerical(
@@ -52,10 +37,8 @@ def numerical(
     """Compare computations on the first `count` images of the images' permutation; returns plain JSON.
 
     changed: share of measured pixels whose label differs; accuracy_change: difference of average per-class accuracy, as
-    a share. Both are null, with a reason, for a computation that this machine or the network does not support. Each
-    batch size has three comparisons: "batch", images together against each alone; "window", each alone but cropped to
-    the window around all bodies of its batch, against its own window; "arithmetic", together against alone, both in
-    that common window. For a network whose `margin` is the whole image the windows are the same.
+    a share. Both are null, with a reason, for a computation that this machine or the network does not support. A batch
+    size compares images together with each alone.
 
     count: at most so many, all held in memory, 0.8 MB each. progress: called with comparisons done and in all. Raises
     BadConfig for no image, images on which nothing was measured, or a network in training mode.
@@ -79,7 +62,8 @@ def numerical(
             advance()
         batches = {}
         for size in BATCH_SIZES:
-            batches[str(size)] = _batch(network, range_m, truth, baseline, size)
+            together = torch.cat([_labels(network, batch) for batch in torch.split(range_m, size)])
+            batches[str(size)] = _compare(truth, baseline, together)
             advance()
     return {
         "images": len(truth),
@@ -140,29 +124,6 @@ def _attempt(
         return _compare(truth, baseline, _one_by_one(computation, range_m))
     except (RuntimeError, NotImplementedError) as error:  # torch raises these where it has no such kernel
         return {"changed": None, "accuracy_change": None, "reason": str(error).partition("\n")[0][:200]}
-
-
-def _batch(
-    network: Network, range_m: torch.Tensor, truth: torch.Tensor, baseline: torch.Tensor, size: int
-) -> dict[str, Any]:
-    """The three comparisons of one batch size. The last batch may be smaller."""
-    uncropped = Uncropped(network)
-    together, alone = (torch.full_like(baseline, BACKGROUND) for _ in range(2))
-    for start in range(0, len(baseline), size):
-        batch = slice(start, start + size)
-        images = range_m[batch]
-        together[batch] = _labels(network, images)
-        window = body_window(images[:, 0] > 0, network.margin, network.crop_multiple)
-        if window is not None:
-            rows, columns = window
-            alone[batch, rows, columns] = _one_by_one(
-                functools.partial(_labels, uncropped), images[:, :, rows, columns]
-            )
-    return {
-        "batch": _compare(truth, baseline, together),
-        "window": _compare(truth, baseline, alone),
-        "arithmetic": _compare(truth, alone, together),
-    }
 
 
 def _labels(network: Network, range_m: torch.Tensor) -> torch.Tensor:

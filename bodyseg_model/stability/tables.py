@@ -26,7 +26,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
             for label, of in figures["numerical"].items()
             for name, row in [
                 *of["computations"].items(),
-                *((f"{size} images together", row["batch"]) for size, row in of["batches"].items() if size != "1"),
+                *((f"{size} images together", row) for size, row in of["batches"].items() if size != "1"),
             ]
         ]
     if "things" in figures:

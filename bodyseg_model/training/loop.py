@@ -25,7 +25,7 @@ from bodyseg_data.core.system.signals import signals_held
 from bodyseg_data.loading.image_set import Batch, ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
-from bodyseg_model.networks.batch_transforms import cut_to_bodies, mirror, mirror_draws
+from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.training.distributed import ProcessGroup
@@ -265,9 +265,6 @@ class Training:
                 batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
-            if recipe.crop:
-                network = self.network
-                range_m, labels = cut_to_bodies(range_m, labels, network.margin, network.crop_multiple)
             epochs, keys = batch["epoch"], batch["key"]
             if recipe.mirror:
                 draws = mirror_draws(self.seed, epochs, keys).to(device)

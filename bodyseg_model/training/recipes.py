@@ -25,8 +25,8 @@ class Recipe:
     the steps over which the learning rate rises from 0. cosine: whether it then falls to 0 as a cosine, else it stays.
     clip: largest norm of a step's gradient, 0 for no limit.
 
-    crop: whether batches are cropped to the bodies in them, with the network's margin. mirror: whether half of the
-    images are mirrored, left and right parts exchanged. geometric_augmentation: rotation, zoom and cuts of images.
+    mirror: whether half of the images are mirrored, left and right parts exchanged. geometric_augmentation: rotation,
+    zoom and cuts of images.
 
     balance: a part's pixels are weighted by its share of all pixels to the power of -balance; 0 for equal weights.
     loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
@@ -49,7 +49,6 @@ class Recipe:
     warmup: float
     cosine: bool
     clip: float
-    crop: bool
     mirror: bool
     balance: float
     bf16: bool
@@ -118,7 +117,6 @@ PRESETS: Final[dict[str, Recipe]] = {
         warmup=0.0,
         cosine=False,
         clip=0.0,
-        crop=False,
         mirror=False,
         balance=0.0,
         bf16=False,
@@ -136,7 +134,6 @@ PRESETS: Final[dict[str, Recipe]] = {
         warmup=0.05,
         cosine=True,
         clip=5.0,
-        crop=True,
         mirror=True,
         balance=0.5,
         bf16=True,

@@ -35,7 +35,6 @@ RECIPE: Final = Recipe(
     warmup=0.0,
     cosine=True,
     clip=1.0,
-    crop=True,
     mirror=True,
     balance=0.5,
     bf16=False,

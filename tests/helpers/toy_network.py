@@ -13,8 +13,6 @@ from bodyseg_model.networks.range_input import check_range_images, relief_of
 
 class Toy(Network):
     output_stride: int = 8
-    margin: int = 16
-    crop_multiple: int = 8
 
     def __init__(self, width: int = 4, classes: int = PART_COUNT) -> None:
         super().__init__({"width": width}, classes)

@@ -150,16 +150,16 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
         predict(network().train(), figure(8, 8))
 
 
-def test_space_far_from_bodies_does_not_matter() -> None:
-    """Predictions from a window around the body are those from the whole image."""
-    made = network(CompactSettings(patch=8, widths=(6, 8), blocks=(0, 1)))
-    range_m = torch.zeros(1, 1, 400, 420)
-    range_m[:, :, 150:230, 170:220] = figure(80, 50)
+def test_a_network_sees_whole_images_whatever_else_is_in_the_batch() -> None:
+    made = network()
+    range_m = torch.zeros(2, 1, 400, 420)
+    range_m[0, :, 150:230, 170:220] = figure(80, 50)
+    range_m[1, :, 10:390, 20:400] = figure(380, 380, seed=1)
     with torch.no_grad():
         whole = made(range_m).argmax(1)
-    labels, _ = predict(made, range_m)
-    body = range_m[0, 0] > 0
-    assert torch.equal(labels[0][body].long(), whole[0][body])
+    body = range_m[:, 0] > 0
+    assert torch.equal(predict(made, range_m).labels[body].long(), whole[body])
+    assert torch.equal(predict(made, range_m[:1]).labels, predict(made, range_m).labels[:1])
 
 
 def test_the_body_is_what_context_is_the_mean_of() -> None:

@@ -50,7 +50,6 @@ def figure(rows: int, columns: int) -> torch.Tensor:
 def test_every_network_keeps_the_protocol(name: str) -> None:
     network, range_m = small(name), figure(70, 45)
     assert type(network) is network_class(name)
-    assert network.margin >= 1 and network.crop_multiple >= 1
     assert network.default_recipe in PRESETS
     step = network.output_stride
     with torch.no_grad():
@@ -158,6 +157,6 @@ def test_a_new_network_is_one_new_file_and_one_line(
             assert main(words) == 0, words
     card = json.loads((tmp_path / "toy.json").read_text())
     assert (card["network"], card["settings"]) == ("toy", {"width": 5})
-    assert card["recipe"]["steps"] == 2 and card["recipe"]["crop"], "the recipe of compact is the default"
+    assert card["recipe"]["steps"] == 2 and card["recipe"]["mirror"], "the recipe of compact is the default"
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert scores["card"]["network"] == "toy" and scores["images"] == 8

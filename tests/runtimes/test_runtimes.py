@@ -220,7 +220,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="Odd cannot be written as ONNX: "):
         answer_graph(Odd().eval())
     graph = answer_graph(Toy().eval())
-    with pytest.raises(BadConfig, match="must compute 'scores' from 'window'"):
+    with pytest.raises(BadConfig, match="must compute 'scores' from 'range_m'"):
         scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
     moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", _runtime(), "float32")
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):

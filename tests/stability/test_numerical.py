@@ -16,10 +16,8 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import predict
-from bodyseg_model.stability.numerical import BATCH_SIZES, Uncropped, numerical
+from bodyseg_model.stability.numerical import BATCH_SIZES, numerical
 
 NOTHING = {"changed": 0.0, "accuracy_change": 0.0}
 FEWER_BITS = {"bf16, autocast", "bf16 throughout", "fp16, autocast", "fp16 throughout", "weights kept in fp16"}
@@ -65,18 +63,6 @@ class Close(Network):
         return scores
 
 
-class Widths(Compact):
-    """Labels say how wide a window is shown."""
-
-    margin = crop_multiple = 8  # images here are small
-
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        rows, columns = (-(-side // self.output_stride) for side in range_m.shape[2:])
-        scores = torch.zeros(len(range_m), PART_COUNT, rows, columns)
-        scores[:, columns % PART_COUNT] = 1
-        return scores
-
-
 def test_whole_numbers_are_the_same_in_every_way(images: RangeImages) -> None:
     done: list[tuple[int, int]] = []
     found = numerical(Told(lambda range_m: 3), images, 3, lambda *numbers: done.append(numbers))
@@ -85,7 +71,7 @@ def test_whole_numbers_are_the_same_in_every_way(images: RangeImages) -> None:
     assert all(way == NOTHING for way in found["computations"].values())
     assert set(found["batches"]) == {str(size) for size in BATCH_SIZES}
     for batch in found["batches"].values():
-        assert batch == {"batch": NOTHING, "window": NOTHING, "arithmetic": NOTHING}
+        assert batch == NOTHING
     shown = [images[int(index)]["labels"] for index in images.order(0)[:3]]
     assert found["pixels"] == sum(int((labels != BACKGROUND).sum()) for labels in shown)
     parts = {part for labels in shown for part in labels[labels != BACKGROUND].tolist()}
@@ -117,38 +103,7 @@ def test_a_network_that_counts_the_batch_changes_by_arithmetic(images: RangeImag
     found = numerical(Told(len), images, 3)
     assert all(way == NOTHING for way in found["computations"].values())
     # Of three images, two make a batch and the last is alone; or all make one.
-    for batch in found["batches"].values():
-        assert batch["window"] == NOTHING
-        assert batch["batch"] == batch["arithmetic"]
-        assert batch["batch"]["changed"] > 0.5
-    assert found["batches"]["2"]["batch"]["changed"] < found["batches"]["7"]["batch"]["changed"] == 1
-
-
-def test_a_network_that_sees_the_window_changes_by_it(images: RangeImages) -> None:
-    network = Widths(CompactSettings(widths=(4,), blocks=(0,))).eval()
-    found = numerical(network, images, 4)
-    shown = [images[int(index)]["range"][None] for index in images.order(0)[:4]]
-    alone = torch.cat([predict(network, image).labels for image in shown])
-    together = predict(network, torch.cat(shown)).labels
-    body = alone != BACKGROUND
-    changed = float((alone != together)[body].float().mean())
-    assert 0 < changed < 1, "some body is as wide as all of them together"
-    for size in ("7", "16"):
-        batch = found["batches"][size]
-        assert batch["arithmetic"] == NOTHING
-        assert batch["window"] == batch["batch"]
-        assert batch["window"]["changed"] == pytest.approx(changed, abs=1e-6)
-
-
-def test_a_hidden_network_says_the_same_without_being_cut_to_bodies(images: RangeImages) -> None:
-    torch.manual_seed(1)
-    network = Compact(CompactSettings(widths=(8,), blocks=(1,))).eval()
-    image = images[0]["range"][None]
-    assert torch.equal(predict(Uncropped(network), image[:, :, :, 30:]).labels > 32, image[:, 0, :, 30:] == 0)
-    widths: list[int] = []
-    network.register_forward_pre_hook(lambda module, inputs: widths.append(inputs[0].shape[3]))
-    predict(Uncropped(network), image)
-    assert widths == [image.shape[3]]
+    assert 0.5 < found["batches"]["2"]["changed"] < found["batches"]["7"]["changed"] == 1
 
 
 def test_what_cannot_be_computed_is_null_with_a_reason(images: RangeImages) -> None:

@@ -94,8 +94,8 @@ def test_arithmetic_says_why_a_number_is_missing() -> None:
                     "fp16": {"changed": None, "accuracy_change": None, "reason": "not on this processor"},
                 },
                 "batches": {
-                    "1": {"batch": {"changed": 0.0, "accuracy_change": 0.0}},
-                    "7": {"batch": {"changed": 0.5, "accuracy_change": 0.25}},
+                    "1": {"changed": 0.0, "accuracy_change": 0.0},
+                    "7": {"changed": 0.5, "accuracy_change": 0.25},
                 },
             }
         }

@@ -40,7 +40,6 @@ SGD = Recipe(
     warmup=0.2,
     cosine=True,
     clip=1.0,
-    crop=True,
     mirror=True,
     balance=0.5,
     bf16=False,

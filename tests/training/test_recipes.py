@@ -22,7 +22,6 @@ def test_the_papers_recipe_is_its_networks_own() -> None:
     assert (recipe.steps, recipe.batch_size * recipe.accumulate, recipe.optimiser) == (70_000, 20, "sgd")
     assert (recipe.learning_rate, recipe.momentum, recipe.weight_decay, recipe.layer_decay) == (1e-2, 0.99, 5e-4, 0.01)
     assert recipe.learning_rate_at(0) == recipe.learning_rate_at(69_999) == 1e-2
-    assert not recipe.crop
     assert not recipe.mirror
 
 

@@ -27,7 +27,7 @@ SIGMAS_MM: Final = (0, 10, 20, 30, 40, 50, 60, 80, 100)
 MISSING: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
-_BATCH: Final = 1  # as a sensor gives them: the crop of a batch, and so its scores, depend on all its bodies
+_BATCH: Final = 1  # as a sensor gives them
 _KEPT: Final = ("images", "pixels", "average_per_class_accuracy", "pixel_accuracy", "mean_iou", "swaps", "subsets")
 _KEPT_OF_EXTRAS: Final = ("confidence", "border_distance_px")
 
