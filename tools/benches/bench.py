@@ -74,6 +74,9 @@ BENCHES: Final = {
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "things": Bench("model.things.bench", None, "made rooms to fit to, 300", optional=("runs",)),
     "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
+    "windows": Bench(
+        "model.segment.windows", "windows_figure", "made rooms, 120", required=("data",), optional=("runs", "images")
+    ),
     "people": Bench(
         "model.people.bench", None, "views of each body, 6", required=("data",), optional=("runs", "poses", "alone")
     ),
@@ -128,7 +131,8 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, runtimes, sensors, things, people, real, steady and failures: runs",
+        "folders of runs NAME-SEED; for network, runtimes, sensors, things, windows, people, real, steady and "
+        "failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
@@ -137,7 +141,9 @@ class Options:
         None,
     )
     images: int | None = option(
-        "number of test images (default: variants 500, architectures, runtimes and ablation 200, failures 1000)", None
+        "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
+        "failures 1000)",
+        None,
     )
     hard: str | None = option(
         f"for {_takers('hard')}: folder or address of a set of the source `hard`, to test on as well",

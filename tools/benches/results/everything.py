@@ -81,6 +81,7 @@ def _shipped() -> Iterator[Step]:
     yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("things", "--views", "300", reads=shipped)
+    yield _bench("windows", "--data", HARD, drawn=True, reads=shipped)
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
     yield _bench("failures", *failures, drawn=True, more=("failures_hard.png",), reads=shipped)

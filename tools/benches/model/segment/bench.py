@@ -81,7 +81,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
             frames = Path(folder) / "frames"
             frames.mkdir()
             rooms = []
-            for number, room in enumerate(_rooms(camera, views)):
+            for number, room in enumerate(made_rooms(camera, views)):
                 millimetres = np.rint(1000 * room.range_m).astype(np.uint16)
                 (frames / f"{number}.png").write_bytes(encode_picture(millimetres))
                 rooms.append(room)
@@ -118,8 +118,8 @@ def cameras() -> dict[str, Camera]:
     return {"640 x 480": known, "1024 x 1024": square}
 
 
-def _rooms(camera: Camera, count: int) -> Iterator[Room]:
-    """Rooms with bodies that no network was fitted to, in turn by source."""
+def made_rooms(camera: Camera, count: int) -> Iterator[Room]:
+    """Make rooms with bodies that no network was fitted to, in turn by source."""
     makers = []
     for source in TEST_SOURCES:
         opened = open_source(source)

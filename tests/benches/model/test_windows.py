@@ -1,0 +1,59 @@
+"""`bench windows`: what a network sees of an image through a window, and what the bench writes and draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from benches.model.segment import windows as bench
+from benches.model.segment.windows import MARGINS, Windowed, bench_windows
+from benches.model.segment.windows_figure import draw_windows
+
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.networks.compact import Compact, CompactSettings
+from bodyseg_model.stability.rooms import Room
+
+
+def test_a_window_is_cut_out_and_put_back() -> None:
+    torch.manual_seed(3)
+    network = Compact(CompactSettings(widths=(8,), blocks=(1,))).eval()
+    range_m = torch.zeros(1, 1, 300, 420)
+    range_m[:, :, 150:230, 210:260] = 2.5
+    with torch.no_grad():
+        whole, windowed = network.scores(range_m), Windowed(network, 20)
+        scores = windowed.scores(range_m)
+        assert scores.shape == whole.shape
+        assert windowed.pixels == (250 - 128) * (280 - 128)
+        assert torch.equal(scores[:, :, 32:63, 32:70], network.scores(range_m[:, :, 128:250, 128:280]))
+        outside = scores.clone()
+        outside[:, :, 32:63, 32:70] = 0
+        assert not outside.any()
+        assert torch.equal(Windowed(network, None).scores(range_m), whole)
+
+
+def test_margins_are_compared_on_the_set_and_in_rooms(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    person = np.full((480, 640), -1, np.int32)
+    person[100:400, 260:380] = 0
+    seen = person == 0
+    room = Room(
+        np.where(seen, 2.5, 0).astype(np.float32),
+        person,
+        np.full(person.shape, -1, np.int32),
+        np.where(seen, 3, BACKGROUND).astype(np.uint8),
+        1,
+        0,
+    )
+    monkeypatch.setattr(bench, "made_rooms", lambda camera, count: [room] * count)
+    found = bench_windows(str(small_set), views=2, images=3)
+    assert [len(found["sets"][name]["margins"]) for name in ("set", "rooms")] == [len(MARGINS)] * 2
+    assert (found["sets"]["set"]["bodies"], found["sets"]["rooms"]["bodies"]) == (3, 2)
+    for of in found["sets"].values():
+        pixels = [row["pixels"] for row in of["margins"]]
+        assert pixels == sorted(pixels) and pixels[-1] == 1
+        assert (of["margins"][-1]["less"], of["margins"][-1]["less_error"]) == (0, 0)
+    draw_windows(found, tmp_path / "windows.png")
+    assert (tmp_path / "windows.png").stat().st_size > 10_000

@@ -1,0 +1,158 @@
+"""`bench windows`: labels and time of a network that sees a window around each body instead of the whole image.
+
+docs/segment.md says how to read the results.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from benches.model.segment.bench import cameras, made_rooms
+from bodyseg_data.core.errors import check_int
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
+from bodyseg_data.core.system.torch_threads import torch_threads
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import predict
+from bodyseg_model.segmentation.resampling import view_body
+from bodyseg_model.segmentation.segmenter import Segmenter
+
+MARGINS: Final = (32, 64, 96, 128, None)
+"""Empty pixels around a body; None: the whole image."""
+
+_MULTIPLE: Final = 64  # windows begin at multiples of the deepest cells' side, as these lie in the whole image
+
+Score = Callable[[torch.Tensor], float]
+"""Labels uint8 [1, H, W] -> share of the body's pixels that are right."""
+
+
+class Windowed(Network):
+    """Gives a network the window around the body of an image, with a margin. pixels: of all windows so far."""
+
+    def __init__(self, network: Network, margin: int | None) -> None:
+        super().__init__({}, network.classes)
+        self.output_stride = network.output_stride
+        self.network, self.margin, self.pixels = network, margin, 0
+        self.eval()
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of a window, and 0 around it; see `Network.scores`."""
+        measured = range_m[0, 0] > 0
+        rows, columns = self._window(measured.any(1)), self._window(measured.any(0))
+        self.pixels += (rows.stop - rows.start) * (columns.stop - columns.start)
+        if self.margin is None:
+            return self.network.scores(range_m)
+        found = self.network.scores(range_m[:, :, rows, columns])
+        step = self.output_stride
+        whole = found.new_zeros(*found.shape[:2], *(-(-side // step) for side in range_m.shape[2:]))
+        top, left = rows.start // step, columns.start // step
+        whole[:, :, top : top + found.shape[2], left : left + found.shape[3]] = found
+        return whole
+
+    def _window(self, seen: torch.Tensor) -> slice:
+        """Window along one axis, from what is measured there, bool [N], somewhere True."""
+        if self.margin is None:
+            return slice(0, len(seen))
+        (found,) = torch.nonzero(seen, as_tuple=True)
+        first = max(0, int(found[0]) - self.margin) // _MULTIPLE * _MULTIPLE
+        return slice(first, min(len(seen), int(found[-1]) + 1 + self.margin))
+
+
+@dataclass
+class _Row:
+    """Sums over images. shares: of each image, pixels that are right."""
+
+    network: Windowed
+    shares: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def label(self, range_m: torch.Tensor, score: Score) -> None:
+        start = time.thread_time()
+        labels = predict(self.network, range_m).labels
+        self.seconds.append(time.thread_time() - start)
+        self.shares.append(score(labels))
+
+
+def bench_windows(
+    data: str, views: int = 120, images: int = 300, runs: Sequence[Path] = (), progress: ProgressCallback = silent
+) -> dict[str, Any]:
+    """Measure every one of `MARGINS` on bodies of a set, and of made rooms as `segment` resamples them.
+
+    data: folder or address of the set; `images` of its test split with all artifacts are labelled, evenly spaced.
+    views: made rooms of 640 x 480, seed and bodies of `bench segment`. runs: the network is in the first of them;
+    without, it is the one that ships. One thread computes, one image at a time. Raises BadConfig as `RangeImages`.
+    """
+    trained = load_network(runs[0] if runs else SHIPPED)
+    chosen = RangeImages(data, "all", split="test")
+    count = min(check_int("the number of images", images, 1), len(chosen))
+    advance = counter(progress, count + check_int("the number of rooms", views, 1))
+    camera = cameras()["640 x 480"]
+
+    def from_set() -> Iterator[tuple[torch.Tensor, Score]]:
+        for index in np.linspace(0, len(chosen) - 1, count).round().astype(int):
+            image = chosen[int(index)]
+            yield image["range"][None], _scored(image["labels"])
+            advance()
+
+    def from_rooms() -> Iterator[tuple[torch.Tensor, Score]]:
+        segmenter = Segmenter(trained.network, camera, rig=trained.rig)
+        for room in made_rooms(camera, views):
+            for surface in segmenter.find(room.range_m).surfaces:
+                if (room.person.ravel()[surface.pixels] < 0).mean() > 0.5:
+                    continue
+                view = view_body(room.range_m, surface.pixels, camera, trained.rig)
+                truth = torch.from_numpy(room.labels.ravel()[surface.pixels])
+                backwards = torch.from_numpy(view.view_pixels)
+                yield torch.from_numpy(view.range_m)[None, None], _scored(truth, backwards)
+            advance()
+
+    with torch_threads(1):
+        return {
+            "network": runs[0].name if runs else "shipped",
+            "sets": {"set": _measured(trained.network, from_set()), "rooms": _measured(trained.network, from_rooms())},
+        }
+
+
+def _scored(truth: torch.Tensor, pixels: torch.Tensor | None = None) -> Score:
+    """Score labels at `pixels`, int64 [N], of the image, by default all, against the true ones of the same shape."""
+    body = truth != BACKGROUND
+
+    def score(labels: torch.Tensor) -> float:
+        found = labels[0] if pixels is None else labels.ravel()[pixels]
+        return float((found == truth)[body].float().mean())
+
+    return score
+
+
+def _measured(network: Network, bodies: Iterator[tuple[torch.Tensor, Score]]) -> dict[str, Any]:
+    """Every margin's share of pixels right, mean over bodies, its difference from whole images with its standard
+    error, median processor time, ms, and pixels computed as a share of those of whole images.
+    """
+    rows = [_Row(Windowed(network, margin)) for margin in MARGINS]
+    for number, (range_m, score) in enumerate(bodies):
+        for row in rows[number % len(rows) :] + rows[: number % len(rows)]:  # in turns
+            row.label(range_m, score)
+    whole = rows[-1]
+    return {
+        "bodies": len(whole.shares),
+        "margins": [
+            {
+                "margin_px": row.network.margin,
+                "right": round(float(np.mean(row.shares)), 4),
+                "less": round(float(np.mean(less)), 4),
+                "less_error": round(float(np.std(less) / len(less) ** 0.5), 4),
+                "ms": round(1000 * float(np.median(row.seconds)), 2),
+                "pixels": round(row.network.pixels / whole.network.pixels, 3),
+            }
+            for row, less in ((row, np.subtract(whole.shares, row.shares)) for row in rows)
+        ],
+    }
