@@ -6,8 +6,6 @@ import contextlib
 import hashlib
 import json
 import sys
-import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,21 +18,22 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName, sensor_for
 from bodyseg_data.commands.options import WHERE_HELP, command_line, option
-from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
+from bodyseg_model.commands.train_reports import reporting, silent
 from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
 from bodyseg_model.training.data import open_data
+from bodyseg_model.training.distillation import Teacher
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Metrics, Report
+from bodyseg_model.training.metrics import Report
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 from bodyseg_model.training.validation import DEFAULT_EVERY, Validation
@@ -79,6 +78,10 @@ class Options:
     pretrained: Path | None = option(
         "weights to start from: a run's folder or a .safetensors file; for fcn_alexnet also AlexNet's", None
     )
+    teacher: Path | None = option(
+        "network to learn from beside the labels: a run's folder or a .safetensors file", None
+    )
+    teacher_share: float | None = option("its share of the loss (default: 0.5)", None)
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     compile: bool = option("compile the network for this machine first", False)
@@ -112,6 +115,7 @@ def run(options: Options) -> int:
     )
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
+    teacher = _teacher(options)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(
@@ -125,9 +129,12 @@ def run(options: Options) -> int:
             run_options,
             validation,
             pretrained,
+            teacher,
         )
         facts = provenance(command_line("bodyseg train", options))
-        report = stack.enter_context(_reporting(options, recipe.steps)) if processes.first else _silent
+        report: Report = silent
+        if processes.first:
+            report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every))
         training.run(options.resume, report, facts)
         if validation is not None and processes.first:
             _say_end(folder, recipe.steps)
@@ -178,10 +185,6 @@ def _say_end(folder: RunFolder, steps: int) -> None:
     sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
 
 
-def _silent(metrics: Metrics) -> None:
-    pass
-
-
 def _sensor(options: Options) -> SensorModel:
     sensor = load_sensor_model(options.sensor)
     given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts", sensor)]
@@ -220,6 +223,17 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     return _entry(path, trained.card[WEIGHTS_SHA256])
 
 
+def _teacher(options: Options) -> Teacher | None:
+    """The network to learn from. Raises BadConfig for a share without one."""
+    if options.teacher is None:
+        if options.teacher_share is not None:
+            raise BadConfig("--teacher-share is for a training with --teacher")
+        return None
+    trained = load_network(options.teacher)
+    share = {} if options.teacher_share is None else {"share": options.teacher_share}
+    return Teacher(trained.network, trained.label_map, _entry(options.teacher, trained.card[WEIGHTS_SHA256]), **share)
+
+
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
     if ours != theirs:
         raise BadConfig(f"--pretrained {path} must have the {what} {ours!r} of this training, found {theirs!r}")
@@ -237,67 +251,3 @@ def _settings(text: str) -> dict[str, Any]:
     if not isinstance(settings, dict):
         raise BadConfig(f"--settings must be a JSON object, found {text!r}")
     return settings
-
-
-@contextlib.contextmanager
-def _reporting(options: Options, steps: int) -> Iterator[Report]:
-    """Progress on standard error, and TensorBoard's log where that is installed."""
-    board = _board(options.out / "tensorboard")
-    start = time.monotonic()
-    first: list[int] = []
-
-    def report(metrics: Metrics) -> None:
-        first.append(metrics.step - options.log_every)
-        done = metrics.step - max(0, first[0])
-        left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
-        progress.update(
-            metrics.step,
-            steps,
-            f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
-            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}{_validated(metrics)}, "
-            f"{left:.0f} s left",
-        )
-        if board is not None:
-            for name, value in metrics.to_json().items():
-                if name != "step":
-                    board.add_scalar(name, value, metrics.step)
-
-    try:
-        with Progress("training", "steps") as progress:
-            yield report
-    finally:
-        if board is not None:
-            board.close()
-
-
-def _validated(metrics: Metrics) -> str:
-    if metrics.val_accuracy is None:
-        return ""
-    return f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
-
-
-def _board(path: Path) -> Any:
-    """TensorBoard's writer, which makes its files at the first figures; None without the package."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
-        return None
-    return _Board(path, SummaryWriter)
-
-
-class _Board:
-    """Opens the writer late: a refused training leaves nothing behind."""
-
-    def __init__(self, path: Path, writer: Any) -> None:
-        self._path, self._new = path, writer
-        self._writer: Any = None
-
-    def add_scalar(self, name: str, value: float, step: int) -> None:
-        if self._writer is None:
-            self._writer = self._new(str(self._path))
-        self._writer.add_scalar(name, value, step)
-
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()

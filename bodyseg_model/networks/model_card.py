@@ -83,6 +83,7 @@ def _training(card: Mapping[str, Any]) -> list[tuple[str, str]]:
         "recipe": card.get("recipe"),
         **_data(card.get("data")),
         "started from": card.get(PRETRAINED),
+        "learned from": card.get("teacher"),
         "command": card.get("command"),
         "commit": card.get("commit"),
         "machine": card.get("hardware"),

@@ -28,6 +28,7 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, ch
 from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.training.distillation import TEACHER, Teacher
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
@@ -70,8 +71,9 @@ class Training:
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
     out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
-    starts from (`checkpoints.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
-    processes, or a network with another number of classes than the images.
+    starts from (`checkpoints.PRETRAINED`). teacher: a network to learn from beside the labels. Raises BadConfig for
+    batches that cannot be divided evenly between the processes, or a network or teacher of other classes than the
+    images.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Training:
         run_options: RunOptions | None = None,
         validation: Validation | None = None,
         pretrained: dict[str, Any] | None = None,
+        teacher: Teacher | None = None,
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
@@ -98,6 +101,7 @@ class Training:
         self.optimiser = make_optimiser(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
         self.validation, self.pretrained = validation, pretrained
+        self.teacher = None if teacher is None else teacher.for_training(images.label_map, processes.device)
         self.step = 0
         self._best: Best | None = None
         self._ended = False
@@ -108,7 +112,9 @@ class Training:
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
         plan = training_plan(self.name, self.network, self.images, self.recipe, self.seed, self.validation)
-        return plan if self.pretrained is None else {**plan, PRETRAINED: self.pretrained}
+        taught = None if self.teacher is None else self.teacher.to_json()
+        origins = {PRETRAINED: self.pretrained, TEACHER: taught}
+        return plan | {name: origin for name, origin in origins.items() if origin is not None}
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
@@ -246,9 +252,8 @@ class Training:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
             weights = part_weights(class_pixels(self.images), self.recipe.balance)
-        objective: nn.Module = NetworkWithLoss(
-            self.network, weights, self.recipe.loss_stride, self.run_options.compile
-        ).to(self.processes.device)
+        options = self.recipe.loss_stride, self.run_options.compile, self.teacher
+        objective: nn.Module = NetworkWithLoss(self.network, weights, *options).to(self.processes.device)
         if self.processes.world_size > 1:
             if self.processes.device.type == "cuda":
                 objective = nn.SyncBatchNorm.convert_sync_batchnorm(objective)  # type: ignore[no-untyped-call]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -14,7 +14,20 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_model.networks.network import Network
 
+TEMPERATURE: Final = 2.0
+"""Of distillation: scores of both networks are divided by it before their softmax, so that classes other than the best
+one count, too."""
+
 _SAMPLES_FOR_WEIGHTS: Final = 128
+
+
+class LossTeacher(Protocol):
+    """What the loss asks of a teacher; see `distillation.Teacher`. share: its share of the loss."""
+
+    @property
+    def share(self) -> float: ...
+
+    def __call__(self, range_m: torch.Tensor, row: int, column: int, stride: int) -> torch.Tensor: ...
 
 
 class LossAndCounts(NamedTuple):
@@ -36,14 +49,23 @@ class NetworkWithLoss(nn.Module):
     selected once; a stride of 4 makes a sixteenth of the cost.
 
     weights: float32 [C], weight of a pixel of each class. compiled: whether the network is compiled first, anew for
-    every size of images.
+    every size of images. teacher: the divergence of the network's probabilities from its own is a share of the loss
+    (`divergence`); None for the cross-entropy alone.
     """
 
     weights: torch.Tensor
 
-    def __init__(self, network: Network, weights: torch.Tensor, loss_stride: int = 1, compiled: bool = False) -> None:
+    def __init__(
+        self,
+        network: Network,
+        weights: torch.Tensor,
+        loss_stride: int = 1,
+        compiled: bool = False,
+        teacher: LossTeacher | None = None,
+    ) -> None:
         super().__init__()
         self.network, self.loss_stride = network, loss_stride
+        self.teacher = teacher
         self._scores = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
@@ -67,11 +89,14 @@ class NetworkWithLoss(nn.Module):
         row, column = (int(share * stride) for share in offset.tolist())
         truth = labels[:, row::stride, column::stride].long()
         if step > 1:
-            scores = shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
+            scores = scores_at_offset(scores, row, column, step)
         scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
         body, classes = truth != BACKGROUND, len(self.weights)
         each = F.cross_entropy(scores, truth, self.weights, ignore_index=BACKGROUND, reduction="none")
         weight = torch.where(body, self.weights[truth.clamp(max=classes - 1)], 0.0)
+        if self.teacher is not None:
+            taught = divergence(scores, self.teacher(range_m, row, column, stride))
+            each = (1 - self.teacher.share) * each + self.teacher.share * weight * taught
         loss = (each.sum((1, 2)) / weight.sum((1, 2)).clamp(min=1e-6)).mean()
         with torch.no_grad():
             pairs = truth[body] * classes + scores.argmax(1)[body]
@@ -82,6 +107,22 @@ class NetworkWithLoss(nn.Module):
 def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
     """All scores of a network that are coarser than the image; else those at `rows` and `columns` only."""
     return network.scores(range_m) if network.output_stride > 1 else network.scores_at(range_m, rows, columns)
+
+
+def divergence(scores: torch.Tensor, taught: torch.Tensor) -> torch.Tensor:
+    """Kullback-Leibler divergence of a network's probabilities from its teacher's at `TEMPERATURE`, [B, h, w].
+
+    scores: float32 [B, C, h, w]; taught: log-probabilities of the same shape. Multiplied by the square of the
+    temperature, so that gradients are as large as those of the cross-entropy (Hinton, Vinyals and Dean, "Distilling the
+    knowledge in a neural network", 2015, section 2).
+    """
+    learnt = (scores / TEMPERATURE).log_softmax(1)
+    return TEMPERATURE**2 * (taught.exp() * (taught - learnt)).sum(1)
+
+
+def scores_at_offset(scores: torch.Tensor, row: int, column: int, step: int) -> torch.Tensor:
+    """Scores `step` pixels apart, [B, C, h, w], interpolated at the pixels (row, column) of their cells."""
+    return shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
 
 
 def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:

@@ -41,6 +41,8 @@ FLAGS: Final[dict[str, str]] = {
     "data.labels": "--labels",
     "labels": "--labels",
     "pretrained": "--pretrained",
+    "teacher": "--teacher",
+    "teacher.share": "--teacher-share",
     "sensor": "--sensor",
     "sensor.artifacts": "--artifacts",
     "rig": "--data rig",

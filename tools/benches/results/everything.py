@@ -10,6 +10,8 @@ from benches.results.trainings import (
     ABLATION_LINKS,
     ALEXNET_RUNS,
     BARE,
+    BOX,
+    BOX_LINKS,
     COMPACT_LINKS,
     DRESSED,
     HARD,
@@ -17,6 +19,7 @@ from benches.results.trainings import (
     NETWORK_RUNS,
     OPEN,
     REFERENCE_RUNS,
+    SMALLER_LINKS,
     VARIANT_RUNS,
     WIDE_RUNS,
     Links,
@@ -32,8 +35,6 @@ MIT: Final = "data/mit"
 PAGES: Final = ("index.md", "tables.md")
 """The pages of results, each with a template beside it."""
 
-_BOX: Final = "runs/box"
-_BOX_LINKS: Final[Links] = ((_BOX, SHIPPED),)
 _STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
 _MOTION: Final = ("--parts", "temporal", "numerical", "--images", "25", "--threads", "1")
 
@@ -93,6 +94,8 @@ def _trained() -> Iterator[Step]:
     yield _bench("variants", "--data", OPEN, *folder, "--seeds", "3", "--images", "100", drawn=True)
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", links=COMPACT_LINKS, alone=True)
+    smaller = ("--data", OPEN, "--runs", "runs/smaller", "--images", "200", "--forest", "0")
+    yield _bench("architectures", *smaller, to="smaller", links=SMALLER_LINKS, alone=True)
     for to, run in (("open", "runs/variants/all-0"), ("wide", "runs/wide/wide-0")):
         named = ("--data", OPEN, "--runs", run, "--hard", HARD)
         yield _bench("failures", *named, "--images", "500", to=f"failures_{to}")
@@ -107,15 +110,15 @@ def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
     yield _stability_of("stability", VARIANT_RUNS)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
-    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), _BOX, *LOSSES_RUNS, *WIDE_RUNS), _BOX_LINKS)
+    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS, *WIDE_RUNS), BOX_LINKS)
     yield _stability_of("stability_architectures", NETWORK_RUNS, COMPACT_LINKS)
     yield _stability_of("stability_motion", VARIANT_RUNS, parts=_MOTION)
     yield _stability_of("stability_fcn_alexnet_motion", ALEXNET_RUNS, parts=_MOTION)
     hidden = ("--parts", "images", "--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
-    yield _stability_of("stability_hidden", (_BOX,), _BOX_LINKS, parts=hidden)
+    yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, parts=hidden)
     sweeps = ("patches", "stripes", "crop_above", "crop_below", "tilt")
     harms = ("--parts", "images", "--sweeps", *sweeps, "--images", "20", "--threads", "1")
-    yield _stability_of("stability_shipped", (_BOX,), _BOX_LINKS, parts=harms)
+    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, parts=harms)
 
 
 def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), parts: tuple[str, ...] = _STILL_IMAGES) -> Step:

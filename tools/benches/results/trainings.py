@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
 from benches.model.ablation.sensor_artifacts import ADDED
-from benches.results.step import Step
+from benches.results.step import SHIPPED, Step
 from bodyseg_data.artifacts.variants import VARIANTS
 
 SEEDS: Final = 3
@@ -48,6 +49,14 @@ NETWORKS: Final = {
 }
 """Row of the table of networks, which `compact` heads -> options of its trainings."""
 
+SMALLER: Final = ("compact_half", "compact_quarter", "compact_small")
+"""Rows of the table of smaller networks that are in the table of networks, too; `compact` heads it."""
+
+TAUGHT: Final = "compact_small_taught"
+BOX: Final = "runs/box"
+BOX_LINKS: Final = ((BOX, SHIPPED),)
+"""The network that ships, as a run."""
+
 _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
 _ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
 _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare": BARE}
@@ -74,6 +83,17 @@ NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for
 LOSSES_RUNS: Final = seeds("runs/ablation/losses")
 WIDE_RUNS: Final = seeds("runs/wide/wide")
 
+TAUGHT_RUNS: Final = seeds(f"runs/smaller/{TAUGHT}")
+
+SMALLER_LINKS: Final[Links] = (
+    *zip(seeds("runs/smaller/compact"), seeds("runs/variants/all"), strict=True),
+    *(
+        pair
+        for name in SMALLER
+        for pair in zip(seeds(f"runs/smaller/{name}"), seeds(f"runs/networks/{name}"), strict=True)
+    ),
+)
+
 COMPACT_LINKS: Final[Links] = tuple(zip(seeds("runs/networks/compact"), seeds("runs/variants/all"), strict=True))
 """`compact` of the table of networks is the training on `all` among the fifteen."""
 
@@ -99,6 +119,9 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/variants/{variant}-{seed}", OPEN, "--variant", variant, seed=seed)
     for (name, options), seed in itertools.product(NETWORKS.items(), range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
+    for run, seed in zip(TAUGHT_RUNS, range(SEEDS), strict=True):
+        taught = (*NETWORKS["compact_small"], "--teacher", BOX)
+        yield replace(_training(run, OPEN, *taught, seed=seed), links=BOX_LINKS)
     for variant, seed in itertools.product(VARIANTS, range(SEEDS)):
         if variant != "all":
             options = ("--variant", variant, *NETWORKS["fcn_alexnet_8th"])
