@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
+from numpy.typing import NDArray
 from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
@@ -101,6 +103,23 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
             label_pixels(image, metres, network.output_stride, best, share, torch.get_num_threads())
         return Prediction(labels, confidence)
     return _label_on_device(network, scores, measured, Prediction(labels, confidence))
+
+
+def predict_each(
+    network: Network, images: Sequence[NDArray[np.float32]]
+) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
+    """Labels uint8 and confidences float32 of each of some range images [h, w], metres, which may differ in size.
+
+    Images of one size go through the network together, on its device: one by one they take longer. Raises BadConfig as
+    `predict`.
+    """
+    answers: dict[int, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}
+    for size in {image.shape for image in images}:
+        alike = [number for number, image in enumerate(images) if image.shape == size]
+        together = torch.from_numpy(np.stack([images[number] for number in alike]))[:, None]
+        labels, confidence = (found.cpu().numpy() for found in predict(network, together.to(device_of(network))))
+        answers |= dict(zip(alike, zip(labels, confidence, strict=True), strict=True))
+    return [answers[number] for number in range(len(images))]
 
 
 def _label_on_device(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:

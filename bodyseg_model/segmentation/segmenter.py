@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
@@ -17,7 +16,7 @@ from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
@@ -213,15 +212,17 @@ class Segmenter:
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
         things: list[Thing] = []
+        with watch("resample"):
+            shown = [surface.pixels for surface in found.surfaces if surface.thing is None]
+            views = [view_body(range_m, pixels, self.camera, self.rig, self.mirrored) for pixels in shown]
+        with watch("network"):
+            answers = zip(views, predict_each(self._network, [view.range_m for view in views]), strict=True)
         for surface in found.surfaces:
             pixels, shape = surface.pixels, surface.shape
             if surface.thing is not None:
                 things.append(Thing.of(range_m, pixels, surface.thing))
                 continue
-            with watch("resample"):
-                view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
-            with watch("network"):
-                view_labels, view_confidence = self._predict(view.range_m)
+            view, (view_labels, view_confidence) = next(answers)
             with watch("back"):
                 confidence, named = view.back(view_confidence), view.back(view_labels)
             person = None
@@ -262,13 +263,8 @@ class Segmenter:
         """Load the compiled loops and run the network once, so that the first frame takes no longer than others."""
         room = np.full((self.camera.rows, self.camera.columns), self.background.far_m, np.float32)
         find_bodies(room, self.camera, self.background)
-        self._predict(np.full((self.rig.camera.rows, self.rig.camera.columns), self.rig.stand_off_m, np.float32))
-
-    def _predict(self, range_m: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """The network's labels, uint8, and confidences, float32, of a view [h, w], metres."""
-        prediction = predict(self._network, torch.from_numpy(range_m)[None, None].to(self.device))
-        labels, confidence = (image[0].cpu().numpy() for image in prediction)
-        return labels, confidence
+        view = np.full((self.rig.camera.rows, self.rig.camera.columns), self.rig.stand_off_m, np.float32)
+        predict_each(self._network, [view])
 
 
 class Segmenters:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body
-from bodyseg_model.networks.registry import build, parameters, predict
+from bodyseg_model.networks.registry import build, parameters, predict, predict_each
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
 
@@ -137,6 +138,16 @@ def test_predictions_are_the_likeliest_part_of_interpolated_scores() -> None:
     body = range_m[:, 0] > 0
     assert torch.equal(labels[body].long(), likely.argmax(1)[body])
     torch.testing.assert_close(confidence[body], likely.amax(1)[body])
+
+
+def test_images_of_several_sizes_are_labelled_as_each_alone() -> None:
+    made, seen = network(), [figure(*size, seed=seed) for seed, size in enumerate([(41, 30), (64, 30), (41, 30)])]
+    together = predict_each(made, [image[0, 0].numpy() for image in seen])
+    for image, (labels, confidence) in zip(seen, together, strict=True):
+        alone = predict(made, image)
+        assert np.array_equal(labels, alone.labels[0].numpy())
+        np.testing.assert_allclose(confidence, alone.confidence[0].numpy(), atol=1e-5)
+    assert predict_each(made, []) == []
 
 
 def test_an_empty_image_has_no_parts() -> None:

@@ -87,7 +87,18 @@ def test_code_is_that_of_the_command() -> None:
 
 
 def test_the_list_of_a_fresh_checkout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["bench", "all", "--list", "--work", str(tmp_path / "work"), "--only", "sets/hard18", "people"]
+    words = [
+        "bench",
+        "all",
+        "--list",
+        "--work",
+        str(tmp_path / "work"),
+        "--results",
+        str(tmp_path),
+        "--only",
+        "sets/hard18",
+        "people",
+    ]
     assert main(words) == 1
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines[0] == ["sets/hard18", "stale", "never", "made"]

@@ -49,13 +49,15 @@ NETWORKS: Final = {
 }
 """Row of the table of networks, which `compact` heads -> options of its trainings."""
 
-SMALLER: Final = ("compact_half", "compact_quarter", "compact_small")
-"""Rows of the table of smaller networks that are in the table of networks, too; `compact` heads it."""
-
-TAUGHT: Final = "compact_small_taught"
 BOX: Final = "runs/box"
 BOX_LINKS: Final = ((BOX, SHIPPED),)
 """The network that ships, as a run."""
+
+_TINY: Final = ("--settings", '{"widths":[56,72,80],"blocks":[1,1,1]}')  # half a million parameters
+SMALLER: Final = {"compact_tiny": _TINY, "compact_tiny_taught": (*_TINY, "--teacher", BOX)}
+"""Row of the table of smaller networks -> options of its trainings."""
+
+_ALSO_SMALLER: Final = ("compact_half", "compact_quarter", "compact_small")  # rows of the table of networks, too
 
 _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
 _ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
@@ -83,13 +85,11 @@ NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for
 LOSSES_RUNS: Final = seeds("runs/ablation/losses")
 WIDE_RUNS: Final = seeds("runs/wide/wide")
 
-TAUGHT_RUNS: Final = seeds(f"runs/smaller/{TAUGHT}")
-
 SMALLER_LINKS: Final[Links] = (
     *zip(seeds("runs/smaller/compact"), seeds("runs/variants/all"), strict=True),
     *(
         pair
-        for name in SMALLER
+        for name in _ALSO_SMALLER
         for pair in zip(seeds(f"runs/smaller/{name}"), seeds(f"runs/networks/{name}"), strict=True)
     ),
 )
@@ -119,9 +119,9 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/variants/{variant}-{seed}", OPEN, "--variant", variant, seed=seed)
     for (name, options), seed in itertools.product(NETWORKS.items(), range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
-    for run, seed in zip(TAUGHT_RUNS, range(SEEDS), strict=True):
-        taught = (*NETWORKS["compact_small"], "--teacher", BOX)
-        yield replace(_training(run, OPEN, *taught, seed=seed), links=BOX_LINKS)
+    for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
+        links = BOX_LINKS if BOX in options else ()
+        yield replace(_training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed), links=links)
     for variant, seed in itertools.product(VARIANTS, range(SEEDS)):
         if variant != "all":
             options = ("--variant", variant, *NETWORKS["fcn_alexnet_8th"])
