@@ -26,7 +26,7 @@ def draw_windows(figures: dict[str, Any], path: Path) -> None:
         axis.plot(ms[-1], right[-1], "*", color=_COLOUR, markersize=14)
         for number, (row, x, y) in enumerate(zip(rows, ms, right, strict=True)):
             label = "whole image" if row["margin_px"] is None else f"{row['margin_px']} px"
-            beside = (-8, "right") if number % 2 else (8, "left")  # names of neighbours stand on both sides
+            beside = (8, "left") if number < 2 else (-9, "right")  # the last points are near the right end
             axis.annotate(label, (x, y), xytext=(beside[0], -3), textcoords="offset points", fontsize=9, ha=beside[1])
         axis.margins(x=0.3, y=0.18)
         axis.set_title(f"{found['bodies']} {_TITLES[name]}", loc="left", fontsize=10)
