@@ -333,12 +333,12 @@ def test_a_fork_while_a_shard_is_fetched_keeps_nobody_waiting(tmp_path: Path) ->
         assert handle is not None
         child = os.fork()
         if child == 0:
-            time.sleep(5)
+            time.sleep(60)
             os._exit(0)
     try:  # not finished: the next one carries on though the child still holds what it inherited
         begun = time.monotonic()
         assert fill(cache, record(1))
-        assert time.monotonic() - begun < 3
+        assert time.monotonic() - begun < 30
     finally:
         os.kill(child, 9)
         os.waitpid(child, 0)

@@ -173,7 +173,7 @@ def altered(reply: Reply, before: int) -> Reply:
 
 
 def stalled(reply: Reply, before: int) -> Reply:
-    return reply if before else replace(reply, body=reply.body[:1000], pause_s=1.0)
+    return reply if before else replace(reply, body=reply.body[:1000], pause_s=60.0)
 
 
 @pytest.mark.parametrize("direct", [False, True])
@@ -213,7 +213,7 @@ def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
     begun = time.monotonic()
     cached(web.url("faulty"), manifest, tmp_path).read(shard.name, 0, 512)
     assert web.faults.asked[shard.name] == 2
-    assert time.monotonic() - begun < 1
+    assert time.monotonic() - begun < 30, "the server would have gone on after a minute"
     assert [line.start for line in web.log(".tar")][-1] == 1000
 
 
