@@ -112,6 +112,7 @@ _FIGURES: dict[str, dict[str, Any]] = {
         }
     },
 }
+_FIGURES["smaller"] = _FIGURES["architectures"]
 
 
 def figures_of(bench: str) -> dict[str, Any]:
@@ -128,4 +129,4 @@ def write_figures_of(folder: Path, *benches: str) -> None:
 def panels_of(name: str, **changes: Any) -> tuple[Panel, ...]:
     """What a choice reads out of its figures, with some fields changed."""
     choice = BY_NAME[name]
-    return choice.panels(Field(figures_of(choice.bench) | changes, Path(f"{choice.bench}.json")))
+    return choice.panels(Field(figures_of(choice.stem) | changes, Path(f"{choice.stem}.json")))

@@ -43,9 +43,9 @@ def run(options: Options) -> int:
     descriptions: dict[str, Any] = {}
     left_out: dict[str, str] = {}
     for choice in CHOICES:
-        figures = figures_of(options.in_, choice.bench)
+        figures = figures_of(options.in_, choice.stem)
         if not figures:
-            file = options.in_ / f"{choice.bench}.json"
+            file = options.in_ / f"{choice.stem}.json"
             left_out[choice.name] = f"no {file.name}, which `tools/bench {choice.bench} --json {file}` makes"
             continue
         panels = panels_of(choice, figures)

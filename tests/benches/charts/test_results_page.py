@@ -64,7 +64,7 @@ def test_every_link_leads_somewhere(page: str) -> None:
 
 @pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
 def test_the_charts_are_of_the_figures_beside_them(choice: Choice) -> None:
-    figures = figures_of(RESULTS, choice.bench)
+    figures = figures_of(RESULTS, choice.stem)
     sources = [
         {"file": str(one.file.relative_to(RESULTS))}
         | {name: one[name].text() for name in ("command", "commit", "hardware")}
@@ -89,7 +89,7 @@ def test_the_tables_read_every_kind_of_result() -> None:
     assert set(sources_of(text_of("index.md.in"))) <= read, "the list of files, commands and commits is in the tables"
     by_now = {f"{bench}.json" for record in by_processor(RESULTS) for bench in record}
     assert "loader.json" in by_now
-    assert {f"{choice.bench}.json" for choice in CHOICES} <= read | by_now | {"reduction.json", "partition.json"}
+    assert {f"{choice.stem}.json" for choice in CHOICES} <= read | by_now | {"reduction.json", "partition.json"}
     assert {"stability.json", "ablation.json", "failures.json", "compact.json", "compact_hard.json"} <= read
 
 

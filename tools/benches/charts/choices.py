@@ -34,8 +34,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Choice:
-    """One chart. bench: what measures it, into BENCH.json. note: what is compared, under the title. read: panels
-    from the figures; none if they hold nothing to compare. shared: which axes all panels have in common.
+    """One chart. bench: what measures it. note: what is compared, under the title. read: panels from the figures; none
+    if they hold nothing to compare. shared: which axes all panels have in common. results: name of the file of figures,
+    without .json; by default the bench's.
     """
 
     name: str
@@ -46,6 +47,12 @@ class Choice:
     y: Axis
     read: Callable[[Field], tuple[Panel, ...]]
     shared: Literal["xy", "y", ""] = "xy"
+    results: str = ""
+
+    @property
+    def stem(self) -> str:
+        """Name of the file of its figures, without .json."""
+        return self.results or self.bench
 
     def panels(self, figures: Field) -> tuple[Panel, ...]:
         """The panels that `read` finds. Raises BadConfig, naming the file, if a default is not among the points."""
@@ -299,6 +306,17 @@ CHOICES: Final = (
         Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
         _networks,
         shared="y",
+    ),
+    Choice(
+        "smaller_networks",
+        "architectures",
+        "How small a network?",
+        "Trained alike, tested on `all`; bars: standard deviation over seeds. Taught: by the network that ships.",
+        Axis("ms a frame", "time"),
+        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
+        _networks,
+        shared="y",
+        results="smaller",
     ),
 )
 """In the order of the page."""

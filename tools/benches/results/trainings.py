@@ -57,8 +57,6 @@ _TINY: Final = ("--settings", '{"widths":[56,72,80],"blocks":[1,1,1]}')  # half 
 SMALLER: Final = {"compact_tiny": _TINY, "compact_tiny_taught": (*_TINY, "--teacher", BOX)}
 """Row of the table of smaller networks -> options of its trainings."""
 
-_ALSO_SMALLER: Final = ("compact_half", "compact_quarter", "compact_small")  # rows of the table of networks, too
-
 _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
 _ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
 _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare": BARE}
@@ -87,11 +85,7 @@ WIDE_RUNS: Final = seeds("runs/wide/wide")
 
 SMALLER_LINKS: Final[Links] = (
     *zip(seeds("runs/smaller/compact"), seeds("runs/variants/all"), strict=True),
-    *(
-        pair
-        for name in _ALSO_SMALLER
-        for pair in zip(seeds(f"runs/smaller/{name}"), seeds(f"runs/networks/{name}"), strict=True)
-    ),
+    *zip(seeds("runs/smaller/compact_small"), seeds("runs/networks/compact_small"), strict=True),
 )
 
 COMPACT_LINKS: Final[Links] = tuple(zip(seeds("runs/networks/compact"), seeds("runs/variants/all"), strict=True))
