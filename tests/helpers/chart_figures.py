@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benches.charts.choices import CHOICES, Panel
+from benches.charts.choice import Panel
+from benches.charts.choices import CHOICES
 from benches.charts.fields import Field
 
 BY_NAME = {choice.name: choice for choice in CHOICES}

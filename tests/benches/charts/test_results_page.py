@@ -6,7 +6,8 @@ import json
 import re
 
 import pytest
-from benches.charts.choices import CHOICES, Choice
+from benches.charts.choice import Choice
+from benches.charts.choices import CHOICES
 from benches.charts.page import render_page, sources_of
 from benches.charts.processors import by_processor, figures_of, panels_of
 from benches.charts.report import described

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benches.charts.choices import Choice, Panel
+from benches.charts.choice import Choice, Panel
 from benches.charts.fronts import Point, front, shortfalls
 from benches.charts.labels import Label, place_labels
 from benches.charts.legends import legend_line, legend_mark

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.choices import Choice, Panel
+from benches.charts.choice import Choice, Panel
 from benches.charts.fields import Field, read_fields
 from bodyseg_data.core.errors import BadConfig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from benches.charts.choices import Choice, Panel
+from benches.charts.choice import Choice, Panel
 from benches.charts.fronts import Axis, Point, front, shortfalls
 
 
