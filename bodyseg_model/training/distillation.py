@@ -6,7 +6,7 @@ Hinton, Vinyals and Dean, "Distilling the knowledge in a neural network", 2015.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import torch
 
@@ -14,9 +14,6 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_model.networks.network import Network
 from bodyseg_model.training.loss import TEMPERATURE, scores_at_offset
-
-TEACHER: Final = "teacher"
-"""Key of `Teacher.to_json` in plans and cards."""
 
 
 @dataclass(frozen=True)

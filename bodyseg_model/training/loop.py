@@ -28,7 +28,7 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, ch
 from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
-from bodyseg_model.training.distillation import TEACHER, Teacher
+from bodyseg_model.training.distillation import Teacher
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
@@ -111,10 +111,8 @@ class Training:
 
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
-        plan = training_plan(self.name, self.network, self.images, self.recipe, self.seed, self.validation)
-        taught = None if self.teacher is None else self.teacher.to_json()
-        origins = {PRETRAINED: self.pretrained, TEACHER: taught}
-        return plan | {name: origin for name, origin in origins.items() if origin is not None}
+        facts = self.name, self.network, self.images, self.recipe, self.seed, self.validation
+        return training_plan(*facts, self.pretrained, None if self.teacher is None else self.teacher.to_json())
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
