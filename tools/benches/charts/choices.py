@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import replace
 from typing import Final
 
 from benches.charts.choice import Choice, Limit, Panel
@@ -188,6 +189,24 @@ def _ms(per_second: Field) -> float:
     return round(1000 / per_second.number(above=0), 4)
 
 
+_NETWORKS: Final = Choice(
+    "networks",
+    "architectures",
+    "Which network?",
+    "Trained the same way, tested on `all`; bars: standard deviation over seeds.",
+    Axis("ms a frame", "time"),
+    Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
+    _networks,
+    shared="y",
+)
+_SMALLER_NETWORKS: Final = replace(
+    _NETWORKS,
+    name="smaller_networks",
+    title="How small a network?",
+    note="Trained alike, tested on `all`; bars: standard deviation over seeds. Taught: by the network that ships.",
+    results="smaller",
+)
+
 CHOICES: Final = (
     Choice(
         "renderer",
@@ -245,26 +264,7 @@ CHOICES: Final = (
         Axis("kB a sample on disk", "size", factor=1e-3),
         _loader,
     ),
-    Choice(
-        "networks",
-        "architectures",
-        "Which network?",
-        "Trained the same way, tested on `all`; bars: standard deviation over seeds.",
-        Axis("ms a frame", "time"),
-        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
-        _networks,
-        shared="y",
-    ),
-    Choice(
-        "smaller_networks",
-        "architectures",
-        "How small a network?",
-        "Trained alike, tested on `all`; bars: standard deviation over seeds. Taught: by the network that ships.",
-        Axis("ms a frame", "time"),
-        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
-        _networks,
-        shared="y",
-        results="smaller",
-    ),
+    _NETWORKS,
+    _SMALLER_NETWORKS,
 )
 """In the order of the page."""
