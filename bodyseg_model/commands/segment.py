@@ -42,8 +42,8 @@ from bodyseg_model.segmentation.files.frame_results import FrameResults, Labelle
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.people.person_score import PersonScore, score_for
+from bodyseg_model.segmentation.pictures.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary

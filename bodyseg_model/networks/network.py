@@ -30,6 +30,9 @@ class Network(nn.Module, ABC):
     output_stride: int = 1
     """Pixels of the image along each side between two neighbouring scores of `scores`."""
 
+    together: bool = True
+    """Whether images of one size are quicker together than one by one: not where a new number of them costs time."""
+
     default_recipe: ClassVar[str] = "compact"
     """Key of `training.recipes.PRESETS`: the recipe of a training that names none."""
 

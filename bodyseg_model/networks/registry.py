@@ -90,19 +90,30 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     check_range_images(range_m)
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
+    if range_m.device.type == "cpu":
+        return _predict_on_processor(network, range_m)
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
-    confidence = torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device)
+    empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
+    return _label_by_torch(network, network.scores(range_m).float(), measured, empty) if measured.any() else empty
+
+
+def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction:
+    """As `predict`. NumPy and compiled loops compute all but the scores: after an operation that it divides among
+    threads, PyTorch's threads wait busily for the next one, on processors that a runtime's threads need.
+    """
+    metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
+    labels, confidence = np.full(metres.shape, BACKGROUND, np.uint8), np.zeros(metres.shape, np.float32)
+    found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():
-        return Prediction(labels, confidence)
+        return found
     scores = network.scores(range_m).float()
-    if network.output_stride > 1 and scores.device.type == "cpu" and bool(torch.isfinite(scores).all()):
-        by_point = scores.permute(0, 2, 3, 1).contiguous().numpy()
-        arrays = range_m[:, 0].float().contiguous().numpy(), labels.numpy(), confidence.numpy()
-        for image, (metres, best, share) in zip(by_point, zip(*arrays, strict=True), strict=True):
-            label_pixels(image, metres, network.output_stride, best, share, torch.get_num_threads())
-        return Prediction(labels, confidence)
-    return _label_on_device(network, scores, measured, Prediction(labels, confidence))
+    by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
+    if network.output_stride == 1 or not np.isfinite(by_point).all():
+        return _label_by_torch(network, scores, torch.from_numpy(measured), found)
+    for image in zip(by_point, metres, labels, confidence, strict=True):
+        label_pixels(image[0], image[1], network.output_stride, image[2], image[3], torch.get_num_threads())
+    return found
 
 
 def predict_each(
@@ -110,21 +121,23 @@ def predict_each(
 ) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
     """Labels uint8 and confidences float32 of each of some range images [h, w], metres, which may differ in size.
 
-    Images of one size go through the network together, on its device: one by one they take longer. Raises BadConfig as
-    `predict`.
+    Images of one size go through the network together, on its device, where that is quicker (`Network.together`).
+    Raises BadConfig as `predict`.
     """
     answers: dict[int, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}
-    for size in {image.shape for image in images}:
-        alike = [number for number, image in enumerate(images) if image.shape == size]
+    groups: dict[Any, list[int]] = {}
+    for number, image in enumerate(images):
+        groups.setdefault(image.shape if network.together else number, []).append(number)
+    for alike in groups.values():
         together = torch.from_numpy(np.stack([images[number] for number in alike]))[:, None]
         labels, confidence = (found.cpu().numpy() for found in predict(network, together.to(device_of(network))))
         answers |= dict(zip(alike, zip(labels, confidence, strict=True), strict=True))
     return [answers[number] for number in range(len(images))]
 
 
-def _label_on_device(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
-    """Label with torch: on another device, where every pixel has scores, or where some are not finite; confidences are
-    then not, either.
+def _label_by_torch(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
+    """Label with PyTorch: on another device, where every pixel has scores, or where some are not finite, and so
+    confidences neither.
     """
     rows, columns = measured.shape[1:]
     scores = scores.contiguous(memory_format=torch.channels_last)

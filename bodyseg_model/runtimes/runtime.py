@@ -45,6 +45,8 @@ class RuntimeNetwork(Network):
     a precision that the runtime or the graph does not have, MissingLibrary if the runtime is not installed.
     """
 
+    together = False  # a runtime prepares for every shape of its input that it has not met
+
     def __init__(self, model: OnnxModel, name: str, runtime: type[Runtime], precision: Precision) -> None:
         super().__init__({}, model.facts.classes)
         check_precision(name, runtime, model.facts.precision, precision)

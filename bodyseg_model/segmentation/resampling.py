@@ -12,12 +12,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import FARTHEST_STEPS
 
@@ -27,6 +30,14 @@ LARGEST_SIDE: Final = 2048
 MARGIN: Final = 64
 """Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
 
+LEAST_AHEAD: Final = 1e-9
+"""Least range before the rotation, for a range of 1 after it: directions beside or behind the frame's camera are mapped
+far outside the frame."""
+
+STEP: Final = 64
+"""Views larger than the trained camera's image are so by multiples of this, pixels: a runtime prepares for every size
+that it meets, and views of one size go through a network together."""
+
 Floats = NDArray[np.float64]
 
 
@@ -34,12 +45,12 @@ Floats = NDArray[np.float64]
 class BodyView:
     """One body as the trained camera would see it from its stand-off.
 
-    range_m: float32 [h, w], metres, 0 where nothing was measured; as large as the trained camera's image, or larger if
-    the body needs it, with the body in the middle. corner: first row and column of the view in that image, which may be
-    negative. view_pixels: int64 [N], for every pixel of the body in the frame the pixel of the view that contains its
-    centre, row * w + column; all of these are measured. turn_rad: rotation of the view to the frame's right.
-    median_range_m: the median range after the rotation, which becomes the stand-off. scale: view pixels for each frame
-    pixel, on the frame's optical axis.
+    range_m: float32 [h, w], metres, 0 where nothing was measured; as large as the trained camera's image, or larger by
+    multiples of `STEP` if the body needs it, with the body in the middle. corner: first row and column of the view in
+    that image, which may be negative. view_pixels: int64 [N], for every pixel of the body in the frame the pixel of the
+    view that contains its centre, row * w + column; all of these are measured. turn_rad: rotation of the view to the
+    frame's right. median_range_m: the median range after the rotation, which becomes the stand-off. scale: view pixels
+    for each frame pixel, on the frame's optical axis.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
@@ -72,22 +83,24 @@ def view_body(
     the view pixel contains centres of the body's pixels, it gets the range of the nearest of these, so that thin parts
     are not lost where the view is coarser. Raises BadConfig if the view would be larger than `LARGEST_SIDE`.
     """
-    rows, columns = np.divmod(pixels, range_m.shape[1])
-    depths = range_m.ravel()[pixels].astype(np.float64)
-    sides = (columns + 0.5 - camera.centre_px[0]) * depths
+    form = _loops() if use_compiled() else _NumpyForm
+    flat, depths = np.ascontiguousarray(range_m).ravel(), np.empty(len(pixels))
+    wide = range_m.shape[1]
+    sides = form.list_depths(flat, pixels, wide, float(camera.centre_px[0]), depths)
     turn = turn_rad
     if turn is None:
-        turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
-    ranges = depths * _Rotation(camera, rig.camera, 1.0, turn, False).ahead(columns + 0.5)
-    median = float(np.median(ranges))
-    turned = _Rotation(camera, rig.camera, rig.camera.focal_px / rig.stand_off_m * median, turn, mirrored)
+        turn = math.atan2(sum(sides) / 2, _median(depths) * camera.focal_px)
+    form.turn_ranges(pixels, wide, _numbers(camera, rig.camera, 1.0, turn, mirrored), depths)
+    median = _median(depths)
+    focal_px = rig.camera.focal_px / rig.stand_off_m * median
+    rotation = _numbers(camera, rig.camera, focal_px, turn, mirrored)
 
-    down, across = turned.to_view(rows + 0.5, columns + 0.5)
-    scale = turned.focal_px / camera.focal_px
-    top, bottom = math.floor(down.min() - scale / 2), math.ceil(down.max() + scale / 2)
-    left, right = math.floor(across.min() - scale / 2), math.ceil(across.max() + scale / 2)
-    height = max(rig.camera.rows, bottom - top + 2 * MARGIN)
-    width = max(rig.camera.columns, right - left + 2 * MARGIN)
+    down, across, ends = np.empty(len(pixels)), np.empty(len(pixels)), np.empty(4)
+    columns = form.map_to_view(pixels, wide, rotation, down, across, ends)
+    scale = focal_px / camera.focal_px
+    top, left = (math.floor(end - scale / 2) for end in ends[::2])
+    bottom, right = (math.ceil(end + scale / 2) for end in ends[1::2])
+    height, width = _side(rig.camera.rows, bottom - top), _side(rig.camera.columns, right - left)
     if max(height, width) > LARGEST_SIDE:
         raise BadConfig(
             f"a body's view must be at most {LARGEST_SIDE} pixels wide and high, found {width} x {height} "
@@ -96,76 +109,115 @@ def view_body(
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
     # Only the body's boxes in frame and view are computed: most pixels of both are empty.
-    first_row, first_column = int(rows[0]), int(columns.min())
-    own = np.zeros((int(rows[-1]) - first_row + 3, int(columns.max()) - first_column + 3))  # a border of empty pixels
-    own[rows - (first_row - 1), columns - (first_column - 1)] = ranges
-    points = turned.to_frame(np.arange(top, bottom)[:, None] + 0.5, np.arange(left, right) + 0.5)
-    box = _pick(own, (first_row - 1, first_column - 1), *points)
-
-    row, column = np.floor(down).astype(np.intp), np.floor(across).astype(np.intp)
-    flat, in_box = box.ravel(), (row - top) * box.shape[1] + column - left
-    lost = np.flatnonzero(flat[in_box] == 0)
-    off_centre = np.hypot(across[lost] % 1 - 0.5, down[lost] % 1 - 0.5)
-    nearest_last = lost[np.argsort(-off_centre, kind="stable")]
-    flat[in_box[nearest_last]] = ranges[nearest_last]
+    begin = int(pixels[0]) // wide - 1, columns[0] - 1
+    own = np.zeros((int(pixels[-1]) // wide - begin[0] + 2, columns[1] - begin[1] + 2))  # a border of empty pixels
+    form.cut_out(pixels, wide, depths, begin, own)
+    box, view_pixels = np.zeros((bottom - top, right - left)), np.empty(len(pixels), np.intp)
+    form.pick_ranges(own, begin, rotation, (top, left), box)
+    form.fill_lost(down, across, (top, left), depths, box, corner, width, view_pixels)
     nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
     view = np.zeros((height, width), np.float32)
-    view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]] = np.where(
-        box > 0, np.clip(box + (rig.stand_off_m - median), nearest, farthest), 0
-    )
-    view_pixels = (row - corner[0]) * width + column - corner[1]
+    inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
+    form.move_ranges(box, rig.stand_off_m - median, nearest, farthest, inside)
     return BodyView(view, corner, view_pixels, turn, median, scale)
 
 
-@dataclass(frozen=True)
-class _Rotation:
-    """Mapping between the image planes of a frame's camera and of a view from the same point.
+def _side(trained: int, body: int) -> int:
+    """Side of a view, pixels, where the trained camera's image and the body have these; a few sizes alone occur."""
+    return trained + max(0, -(-(body + 2 * MARGIN - trained) // STEP) * STEP)
 
-    The view is rotated to the frame's right by `angle` and has focal length `focal_px` and the principal point of
+
+def _median(values: Floats) -> float:
+    """As `np.median` of finite values, [N], in half its time."""
+    middle = len(values) // 2
+    lower, upper = np.partition(values, (max(middle - 1, 0), middle))[[max(middle - 1, 0), middle]]
+    return float(upper if len(values) % 2 else (lower + upper) / 2)
+
+
+@cache
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.resampling_loops")
+
+
+def _numbers(camera: Camera, trained: Camera, focal_px: float, turn_rad: float, mirrored: bool) -> Floats:
+    """The mapping between the image planes of a frame's camera and of a view from the same point, as float64 [9].
+
+    The view is rotated to the frame's right by `turn_rad` and has focal length `focal_px` and the principal point of
     `trained`. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the rotation.
     """
+    view = *trained.centre_px, focal_px, math.sin(turn_rad), math.cos(turn_rad), -1.0 if mirrored else 1.0
+    return np.array([*camera.centre_px, camera.focal_px, *view], np.float64)
 
-    camera: Camera
-    trained: Camera
-    focal_px: float
-    angle: float
-    mirrored: bool
 
-    def ahead(self, across: Floats) -> Floats:
-        """Range after the rotation, for a range of 1 before it, at columns of the frame."""
-        x = (across - self.camera.centre_px[0]) / self.camera.focal_px
-        return x * math.sin(self.angle) + math.cos(self.angle)
+class _NumpyForm:
+    """The functions of `resampling_loops`, with the same bits."""
 
-    def to_view(self, down: Floats, across: Floats) -> tuple[Floats, Floats]:
-        """Map points (down, across) of the frame's image plane to the view's, pixels."""
-        x = (across - self.camera.centre_px[0]) / self.camera.focal_px
-        y = (down - self.camera.centre_px[1]) / self.camera.focal_px
-        ahead = self.ahead(across)
-        sign = -1 if self.mirrored else 1
-        return (
-            self.trained.centre_px[1] + self.focal_px * y / ahead,
-            self.trained.centre_px[0]
-            + sign * self.focal_px * (x * math.cos(self.angle) - math.sin(self.angle)) / ahead,
+    @staticmethod
+    def list_depths(
+        flat: NDArray[np.float32], pixels: NDArray[np.intp], columns: int, centre: float, depths: Floats
+    ) -> tuple[float, float]:
+        depths[:] = flat[pixels]
+        sides = (pixels % columns + 0.5 - centre) * depths
+        return float(sides.min()), float(sides.max())
+
+    @staticmethod
+    def turn_ranges(pixels: NDArray[np.intp], columns: int, rotation: Floats, depths: Floats) -> None:
+        centre, focal_px, sine, cosine = rotation[[0, 2, 6, 7]]
+        depths *= (pixels % columns + 0.5 - centre) / focal_px * sine + cosine
+
+    @staticmethod
+    def map_to_view(
+        pixels: NDArray[np.intp], columns: int, rotation: Floats, down: Floats, across: Floats, ends: Floats
+    ) -> tuple[int, int]:
+        centre_x, centre_y, focal_px, view_x, view_y, view_focal_px, sine, cosine, sign = rotation
+        row, column = np.divmod(pixels, columns)
+        x, y = (column + 0.5 - centre_x) / focal_px, (row + 0.5 - centre_y) / focal_px
+        ahead = x * sine + cosine
+        down[:] = view_y + view_focal_px * y / ahead
+        across[:] = view_x + sign * view_focal_px * (x * cosine - sine) / ahead
+        ends[:] = down.min(), down.max(), across.min(), across.max()
+        return int(column.min()), int(column.max())
+
+    @staticmethod
+    def cut_out(pixels: NDArray[np.intp], columns: int, ranges: Floats, corner: tuple[int, int], own: Floats) -> None:
+        row, column = np.divmod(pixels, columns)
+        own[row - corner[0], column - corner[1]] = ranges
+
+    @staticmethod
+    def pick_ranges(
+        own: Floats, corner: tuple[int, int], rotation: Floats, start: tuple[int, int], box: Floats
+    ) -> None:
+        centre_x, centre_y, focal_px, view_x, view_y, view_focal_px, sine, cosine, sign = rotation
+        x = (np.arange(start[1], start[1] + box.shape[1]) + 0.5 - view_x) / view_focal_px * sign
+        y = (np.arange(start[0], start[0] + box.shape[0])[:, None] + 0.5 - view_y) / view_focal_px
+        ahead = np.maximum(cosine - x * sine, LEAST_AHEAD)
+        points = centre_y + focal_px * y / ahead, centre_x + focal_px * (x * cosine + sine) / ahead
+        row, column = (
+            np.clip(np.floor(point) - first, 0, side - 1).astype(np.intp)
+            for point, first, side in zip(points, corner, own.shape, strict=True)
         )
+        box[:] = own.ravel()[row * own.shape[1] + column]
 
-    def to_frame(self, down: Floats, across: Floats) -> tuple[Floats, Floats]:
-        """Inverse of `to_view`; directions beside or behind the frame's camera are mapped far outside the frame."""
-        x = (across - self.trained.centre_px[0]) / self.focal_px * (-1 if self.mirrored else 1)
-        y = (down - self.trained.centre_px[1]) / self.focal_px
-        ahead = np.maximum(math.cos(self.angle) - x * math.sin(self.angle), 1e-9)
-        return (
-            self.camera.centre_px[1] + self.camera.focal_px * y / ahead,
-            self.camera.centre_px[0] + self.camera.focal_px * (x * math.cos(self.angle) + math.sin(self.angle)) / ahead,
-        )
+    @staticmethod
+    def fill_lost(
+        down: Floats,
+        across: Floats,
+        start: tuple[int, int],
+        ranges: Floats,
+        box: Floats,
+        corner: tuple[int, int],
+        width: int,
+        pixels: NDArray[np.intp],
+    ) -> None:
+        row, column = np.floor(down).astype(np.intp), np.floor(across).astype(np.intp)
+        pixels[:] = (row - corner[0]) * width + column - corner[1]
+        flat, cells = box.ravel(), (row - start[0]) * box.shape[1] + column - start[1]
+        lost = np.flatnonzero(flat[cells] == 0)
+        right, below = across[lost] - column[lost] - 0.5, down[lost] - row[lost] - 0.5
+        nearest_last = lost[np.argsort(-(right * right + below * below), kind="stable")]
+        flat[cells[nearest_last]] = ranges[nearest_last]
 
-
-def _pick(image: Floats, corner: tuple[int, int], down: Floats, across: Floats) -> Floats:
-    """Values of the pixels that contain points (down, across) of the image plane. image: a part of it that begins at
-    `corner` (row, column), with a border of zeros, which points outside get, too.
-    """
-    row, column = (
-        np.clip(np.floor(points) - start, 0, side - 1).astype(np.intp)
-        for points, start, side in zip((down, across), corner, image.shape, strict=True)
-    )
-    picked: Floats = image.ravel()[row * image.shape[1] + column]
-    return picked
+    @staticmethod
+    def move_ranges(box: Floats, shift: float, nearest: float, farthest: float, view: NDArray[np.float32]) -> None:
+        np.copyto(view, np.clip(box + shift, nearest, farthest), where=box > 0, casting="same_kind")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final
 
@@ -23,7 +23,7 @@ from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.resampling import view_body
+from bodyseg_model.segmentation.resampling import BodyView, view_body
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.undistortion import Undistortion
 
@@ -111,12 +111,14 @@ class FoundSurface:
     """A surface of a body's size, before a network has labelled it. pixels: as of `LabelledBody`.
 
     shape: `shape_features`, float64 [16]; None where nobody tells people from things. thing: probability that it is a
-    person, where its shape alone tells that it is none, which no network will label.
+    person, where its shape alone tells that it is none, which no network will label. view: what the network will see of
+    all others.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
     shape: NDArray[np.float64] | None = field(default=None, repr=False)
     thing: float | None = None
+    view: BodyView | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,8 @@ class Segmenter:
         """Find the surfaces of a frame that the network is to label: all that is done before the network.
 
         range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find the surfaces of the
-        next frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's.
+        next frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's, or a
+        body too large for a view.
         """
         if range_m.shape != (self.camera.rows, self.camera.columns):
             raise BadConfig(
@@ -201,21 +204,24 @@ class Segmenter:
                     FoundSurface(surface.pixels, shape, self.people.of_thing(shape))
                     for surface, shape in zip(surfaces, shapes, strict=True)
                 ]
+        with watch("resample"):
+            surfaces = [self._resampled(range_m, surface) for surface in surfaces]
         return FoundSurfaces(range_m, tuple(surfaces), watch.milliseconds)
 
+    def _resampled(self, range_m: NDArray[np.float32], surface: FoundSurface) -> FoundSurface:
+        if surface.thing is not None:
+            return surface
+        return replace(surface, view=view_body(range_m, surface.pixels, self.camera, self.rig, self.mirrored))
+
     def label(self, found: FoundSurfaces) -> Segmentation:
-        """Label the surfaces of a frame. With `video`, frames must come in order. Raises BadConfig for a body too large
-        for a view.
-        """
+        """Label the surfaces of a frame. With `video`, frames must come in order."""
         range_m, watch = found.range_m, Stopwatch(STAGES)
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
         things: list[Thing] = []
-        with watch("resample"):
-            shown = [surface.pixels for surface in found.surfaces if surface.thing is None]
-            views = [view_body(range_m, pixels, self.camera, self.rig, self.mirrored) for pixels in shown]
         with watch("network"):
+            views = [surface.view for surface in found.surfaces if surface.view is not None]
             answers = zip(views, predict_each(self._network, [view.range_m for view in views]), strict=True)
         for surface in found.surfaces:
             pixels, shape = surface.pixels, surface.shape

@@ -22,7 +22,7 @@ from bodyseg_model.recordings.camera_files import FrameCameras
 from bodyseg_model.recordings.frames import to_metres
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
-from bodyseg_model.segmentation.overlay import draw_overlay
+from bodyseg_model.segmentation.pictures.overlay import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
 from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image

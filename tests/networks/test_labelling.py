@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from toy_network import Toy
 
 from bodyseg_data.core import kernels
-from bodyseg_model.networks.labelling import label_pixels, powers_of_two
+from bodyseg_model.networks.labelling import _LEAST_PIXELS, label_pixels, powers_of_two
 from bodyseg_model.networks.registry import predict
 
 Answer = tuple[NDArray[np.uint8], NDArray[np.float32]]
@@ -58,7 +58,8 @@ def test_both_forms_give_the_same_bits_and_torchs_labels(stride: int, spread: fl
 
 def test_threads_change_no_bits() -> None:
     pytest.importorskip("numba")
-    scores, range_m = made(60, 50, 33, 3.0), frame(238, 199)
+    scores, range_m = made(100, 110, 33, 3.0), frame(398, 439)
+    assert (range_m > 0).sum() >= 3 * _LEAST_PIXELS, "else fewer threads label"
     one, three = (labelled("compiled", scores, range_m, 4, threads) for threads in (1, 3))
     assert np.array_equal(one[0], three[0]) and np.array_equal(one[1], three[1])
     assert (one[0] != 255).sum() == (range_m > 0).sum()

@@ -12,14 +12,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from folders import HELPERS
+from toy_network import Toy
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.networks import registry
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import NETWORKS, build, network_class, parameters, predict
+from bodyseg_model.networks.registry import NETWORKS, build, network_class, parameters, predict, predict_each
 from bodyseg_model.training.loss import NetworkWithLoss
 from bodyseg_model.training.recipes import PRESETS
 
@@ -102,6 +104,27 @@ def test_scores_of_chosen_pixels_are_those_of_all() -> None:
     assert torch.equal(network(range_m), network.scores(range_m))
     assert torch.equal(network.scores_at(range_m, rows, columns), network(range_m)[:, :, rows][..., columns])
     assert network.settings == {} and parameters(network) == 0
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_images_of_one_size_go_together_where_that_is_quicker(together: bool) -> None:
+    numbers: list[int] = []
+
+    class Counted(Toy):
+        def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+            numbers.append(len(range_m))
+            return super().scores(range_m)
+
+    network = Counted().eval()
+    network.together = together
+    draws = np.random.default_rng(8)
+    images = [draws.uniform(1, 3, shape).astype(np.float32) for shape in ((30, 20), (24, 20), (30, 20))]
+    answers = predict_each(network, images)
+    assert sorted(numbers) == ([1, 2] if together else [1, 1, 1])
+    for image, (labels, confidence) in zip(images, answers, strict=True):
+        alone = predict(network, torch.from_numpy(image)[None, None])
+        np.testing.assert_array_equal(labels, alone.labels[0])
+        np.testing.assert_allclose(confidence, alone.confidence[0], atol=1e-6)
 
 
 def test_a_network_must_define_its_scores() -> None:

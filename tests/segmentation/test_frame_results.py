@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import io
 import threading
+import zlib
 from typing import Any
 
 import numpy as np
 import pytest
+from isal import isal_zlib
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.files.picture_png import encode_picture
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
+from bodyseg_model.segmentation.pictures import picture_png
+from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 
 
 def fails(message: str) -> None:
@@ -76,7 +79,12 @@ def test_an_interruption_or_a_bad_frame_leaves_the_jobs_before_it_done(kind: typ
     ],
     ids=["labels", "frame", "overlay", "columns first", "one pixel"],
 )
-def test_pictures_are_read_as_they_were(image: Any) -> None:
+@pytest.mark.parametrize("library", ["isal", "zlib"])
+def test_pictures_are_read_as_they_were(image: Any, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if library == "zlib":
+        monkeypatch.setattr(picture_png, "_deflate", lambda: zlib.compress)
+    else:
+        assert picture_png._deflate() is isal_zlib.compress, "isal is there in tests"
     with Image.open(io.BytesIO(encode_picture(image))) as picture:
         picture.verify()  # checksums, too
     with Image.open(io.BytesIO(encode_picture(image))) as picture:

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_model.segmentation import resampling
 from bodyseg_model.segmentation.resampling import LARGEST_SIDE, BodyView, view_body
 
 PAPER = load_rig()
@@ -178,6 +180,28 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
     assert abs(around[0] - around[1]) <= 2 * view.scale + 3 and abs(around[2] - around[3]) <= 2 * view.scale + 3
 
 
+@given(bodies)
+def test_compiled_loops_and_numpy_give_the_same_bits(case: tuple[int, int, float, float, float, int, bool]) -> None:
+    rows, columns, scale, middle, filled, seed, mirrored = case
+    draws = np.random.default_rng(seed)
+    image = (middle + draws.uniform(-0.2, 0.2, (rows, columns))).astype(np.float32)
+    image[draws.random(image.shape) >= filled] = 0
+    image[draws.integers(rows), draws.integers(columns)] = middle
+    focal = PAPER.camera.focal_px / 2.5 * middle / scale
+    lens = camera(rows, columns, focal, (columns * draws.random(), rows * draws.random()))
+    assert use_compiled(), "numba is there in tests"
+    views = []
+    for compiled in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(resampling, "use_compiled", lambda compiled=compiled: compiled)
+            views.append(view_body(image, np.flatnonzero(image), lens, PAPER, mirrored))
+    np.testing.assert_array_equal(views[0].range_m, views[1].range_m)
+    np.testing.assert_array_equal(views[0].view_pixels, views[1].view_pixels)
+    assert [(view.corner, view.turn_rad, view.median_range_m, view.scale) for view in views[:1]] == [
+        (view.corner, view.turn_rad, view.median_range_m, view.scale) for view in views[1:]
+    ]
+
+
 def test_a_pixel_of_the_view_is_the_pixel_that_its_centre_falls_in() -> None:
     """By a slow loop with rotation matrices, for some pixels of a picture without holes."""
     draws = np.random.default_rng(2)
@@ -225,7 +249,7 @@ def test_ranges_stay_what_a_range_of_the_rig_can_be(step_mm: float) -> None:
 
 def test_a_view_beyond_reason_is_refused() -> None:
     image = np.full((480, 640), 60.0, np.float32)
-    with pytest.raises(BadConfig, match="^a body's view must be at most 2048 .*found 22293 x 16752 "):
+    with pytest.raises(BadConfig, match="^a body's view must be at most 2048 .*found 22345 x 16768 "):
         viewed(image, KINECT_1)
     wide = replace(KINECT_1, focal_px=KINECT_1.focal_px * 60)
     assert max(viewed(image, wide).range_m.shape) < LARGEST_SIDE

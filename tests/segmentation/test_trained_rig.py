@@ -20,6 +20,7 @@ from bodyseg_model.networks.checkpoints import Trained, load_network, save_netwo
 from bodyseg_model.networks.registry import build
 from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.resampling import STEP
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
@@ -41,8 +42,8 @@ def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
     assert body.scale == pytest.approx(SMALL.camera.focal_px / 2.5 / (100 / 2.0))
     assert body.scale == pytest.approx(757.5757 / 4 / 2.5 / (100 / 2.0), rel=1e-6)
     (seen,) = places.seen
-    rows, columns = seen.shape[2:]
-    assert (rows, columns) == (62 + 2 * 64, 20 + 2 * 64), "40 by 12 of the frame's pixels, with 64 pixels around them"
+    larger = seen.shape[2] - SMALL.camera.rows, seen.shape[3] - SMALL.camera.columns
+    assert larger == (STEP, 2 * STEP), "40 by 12 of the frame's pixels are 62 by 20, with 64 pixels around them"
 
 
 def test_options_and_cameras_are_kept_by_camera() -> None:

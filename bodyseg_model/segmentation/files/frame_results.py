@@ -14,8 +14,8 @@ from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.files.output_folder import IMAGES, OutputFolder
-from bodyseg_model.segmentation.files.picture_png import encode_picture
-from bodyseg_model.segmentation.overlay import Preview, draw_overlay
+from bodyseg_model.segmentation.pictures.overlay import Preview, draw_overlay
+from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmentation
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 

@@ -31,9 +31,9 @@ from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
-from bodyseg_model.segmentation.files.picture_png import encode_picture
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, score_of
 from bodyseg_model.stability.rooms import Room, Rooms

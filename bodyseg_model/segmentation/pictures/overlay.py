@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Final
+from functools import cache, lru_cache
+from importlib import import_module
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.drawing.style import draw_legend
 
@@ -20,7 +22,9 @@ _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
 _DARKEST: Final = 0.55
 _LEVELS: Final = 6
-_SHADES: Final = 128  # more than the bytes between the lightest and the darkest shade of a colour
+SHADES: Final = 128
+"""Of a colour: more than the bytes between its lightest and its darkest."""
+
 _SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
 _LEGEND_WIDTH: Final = 900
 _PREVIEW_SIDE: Final = 320
@@ -29,6 +33,9 @@ MOST_FRAMES: Final = 900
 
 FRAMES_PER_SECOND: Final = (0.1, 50.0)
 """Limits of a GIF: delays are hundredths of a second, and players replace very short ones by long ones."""
+
+Floats = NDArray[np.float32]
+Colours = NDArray[np.uint8]
 
 
 def draw_overlay(
@@ -43,20 +50,53 @@ def draw_overlay(
     bodies: flat indices of each body's pixels. Near surfaces are light and far ones dark, for every body by itself and
     for the room, which is darker than any body; pixels that were not measured are nearly black.
     """
-    flat, label = range_m.ravel(), labels.ravel()
-    colour = np.where(flat > 0, _shades(flat, _some(flat)), len(_table(label_map)) - 1)
+    table, form = _table(label_map), _loops() if use_compiled() else _NumpyForm
+    flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
+    picture = np.empty((flat.size, 3), np.uint8)
+    form.paint_room(flat, *_scale(flat[:: flat.size // _SAMPLED | 1]), SHADES, table, picture)
     for pixels in bodies:
-        ranges, group = flat[pixels], np.minimum(label[pixels], len(label_map)).astype(np.intp)
-        colour[pixels] = (1 + group) * _SHADES + _shades(ranges, _some(ranges))
-    return _table(label_map).take(colour, axis=0).reshape(*range_m.shape, 3)
+        nearness = _scale(flat[pixels[:: len(pixels) // _SAMPLED | 1]])
+        form.paint_body(flat, label, pixels, *nearness, SHADES, len(label_map), table, picture)
+    return picture.reshape(*range_m.shape, 3)
+
+
+@cache
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.pictures.overlay_loops")
+
+
+class _NumpyForm:
+    """The functions of `overlay_loops`, with the same bits."""
+
+    @staticmethod
+    def paint_room(
+        flat: Floats, near: np.float32, scale: np.float32, shades: int, table: Colours, picture: Colours
+    ) -> None:
+        picture[:] = table[np.where(flat > 0, _shades(flat, near, scale, shades), len(table) - 1)]
+
+    @staticmethod
+    def paint_body(
+        flat: Floats,
+        labels: NDArray[np.uint8],
+        pixels: NDArray[np.intp],
+        near: np.float32,
+        scale: np.float32,
+        shades: int,
+        classes: int,
+        table: Colours,
+        picture: Colours,
+    ) -> None:
+        group = np.minimum(labels[pixels], classes).astype(np.intp)
+        picture[pixels] = table[(1 + group) * shades + _shades(flat[pixels], near, scale, shades)]
 
 
 @lru_cache(maxsize=4)
 def _table(label_map: LabelMap) -> NDArray[np.uint8]:
-    """The colours of an overlay: of the room, of every class and of no class, each in `_SHADES` from near to far; then
+    """The colours of an overlay: of the room, of every class and of no class, each in `SHADES` from near to far; then
     that of pixels that were not measured; uint8 [N, 3].
     """
-    depth = np.linspace(0, 1, _SHADES)
+    depth = np.linspace(0, 1, SHADES)
     room, unknown = (
         np.interp(depth, (0, 1), greys)[:, None].repeat(3, axis=1) for greys in (_ROOM_GREYS, _UNKNOWN_GREYS)
     )
@@ -64,19 +104,20 @@ def _table(label_map: LabelMap) -> NDArray[np.uint8]:
     return np.concatenate([room, parts, unknown, [_EMPTY]]).astype(np.uint8)
 
 
-def _some(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Measured ranges among evenly spaced ones of [N], a few thousand."""
-    some = range_m[:: len(range_m) // _SAMPLED | 1]
-    return some[some > 0]
+def _scale(some: Floats) -> tuple[np.float32, np.float32]:
+    """The range that gets the first shade, and shades a metre, for some ranges of a body or of the room.
 
-
-def _shades(range_m: NDArray[np.float32], some: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Shades of ranges [N], from 0 at the 2 % quantile of `some` to the last at the 98 % quantile, so that outliers do
-    not matter.
+    The first shade is at their 2 % quantile, the last at the 98 % quantile, so that outliers do not matter.
     """
-    near, far = np.quantile(some, (0.02, 0.98)) if len(some) else (0.0, 1.0)
-    depth = (range_m - np.float32(near)) * np.float32((_SHADES - 1) / max(far - near, 1e-3))
-    return np.clip(depth + np.float32(0.5), 0, _SHADES - 1, out=depth).astype(np.intp)
+    measured = some[some > 0]
+    near, far = np.quantile(measured, (0.02, 0.98)) if len(measured) else (0.0, 1.0)
+    return np.float32(near), np.float32((SHADES - 1) / max(far - near, 1e-3))
+
+
+def _shades(range_m: Floats, near: np.float32, scale: np.float32, shades: int) -> NDArray[np.intp]:
+    """Shades of ranges [N], 0 to `shades` - 1, by `_scale`."""
+    depth = (range_m - near) * scale
+    return np.clip(depth + np.float32(0.5), 0, shades - 1, out=depth).astype(np.intp)
 
 
 class Preview:

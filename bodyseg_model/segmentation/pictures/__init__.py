@@ -1,0 +1,1 @@
+"""Pictures of labelled frames: overlays, their animation, and their encoding."""
