@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.segment import bench
-from benches.model.segment.bench import DROPPING, STAGES, WAYS, accuracy, bench_segment, cameras
+from benches.model.segment.bench import DROPPING, LIVE, STAGES, WAYS, accuracy, bench_segment, cameras
 from benches.model.segment.figure import draw_segment
 from benches.model.segment.live import Sensor
 from label_networks import Places
@@ -91,7 +91,8 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
         ways = size["ways"]
         assert set(ways) == set(ways_by_torch)
         assert list(size["after"]) == list(DROPPING)
-        for way in (size["live"]["one by one"], size["live"]["ahead"]):
+        assert set(size["live"]) == set(LIVE)
+        for way in (each[order] for each in size["live"].values() for order in ("one by one", "ahead")):
             assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"] < 40
         surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)

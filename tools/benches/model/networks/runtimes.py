@@ -65,9 +65,9 @@ def bench_runtimes(
 
     data: set on whose train split int8 is calibrated, and on whose test images of `all` accuracy is measured, `images`
     of them. views: typical frames to take turns with. runs: the network is in the first of them; without, it is the one
-    that ships. Each is timed with one thread and with as many as there are processors, one image at a time, warm, in
-    turns. Runtimes that are not installed are left out. Raises BadConfig for wrong numbers or no network,
-    MissingLibrary without Anny or onnxruntime.
+    that ships. Each is timed with one thread and with as many as there are processors, one image at a time, in turns,
+    of which each begins with an untimed image (`network_times` says why). Runtimes that are not installed are left
+    out. Raises BadConfig for wrong numbers or no network, MissingLibrary without Anny or onnxruntime.
     """
     check_int("the number of test images", images, 1)
     trained = load_network(runs[0] if runs else SHIPPED)
@@ -130,12 +130,11 @@ def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], coun
     clock: dict[str, list[float]] = {name: [] for name in networks}
     processor: dict[str, list[float]] = {name: [] for name in networks}
     with torch_threads(count):
-        for network in networks.values():
-            predict(network, images[0])
         for number in range(ROUNDS):
             for name, network in networks.items():
                 if name == PAPERS and number % 3:
                     continue
+                predict(network, images[number % len(images)])
                 start, used = time.perf_counter(), time.process_time()
                 predict(network, images[number % len(images)])
                 processor[name].append(1e3 * (time.process_time() - used))

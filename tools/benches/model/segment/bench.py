@@ -2,7 +2,7 @@
 
 The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
 of its loops, with a label on every surface, without pictures, and with the network on OpenVINO. `live` gives the age of
-a live sensor's frames when their labels are there. docs/segment.md says how to read the results.
+a live sensor's frames, which come as arrays, when their labels are there. docs/segment.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
+from bodyseg_model.runtimes.backends import BackendName
+from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
@@ -61,11 +63,19 @@ WAYS: Final = {
     "things labelled, too": Way(options={"keep_things": True}),
     "no pictures": Way(options={"no_overlay": True}),
     "ahead, one thread": Way(options={"ahead": True, "threads": 1}),
+    "bfloat16": Way(options={"precision": "bfloat16"}),
     "OpenVINO": Way(options={"backend": "openvino"}),
     "OpenVINO, bfloat16": Way(options={"backend": "openvino", "precision": "bfloat16"}),
     "OpenVINO, bfloat16, one thread": Way(options={"backend": "openvino", "precision": "bfloat16", "threads": 1}),
+    "OpenVINO, bfloat16, ahead": Way(options={"backend": "openvino", "precision": "bfloat16", "ahead": True}),
 }
 """Name -> way, the default first."""
+
+LIVE: Final[dict[str, tuple[BackendName | None, Precision | None]]] = {
+    "default": (None, None),
+    "OpenVINO, bfloat16": ("openvino", "bfloat16"),
+}
+"""Ways to label a live sensor's frames: backend and precision of each."""
 
 DROPPING: Final = ("background", "shape", "people")
 """Stages after which fewer surfaces are left, in their order."""
@@ -93,11 +103,19 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
                 done += 1
                 progress(done, total)
         trained = shipped_network()
-        segmenter = Segmenter(trained.network, camera, rig=trained.rig, people=shipped_score())
+        live_ages = {
+            way: live(
+                Segmenter(
+                    trained.network, camera, rig=trained.rig, people=shipped_score(), backend=runtime, precision=bits
+                ),
+                [room.range_m for room in rooms],
+            )
+            for way, (runtime, bits) in LIVE.items()
+        }
         sizes[name] = {
             "focal_px": camera.focal_px,
             "after": left_after(rooms, camera),
-            "live": live(segmenter, [room.range_m for room in rooms]),
+            "live": live_ages,
             "ways": ways,
         }
     return {
