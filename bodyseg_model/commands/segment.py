@@ -116,6 +116,7 @@ def run(options: Options) -> int:
     with _labels_out(options, label_map) as messages:
         out.begin()
         first.prepare()
+        results.prepare()
         start = time.perf_counter()
         # One thread writes results. If another reads ahead, it alone reads recordings.
         read = (_read(file, cameras, skipping, segmenters, messages is not None) for file in frames)

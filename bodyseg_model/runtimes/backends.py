@@ -11,6 +11,7 @@ import torch
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, trained_network
 from bodyseg_model.networks.network import Network
+from bodyseg_model.runtimes.folding import folded
 from bodyseg_model.runtimes.onnx_files import SUFFIX, Precision, read_onnx, to_onnx
 from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork, check_precision
 from bodyseg_model.runtimes.torch_bfloat16 import Bfloat16
@@ -39,7 +40,7 @@ else:
 
 
 def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
-    """A network, in evaluation mode, whose scores a backend computes in a precision; as it is for torch in float32.
+    """A network, in evaluation mode, whose scores a backend computes in a precision; for torch, `folded`.
 
     None: torch and float32; of a `RuntimeNetwork`, its own runtime and precision. Raises BadConfig for an
     unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
@@ -57,7 +58,8 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
     if name == TORCH:
         if chosen == "int8":
             raise BadConfig("torch computes in float32 or bfloat16, found int8")
-        return Bfloat16(network) if chosen == "bfloat16" else network
+        quick = folded(network)
+        return Bfloat16(quick) if chosen == "bfloat16" else quick
     runtime = _runtime(name)
     if chosen == "int8" or chosen not in runtime.precisions:  # before the graph is made
         check_precision(name, runtime, "float32", chosen)

@@ -269,6 +269,7 @@ class Segmenter:
         """Load the compiled loops and run the network once, so that the first frame takes no longer than others."""
         room = np.full((self.camera.rows, self.camera.columns), self.background.far_m, np.float32)
         find_bodies(room, self.camera, self.background)
+        view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         view = np.full((self.rig.camera.rows, self.rig.camera.columns), self.rig.stand_off_m, np.float32)
         predict_each(self._network, [view])
 

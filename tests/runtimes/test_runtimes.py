@@ -65,6 +65,23 @@ def test_runtimes_give_torchs_labels(backend: str, precision: Any) -> None:
     torch.testing.assert_close(found.confidence, expected.confidence, atol=2e-4, rtol=0)
 
 
+def test_batch_normalisation_is_folded_into_convolutions() -> None:
+    network, range_m = shipped_network().network, frames(1)
+    quick = on_backend(network)
+    kinds = [{type(module) for module in each.modules()} for each in (network, quick)]
+    assert torch.nn.BatchNorm2d in kinds[0] - kinds[1] and torch.nn.BatchNorm2d not in kinds[1]
+    expected, found = predict(network, range_m), predict(quick, range_m)
+    assert (found.labels != expected.labels).float().mean() < 1e-4
+    torch.testing.assert_close(found.confidence, expected.confidence, atol=2e-4, rtol=0)
+    again = shipped_network().network.state_dict()
+    assert all(torch.equal(weight, again[name]) for name, weight in network.state_dict().items()), "it stays as it is"
+    assert on_backend(quick) is quick, "nothing is left to fold"
+    toy = Toy().eval()
+    assert on_backend(toy) is toy
+    network.train()
+    assert on_backend(network) is network
+
+
 def test_bfloat16_is_near() -> None:
     network, range_m = shipped_network().network, frames(1)
     expected = predict(network, range_m)

@@ -48,6 +48,12 @@ class FrameResults:
         self.summary = SequenceSummary()
         self._out, self._label_map, self._preview, self._shape = out, label_map, preview, shape
 
+    def prepare(self) -> None:
+        """Load the compiled loops, so that the first frame takes no longer than others."""
+        if self._preview is not None:
+            nothing = np.zeros((1, 1), np.float32)
+            draw_overlay(nothing, nothing.astype(np.uint8), [np.zeros(1, np.intp)], self._label_map)
+
     def __repr__(self) -> str:
         return f"FrameResults({self._out!r})"
 

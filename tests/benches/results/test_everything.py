@@ -71,7 +71,6 @@ def test_steps_read_what_their_commands_name() -> None:
     assert graph.inputs(graph.steps["failures_wide"]) == ("sets/open18", "runs/wide/wide-0", "sets/hard18")
     assert graph.external(graph.steps["people"]) == ("data/faust", "shipped")
     assert graph.external(graph.steps["stability_networks"]) == ("shipped",)
-    assert graph.inputs(graph.steps["network"]) == ("compact",)
     architectures = graph.inputs(graph.steps["architectures"])
     assert {"runs/variants/all-2", "runs/networks/deeplab_half-0"} <= {*architectures}
     ablation = graph.inputs(graph.steps["ablation"])

@@ -75,8 +75,6 @@ def _shipped() -> Iterator[Step]:
         words = ("bodyseg", "evaluate", "--data", data, "--json", f"results/{to}.json", *more, *drawn)
         results = ((f"results/{to}.json", f"{to}.json"), *((("results/compact", "compact"),) if drawn else ()))
         yield Step(to, "results", words, results, reads=shipped)
-    yield _bench("network", "--scores", f"{RESULTS}/compact.json", drawn=True, reads=shipped, alone=True)
-    yield _bench("runtimes", "--data", OPEN, "--images", "200", drawn=True, reads=shipped, alone=True)
     yield _bench("people", "--data", FAUST, "--alone", reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("steady", "--data", KINECT, reads=shipped)

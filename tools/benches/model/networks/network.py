@@ -34,6 +34,7 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, parameters
+from bodyseg_model.runtimes.backends import on_backend
 
 REFERENCE: Final = "compact"
 FILLED: Final = "filled"
@@ -180,7 +181,7 @@ def _cells() -> list[Cell]:
 
 def _row(cell: Cell, candidates: dict[str, _Candidate], frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
     device = torch.device(cell.device)
-    networks = {name: one.network.to(device) for name, one in candidates.items()}
+    networks = {name: on_backend(one.network).to(device) for name, one in candidates.items()}
     shown = [body_rectangle(frame) for frame in frames] if cell.task == "scores" else frames
     batches = [as_batch(frame, cell.together, device) for frame in shown]
     taken = time_cell(cell, networks, batches, MOST_ROUNDS, BUDGET_S)

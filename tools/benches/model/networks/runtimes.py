@@ -37,6 +37,9 @@ PAPERS: Final = "fcn_alexnet torch float32"
 """The paper's network at full width with new weights, for times alone."""
 
 ROUNDS: Final = 15
+PAUSE_S: Final = 0.03
+"""Before every turn: threads of the runtime before it wait busily for some milliseconds, on processors of the next."""
+
 _WAYS: Final[tuple[tuple[str, Precision], ...]] = (
     ("torch", "float32"),
     ("torch", "bfloat16"),
@@ -134,6 +137,7 @@ def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], coun
             for name, network in networks.items():
                 if name == PAPERS and number % 3:
                     continue
+                time.sleep(PAUSE_S)
                 predict(network, images[number % len(images)])
                 start, used = time.perf_counter(), time.process_time()
                 predict(network, images[number % len(images)])
