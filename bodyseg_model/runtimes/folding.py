@@ -22,21 +22,19 @@ def folded(network: Network) -> Network:
         return network
     found = copy.deepcopy(network)
     for module in list(found.modules()):
-        for first in _pairs(module):
-            convolution, normalisation = module[first], module[first + 1]  # type: ignore[index]  # of a Sequential
+        for first, convolution, normalisation in _pairs(module):
             with torch.no_grad():
                 one = fuse_conv_bn_eval(convolution, normalisation)
-            module[first], module[first + 1] = one, nn.Identity()  # type: ignore[index,operator]
+            module.register_module(str(first), one)
+            module.register_module(str(first + 1), nn.Identity())
     return found
 
 
-def _pairs(module: nn.Module) -> list[int]:
-    """Numbers of the convolutions of a Sequential that a batch normalisation follows."""
-    if not isinstance(module, nn.Sequential):
-        return []
-    children = list(module)
+def _pairs(module: nn.Module) -> list[tuple[int, nn.Conv2d, nn.BatchNorm2d]]:
+    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation."""
+    children = list(module) if isinstance(module, nn.Sequential) else []
     return [
-        number
+        (number, child, following)
         for number, (child, following) in enumerate(itertools.pairwise(children))
         if isinstance(child, nn.Conv2d) and isinstance(following, nn.BatchNorm2d)
     ]
