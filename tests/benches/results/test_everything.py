@@ -27,7 +27,7 @@ from bodyseg_model.commands.cli import COMMANDS
 
 RESULTS = ROOT / "docs" / "results"
 
-OF_SPEED = {"codec", "occlusion", "partition", "reduction", "loader_by_hand"}
+OF_SPEED = {"codec", "occlusion", "partition", "reduction"}
 """Results on the page that tell of speed: they are measured by hand, on a machine that does nothing else."""
 
 

@@ -212,7 +212,7 @@ CHOICES: Final = (
         "renderer",
         "render",
         "Which renderer?",
-        "The error is that of the camera's ranges against one exact sample a pixel; files round to 0.1 mm.",
+        "The error is that of the camera's ranges against one exact sample a pixel; files round to the rig's step.",
         Axis("ms a view", "time"),
         Axis("range error, mm (median)", "error"),
         _renderer,

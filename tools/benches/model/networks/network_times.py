@@ -1,7 +1,7 @@
 """Networks timed side by side, in turn, on the same images.
 
-In every turn a network first runs once untimed: the one before it has filled the processor's caches with its own
-weights, of which FCN-AlexNet has 230 MB, and frames of a sensor meet the weights of one network alone.
+In every turn a network first runs untimed for `WARM_S`: the one before it has filled the processor's caches with its own
+weights, of which FCN-AlexNet has 230 MB, and its threads still wait busily; frames of a sensor meet one network alone.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from bodyseg_model.networks.registry import device_of, predict
 
 Task = Literal["scores", "labels"]
 Precision = Literal["float32", "bfloat16"]
+
+WARM_S: Final = 0.05
+"""Seconds of every turn, at least, for which a network runs before it is timed."""
 
 LEAST_ROUNDS: Final = 5
 MOST_ROUNDS: Final = 25
@@ -54,7 +57,7 @@ def time_cell(
     """Milliseconds of every round, network by network; they must be in evaluation mode and on the cell's device.
 
     batches: float32 [B, 1, H, W], there as well; rounds take them in turn. There are `rounds` of them, or fewer, but
-    at least `LEAST_ROUNDS`, once they have taken `budget_s`. In each, every network runs twice, untimed and timed.
+    at least `LEAST_ROUNDS`, once they have taken `budget_s`.
     """
     found: dict[str, list[float]] = {name: [] for name in networks}
     device = torch.device(cell.device)
@@ -68,7 +71,7 @@ def time_cell(
             for turn in range(len(names)):
                 name = names[(number + turn) % len(names)]
                 job = _job(cell.task, networks[name], batches[number % len(batches)])
-                job()
+                warm_up(job)
                 found[name].append(_milliseconds(job, device))
     return found
 
@@ -101,6 +104,14 @@ def _job(task: Task, network: Network, batch: torch.Tensor) -> Callable[[], Any]
             return answer
 
     return scores
+
+
+def warm_up(job: Callable[[], Any]) -> None:
+    """Do a job again and again for `WARM_S`, at least once."""
+    start = time.perf_counter()
+    job()
+    while time.perf_counter() - start < WARM_S:
+        job()
 
 
 def _milliseconds(job: Callable[[], Any], device: torch.device) -> float:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
+from benches.model.networks.network_times import warm_up
 from bodyseg_data.core.errors import MissingLibrary, check_int
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.system.progress import ProgressCallback, silent
@@ -37,9 +39,6 @@ PAPERS: Final = "fcn_alexnet torch float32"
 """The paper's network at full width with new weights, for times alone."""
 
 ROUNDS: Final = 15
-PAUSE_S: Final = 0.03
-"""Before every turn: threads of the runtime before it wait busily for some milliseconds, on processors of the next."""
-
 _WAYS: Final[tuple[tuple[str, Precision], ...]] = (
     ("torch", "float32"),
     ("torch", "bfloat16"),
@@ -69,7 +68,7 @@ def bench_runtimes(
     data: set on whose train split int8 is calibrated, and on whose test images of `all` accuracy is measured, `images`
     of them. views: typical frames to take turns with. runs: the network is in the first of them; without, it is the one
     that ships. Each is timed with one thread and with as many as there are processors, one image at a time, in turns,
-    of which each begins with an untimed image (`network_times` says why). Runtimes that are not installed are left
+    of which each begins untimed (`network_times` says why). Runtimes that are not installed are left
     out. Raises BadConfig for wrong numbers or no network, MissingLibrary without Anny or onnxruntime.
     """
     check_int("the number of test images", images, 1)
@@ -137,8 +136,7 @@ def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], coun
             for name, network in networks.items():
                 if name == PAPERS and number % 3:
                     continue
-                time.sleep(PAUSE_S)
-                predict(network, images[number % len(images)])
+                warm_up(partial(predict, network, images[number % len(images)]))
                 start, used = time.perf_counter(), time.process_time()
                 predict(network, images[number % len(images)])
                 processor[name].append(1e3 * (time.process_time() - used))
