@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.segmentation.temporal import carried_labels
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
 from bodyseg_model.segmentation.temporal.cell_loops import Lens
 from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT
@@ -69,18 +67,6 @@ def test_the_first_frame_is_the_networks_own() -> None:
     carried = CarriedLabels()
     np.testing.assert_array_equal(call(carried, range_m, labels), labels)
     assert repr(carried).startswith("CarriedLabels(Carrying(motion='parts', keep=0.9")
-
-
-def test_threads_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(carried_labels, "_LEAST_PIXELS", 100)
-    shown = []
-    for threads in (1, 3):
-        carried = CarriedLabels()
-        with torch_threads(threads):
-            for frame in range(4):
-                range_m, labels = pillar(x_m=0.02 * frame)
-                shown.append(call(carried, range_m, repeated(labels, 0.3, frame)))
-    np.testing.assert_array_equal(shown[:4], shown[4:])
 
 
 def test_flicker_of_a_still_body_goes() -> None:

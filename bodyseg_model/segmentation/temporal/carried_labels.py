@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.pieces import work_in_pieces
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.temporal.cell_loops import Lens
@@ -25,8 +22,6 @@ Labels = NDArray[np.uint8]
 
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
-
-_LEAST_PIXELS: Final = 1 << 13  # of a thread: a third of a millisecond
 
 
 @dataclass(frozen=True)
@@ -75,19 +70,6 @@ class Carrying:
     def to_json(self) -> dict[str, Any]:
         """The parameters as plain JSON, for summary.json."""
         return asdict(self)
-
-
-def _carry_some(
-    carry: Callable[..., None],
-    range_m: NDArray[np.float32],
-    body: tuple[NDArray[np.intp], NDArray[np.float32]],
-    labels: Labels,
-    rest: tuple[Any, ...],
-    first: int,
-    last: int,
-) -> None:
-    """Carry evidence to some of a body's pixels; no pixel depends on another."""
-    carry(range_m, body[0][first:last], labels, body[1][first:last], *rest)
 
 
 @dataclass(frozen=True)
@@ -163,9 +145,7 @@ class CarriedLabels:
                 motion = self._motion.motion_back(surface, *before, images, lens, tolerance, self.carrying.motion)
                 moved = motion.rigid.astype(np.float32), motion.field, surface.cells.grid, last.range_m, last.slots
                 rule = tolerance, *self._rule(motion.bends)
-                carry = partial(_carry_some, self._evidence.carry, flat, body, named, (lens, *moved, *rule, *written))
-                most = len(body[0]) // _LEAST_PIXELS
-                work_in_pieces(carry, len(body[0]), max(1, min(torch.get_num_threads(), most)))
+                self._evidence.carry(flat, body[0], named, body[1], lens, *moved, *rule, *written)
             found.append((surface, motion))
         if last is not None:
             self._spare = last.range_m, last.slots

@@ -1,7 +1,7 @@
 """Networks timed side by side, in turn, on the same images.
 
-In every turn a network first runs untimed for `WARM_S`: the one before it has filled the processor's caches with its own
-weights, of which FCN-AlexNet has 230 MB, and its threads still wait busily; frames of a sensor meet one network alone.
+In every turn a network first runs untimed for `WARM_S`: the one before it has filled the processor's caches with its
+own weights, of which FCN-AlexNet has 230 MB, and its threads still wait busily; a sensor's frames meet one network.
 """
 
 from __future__ import annotations
