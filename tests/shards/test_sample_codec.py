@@ -16,12 +16,14 @@ import zstandard
 from folders import GOLDEN
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from PIL import Image
 from strategies import same, samples
 
 from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.core.system import deflate
 from bodyseg_data.shards.codecs import CODECS, CodecName
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, mark_things, split_labels, take_second_facing
@@ -395,7 +397,67 @@ def test_chunks_of_a_png_have_their_checksums() -> None:
     chunks = read_chunks(encode_png(np.zeros((4, 5), np.uint16)))
     assert [chunk.name for chunk in chunks] == [b"IHDR", b"IDAT", b"IEND"]
     assert all(chunk.checksum == chunk.stored_checksum for chunk in chunks)
-    assert read_header(chunks[0]) == (4, 5, 16, 0)
+    assert read_header(chunks[0]) == (4, 5, 16, 0, bytes(3))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("library", ["isal", "zlib", "Pillow"])
+def test_every_filter_of_a_png_is_undone(bits: int, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows with each filter, and of one row and one column, against the filters as the standard defines them."""
+    if library == "zlib":
+        monkeypatch.setattr(deflate, "library", lambda: zlib)
+    draws = np.random.default_rng(bits)
+    for shape in ((12, 9), (1, 5), (6, 1)):
+        image = draws.integers(0, 1 << bits, shape).astype(f"uint{bits}")
+        for kinds in (np.arange(shape[0]) % 5, np.full(shape[0], 4), np.full(shape[0], 3)):
+            with computed_by("numpy" if library == "Pillow" else "compiled"):
+                decoded = decode_png(_filtered_png(image, kinds))
+            assert decoded.dtype == image.dtype
+            np.testing.assert_array_equal(decoded, image)
+
+
+def test_a_png_of_another_filter_or_size_is_refused() -> None:
+    image = np.arange(20, dtype=np.uint16).reshape(4, 5)
+    with pytest.raises(ValueError, match="^not a readable PNG: a row's filter must be 0 to 4$"):
+        decode_png(_filtered_png(image, np.array([0, 0, 5, 0])))
+    whole = _filtered_png(image, np.zeros(4, int))
+    garbled = whole[:33] + _png_chunk(b"IDAT", b"no stream") + whole[-12:]
+    with pytest.raises(ValueError, match="^not a readable PNG: its pixels cannot be decompressed: "):
+        decode_png(garbled)
+    short = whole[:33] + _png_chunk(b"IDAT", zlib.compress(bytes(43))) + whole[-12:]
+    with pytest.raises(ValueError, match="^not a readable PNG: its pixels must be 44 bytes, found 43$"):
+        decode_png(short)
+
+
+def test_an_interlaced_png_is_read() -> None:
+    image = np.arange(1, dtype=np.uint8).reshape(1, 1)  # one pixel is the same interlaced
+    whole = bytearray(_filtered_png(image, np.zeros(1, int)))
+    whole[28] = 1
+    whole[29:33] = struct.pack(">I", zlib.crc32(whole[12:29]))
+    assert decode_png(bytes(whole)).tolist() == [[0]]
+
+
+def _filtered_png(image: NDArray[Any], kinds: NDArray[Any]) -> bytes:
+    """A grey PNG whose rows have these filters, by the definition of each byte."""
+    step = image.dtype.itemsize
+    rows = image.astype(image.dtype.newbyteorder(">")).view(np.uint8).reshape(len(image), -1).astype(int)
+    filtered = bytearray()
+    for number, kind in enumerate(kinds):
+        filtered.append(int(kind))
+        for i in range(rows.shape[1]):
+            a = rows[number, i - step] if i >= step else 0
+            b = rows[number - 1, i] if number else 0
+            c = rows[number - 1, i - step] if number and i >= step else 0
+            nearest = min((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c))[2]
+            expected = (0, a, b, (a + b) // 2, nearest, 0)[kind]
+            filtered.append((int(rows[number, i]) - int(expected)) % 256)
+    header = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], 8 * step, 0, 0, 0, 0)
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(bytes(filtered))), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(name, data) for name, data in chunks)
+
+
+def _png_chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def test_threads_may_decode_at_once() -> None:

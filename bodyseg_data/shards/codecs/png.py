@@ -1,17 +1,23 @@
-"""Codec of 8-bit and 16-bit PNG by Pillow, for shards readable by any image tool, and a reader of PNG chunks."""
+"""Codec of 8-bit and 16-bit PNG, for shards readable by any image tool, and a reader of PNG chunks.
+
+Pillow writes. It also reads where loops are not compiled, and interlaced images.
+"""
 
 from __future__ import annotations
 
 import io
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rigs.camera import MAX_SIDE
+from bodyseg_data.core.system.deflate import decompress
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.labels import split_labels
 
@@ -38,12 +44,16 @@ class Chunk(NamedTuple):
 
 
 class Header(NamedTuple):
-    """Header of a PNG: size in pixels, bits of a sample, and colour type (0 is greyscale)."""
+    """Header of a PNG: size in pixels, bits of a sample, and colour type (0 is greyscale).
+
+    methods: of compression, filters and interlacing, three bytes; 0 but for interlaced images.
+    """
 
     rows: int
     columns: int
     bits: int
     colour: int
+    methods: bytes = bytes(3)
 
 
 def read_chunks(data: bytes) -> list[Chunk]:
@@ -67,8 +77,8 @@ def read_header(chunk: Chunk) -> Header:
     """Parse the header, a PNG's first chunk. Raises ValueError for another chunk."""
     if chunk.name != b"IHDR" or len(chunk.whole) != _HEADER_BYTES:
         raise ValueError("a PNG must begin with its size")
-    columns, rows, bits, colour = struct.unpack_from(">IIBB", chunk.whole, 8)
-    return Header(rows, columns, bits, colour)
+    columns, rows, bits, colour, methods = struct.unpack_from(">IIBB3s", chunk.whole, 8)
+    return Header(rows, columns, bits, colour, methods)
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
@@ -101,6 +111,11 @@ def decode_png(data: bytes) -> NDArray[Any]:
     if not (1 <= header.rows <= MAX_SIDE and 1 <= header.columns <= MAX_SIDE):
         found = f"{header.rows} x {header.columns}"
         raise ValueError(f"not a readable PNG: an image side is 1 to {MAX_SIDE} pixels, found {found}")
+    if use_compiled() and header.colour == 0 and header.bits in (8, 16) and not any(header.methods):
+        try:
+            return _decode_grey(chunks, header)
+        except ValueError as error:
+            raise ValueError(f"not a readable PNG: {error}") from error
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             if picture.mode not in ("L", "I;16"):
@@ -108,6 +123,21 @@ def decode_png(data: bytes) -> NDArray[Any]:
             return np.asarray(picture).copy()
     except (OSError, SyntaxError) as error:
         raise ValueError(f"not a readable PNG: {error}") from error
+
+
+def _decode_grey(chunks: Sequence[Chunk], header: Header) -> NDArray[Any]:
+    """Decode the pixels of a greyscale PNG of 8 or 16 bits, in a third of Pillow's time. Raises ValueError."""
+    for chunk in chunks:
+        if chunk.stored_checksum != chunk.checksum:
+            raise ValueError(f"the checksum of {chunk.name!r} must be right, found {chunk.stored_checksum:08x}")
+    step = header.bits // 8
+    packed = b"".join(chunk.whole[8:-4] for chunk in chunks if chunk.name == b"IDAT")
+    data = decompress(packed, header.rows * (1 + step * header.columns))
+    rows = np.empty((header.rows, step * header.columns), np.uint8)
+    filtered = np.frombuffer(data, np.uint8).reshape(header.rows, -1)
+    if not import_module("bodyseg_data.shards.codecs.png_loops").undo_filters(filtered, step, rows):
+        raise ValueError("a row's filter must be 0 to 4")
+    return rows if step == 1 else rows.view(">u2").astype(np.uint16)
 
 
 class PngImages:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
-from functools import cache
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.system.deflate import compress
 from bodyseg_data.shards.codecs.png import SIGNATURE
 
 _LEVEL: Final = 2
@@ -32,18 +30,8 @@ def encode_picture(image: NDArray[Any]) -> bytes:
     filtered = np.zeros((rows, 1 + big_endian.nbytes // rows), np.uint8)  # each row begins with its filter: 0, none
     filtered[:, 1:] = big_endian.view(np.uint8).reshape(rows, -1)
     header = struct.pack(">IIBBBBB", columns, rows, 8 * image.dtype.itemsize, _COLOUR[image.ndim], 0, 0, 0)
-    chunks = (b"IHDR", header), (b"IDAT", _deflate()(filtered.data, _LEVEL)), (b"IEND", b"")
+    chunks = (b"IHDR", header), (b"IDAT", compress(filtered.data, _LEVEL)), (b"IEND", b"")
     return SIGNATURE + b"".join(_chunk(name, data) for name, data in chunks)
-
-
-@cache
-def _deflate() -> Callable[[Any, int], bytes]:
-    """Isal's `compress` where it is installed, else zlib's: another stream of the same content."""
-    try:
-        compress: Callable[[Any, int], bytes] = import_module("isal.isal_zlib").compress
-    except ImportError:
-        compress = zlib.compress
-    return compress
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:
