@@ -28,8 +28,8 @@ RUNTIMES: Final[dict[str, str]] = {
 """Name -> "module.Class" of this folder, imported when it is used."""
 
 BACKEND_HELP: Final = (
-    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes about "
-    "0.8 times as long as torch, in bfloat16 0.6 times"
+    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
+    "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"
 )
 PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
 

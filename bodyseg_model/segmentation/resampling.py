@@ -25,7 +25,7 @@ from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import FARTHEST_STEPS
 
 LARGEST_SIDE: Final = 2048
-"""Greatest side of a view, pixels: 6.7 m at the stand-off of the paper's rig."""
+"""Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
 
 MARGIN: Final = 64
 """Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
@@ -100,12 +100,13 @@ def view_body(
     scale = focal_px / camera.focal_px
     top, left = (math.floor(end - scale / 2) for end in ends[::2])
     bottom, right = (math.ceil(end + scale / 2) for end in ends[1::2])
-    height, width = _side(rig.camera.rows, bottom - top), _side(rig.camera.columns, right - left)
-    if max(height, width) > LARGEST_SIDE:
+    needed = max(rig.camera.rows, bottom - top + 2 * MARGIN), max(rig.camera.columns, right - left + 2 * MARGIN)
+    if max(needed) > LARGEST_SIDE:
         raise BadConfig(
-            f"a body's view must be at most {LARGEST_SIDE} pixels wide and high, found {width} x {height} "
+            f"a body's view must be at most {LARGEST_SIDE} pixels wide and high, found {needed[1]} x {needed[0]} "
             f"for {len(pixels)} pixels at {median:.3g} m"
         )
+    height, width = _in_steps(rig.camera.rows, needed[0]), _in_steps(rig.camera.columns, needed[1])
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
     # Only the body's boxes in frame and view are computed: most pixels of both are empty.
@@ -122,9 +123,9 @@ def view_body(
     return BodyView(view, corner, view_pixels, turn, median, scale)
 
 
-def _side(trained: int, body: int) -> int:
-    """Side of a view, pixels, where the trained camera's image and the body have these; a few sizes alone occur."""
-    return trained + max(0, -(-(body + 2 * MARGIN - trained) // STEP) * STEP)
+def _in_steps(trained: int, needed: int) -> int:
+    """Side of a view, pixels: that of the trained camera's image, and as many times `STEP` as are needed."""
+    return trained - (trained - needed) // STEP * STEP
 
 
 def _median(values: Floats) -> float:
