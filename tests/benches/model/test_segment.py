@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.segment import bench
-from benches.model.segment.bench import DROPPING, LIVE, STAGES, WAYS, accuracy, bench_segment, cameras
+from benches.model.segment.bench import DROPPING, LIVE, ROUNDS, STAGES, WAYS, accuracy, bench_segment, cameras
 from benches.model.segment.figure import draw_segment
 from benches.model.segment.live import Sensor
 from label_networks import Places
@@ -88,7 +88,7 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(bench, "cameras", lambda: {"small": lens, "again": lens})
     steps: list[int] = []
     figures = bench_segment(views=1, progress=lambda done, total, note="": steps.append(done))
-    assert steps == list(range(1, 2 * (1 + len(ways_by_torch)) + 1))
+    assert steps == list(range(1, 2 * (1 + ROUNDS * len(ways_by_torch)) + 1))
     assert figures["default"] == "default" and set(figures["sizes"]) == {"small", "again"}
     for size in figures["sizes"].values():
         ways = size["ways"]
@@ -101,6 +101,7 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
         assert size["after"]["people"]["people_found"] == ways["default"]["found"]
         for way in ways.values():
+            assert way["frames_per_second"] == sorted(way["rounds"])[1] and len(way["rounds"]) == ROUNDS
             assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1
         accuracies = [{key: way[key] for key in ("found", "right", "thing_pixels")} for way in ways.values()]
         assert accuracies[0] == accuracies[1] == accuracies[3], "loops and pictures change no label"
