@@ -108,12 +108,13 @@ def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction
     if not measured.any():
         return found
     scores = network.scores(range_m).float()
-    by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
-    if network.output_stride == 1 or not np.isfinite(by_point).all():
-        return _label_by_torch(network, scores, torch.from_numpy(measured), found)
-    for image in zip(by_point, metres, labels, confidence, strict=True):
-        label_pixels(image[0], image[1], network.output_stride, image[2], image[3], torch.get_num_threads())
-    return found
+    if network.output_stride > 1:
+        by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
+        if np.isfinite(by_point).all():
+            for image in zip(by_point, metres, labels, confidence, strict=True):
+                label_pixels(image[0], image[1], network.output_stride, image[2], image[3], torch.get_num_threads())
+            return found
+    return _label_by_torch(network, scores, torch.from_numpy(measured), found)
 
 
 def predict_each(

@@ -155,7 +155,7 @@ def made_rooms(camera: Camera, count: int) -> Iterator[Room]:
 
 
 def _median(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Of some rounds the one with the median of frames a second, and those of all, ascending."""
+    """Choose the round with the median of frames a second; `rounds` has the frames a second of all, ascending."""
     by_speed = sorted(rounds, key=lambda one: one["frames_per_second"])
     return by_speed[len(by_speed) // 2] | {"rounds": [one["frames_per_second"] for one in by_speed]}
 
