@@ -95,8 +95,6 @@ def decode_png(data: bytes) -> NDArray[Any]:
 
     Raises ValueError for other files and sides over `MAX_SIDE`.
     """
-    from PIL import Image
-
     # Checked before opening: Pillow allocates memory, and warns, by the sizes in the header and in other chunks.
     try:
         chunks = read_chunks(data)
@@ -116,6 +114,8 @@ def decode_png(data: bytes) -> NDArray[Any]:
             return _decode_grey(chunks, header)
         except ValueError as error:
             raise ValueError(f"not a readable PNG: {error}") from error
+    from PIL import Image
+
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             if picture.mode not in ("L", "I;16"):
@@ -126,7 +126,7 @@ def decode_png(data: bytes) -> NDArray[Any]:
 
 
 def _decode_grey(chunks: Sequence[Chunk], header: Header) -> NDArray[Any]:
-    """Decode the pixels of a greyscale PNG of 8 or 16 bits, in a third of Pillow's time. Raises ValueError."""
+    """Decode the pixels of a greyscale PNG of 8 or 16 bits, in less than half of Pillow's time. Raises ValueError."""
     for chunk in chunks:
         if chunk.stored_checksum != chunk.checksum:
             raise ValueError(f"the checksum of {chunk.name!r} must be right, found {chunk.stored_checksum:08x}")
