@@ -152,15 +152,24 @@ bodies = st.tuples(
 )
 
 
-@given(bodies)
-def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, float, float, float, int, bool]) -> None:
-    rows, columns, scale, middle, filled, seed, mirrored = case
+def body_and_lens(
+    rows: int, columns: int, scale: float, middle: float, filled: float, seed: int
+) -> tuple[Image, Camera]:
+    """Ranges around `middle` at some pixels of a small image, at least one, and a camera that sees it `scale` times
+    coarser than the paper's.
+    """
     draws = np.random.default_rng(seed)
     image = (middle + draws.uniform(-0.2, 0.2, (rows, columns))).astype(np.float32)
     image[draws.random(image.shape) >= filled] = 0
     image[draws.integers(rows), draws.integers(columns)] = middle
     focal = PAPER.camera.focal_px / 2.5 * middle / scale
-    lens = camera(rows, columns, focal, (columns * draws.random(), rows * draws.random()))
+    return image, camera(rows, columns, focal, (columns * draws.random(), rows * draws.random()))
+
+
+@given(bodies)
+def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, float, float, float, int, bool]) -> None:
+    *shape, mirrored = case
+    image, lens = body_and_lens(*shape)
     pixels = np.flatnonzero(image)
     view = view_body(image, pixels, lens, PAPER, mirrored)
 
@@ -182,13 +191,8 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
 
 @given(bodies)
 def test_compiled_loops_and_numpy_give_the_same_bits(case: tuple[int, int, float, float, float, int, bool]) -> None:
-    rows, columns, scale, middle, filled, seed, mirrored = case
-    draws = np.random.default_rng(seed)
-    image = (middle + draws.uniform(-0.2, 0.2, (rows, columns))).astype(np.float32)
-    image[draws.random(image.shape) >= filled] = 0
-    image[draws.integers(rows), draws.integers(columns)] = middle
-    focal = PAPER.camera.focal_px / 2.5 * middle / scale
-    lens = camera(rows, columns, focal, (columns * draws.random(), rows * draws.random()))
+    *shape, mirrored = case
+    image, lens = body_and_lens(*shape)
     assert use_compiled(), "numba is there in tests"
     views = []
     for compiled in (True, False):

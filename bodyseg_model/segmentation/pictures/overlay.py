@@ -53,10 +53,10 @@ def draw_overlay(
     table, form = _table(label_map), _loops() if use_compiled() else _NumpyForm
     flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
     picture = np.empty((flat.size, 3), np.uint8)
-    form.paint_room(flat, *_scale(flat[:: flat.size // _SAMPLED | 1]), SHADES, table, picture)
+    form.paint_room(flat, *_scale(flat[:: flat.size // _SAMPLED | 1]), table, picture)
     for pixels in bodies:
         nearness = _scale(flat[pixels[:: len(pixels) // _SAMPLED | 1]])
-        form.paint_body(flat, label, pixels, *nearness, SHADES, len(label_map), table, picture)
+        form.paint_body(flat, label, pixels, *nearness, len(label_map), table, picture)
     return picture.reshape(*range_m.shape, 3)
 
 
@@ -70,10 +70,8 @@ class _NumpyForm:
     """The functions of `overlay_loops`, with the same bits."""
 
     @staticmethod
-    def paint_room(
-        flat: Floats, near: np.float32, scale: np.float32, shades: int, table: Colours, picture: Colours
-    ) -> None:
-        picture[:] = table[np.where(flat > 0, _shades(flat, near, scale, shades), len(table) - 1)]
+    def paint_room(flat: Floats, near: np.float32, scale: np.float32, table: Colours, picture: Colours) -> None:
+        picture[:] = table[np.where(flat > 0, _shades(flat, near, scale), len(table) - 1)]
 
     @staticmethod
     def paint_body(
@@ -82,13 +80,12 @@ class _NumpyForm:
         pixels: NDArray[np.intp],
         near: np.float32,
         scale: np.float32,
-        shades: int,
         classes: int,
         table: Colours,
         picture: Colours,
     ) -> None:
         group = np.minimum(labels[pixels], classes).astype(np.intp)
-        picture[pixels] = table[(1 + group) * shades + _shades(flat[pixels], near, scale, shades)]
+        picture[pixels] = table[(1 + group) * SHADES + _shades(flat[pixels], near, scale)]
 
 
 @lru_cache(maxsize=4)
@@ -114,10 +111,10 @@ def _scale(some: Floats) -> tuple[np.float32, np.float32]:
     return np.float32(near), np.float32((SHADES - 1) / max(far - near, 1e-3))
 
 
-def _shades(range_m: Floats, near: np.float32, scale: np.float32, shades: int) -> NDArray[np.intp]:
-    """Shades of ranges [N], 0 to `shades` - 1, by `_scale`."""
+def _shades(range_m: Floats, near: np.float32, scale: np.float32) -> NDArray[np.intp]:
+    """Shades of ranges [N], 0 to `SHADES` - 1, by `_scale`."""
     depth = (range_m - near) * scale
-    return np.clip(depth + np.float32(0.5), 0, shades - 1, out=depth).astype(np.intp)
+    return np.clip(depth + np.float32(0.5), 0, SHADES - 1, out=depth).astype(np.intp)
 
 
 class Preview:
