@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.shards.codecs.png import SIGNATURE, decode_png, read_chunks, read_header
+from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.recording import LARGEST_SIDE
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
@@ -25,12 +25,7 @@ def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
         raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}: {where}")
     try:
         chunks = read_chunks(data)
-        for chunk in chunks:
-            if chunk.stored_checksum != chunk.checksum:
-                raise ValueError(
-                    f"a PNG's checksums must be right, found {chunk.stored_checksum:08x} instead of "
-                    f"{chunk.checksum:08x} for {chunk.name!r}"
-                )
+        check_checksums(chunks)
         needed = [chunk for chunk in chunks if chunk.name in _NEEDED]
         header = read_header(needed[0])
     except ValueError as error:
@@ -43,7 +38,7 @@ def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
             f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {header.rows} x {header.columns}: {where}"
         )
     try:
-        image: NDArray[np.uint16] = decode_png(SIGNATURE + b"".join(chunk.whole for chunk in needed))
+        image: NDArray[np.uint16] = decode_chunks(needed)
     except ValueError as error:
         raise BadConfig(f"{where} is {error}") from error
     return image

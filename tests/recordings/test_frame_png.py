@@ -7,14 +7,10 @@ import zlib
 
 import numpy as np
 import pytest
-from pngs import RAMP, png
+from pngs import RAMP, chunk, png
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.frame_png import parse_frame
-
-
-def chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
+from pngs import chunk
 from strategies import same, samples
 
 from bodyseg_data.core import kernels
@@ -421,10 +422,10 @@ def test_a_png_of_another_filter_or_size_is_refused() -> None:
     with pytest.raises(ValueError, match="^not a readable PNG: a row's filter must be 0 to 4$"):
         decode_png(_filtered_png(image, np.array([0, 0, 5, 0])))
     whole = _filtered_png(image, np.zeros(4, int))
-    garbled = whole[:33] + _png_chunk(b"IDAT", b"no stream") + whole[-12:]
+    garbled = whole[:33] + chunk(b"IDAT", b"no stream") + whole[-12:]
     with pytest.raises(ValueError, match="^not a readable PNG: its pixels cannot be decompressed: "):
         decode_png(garbled)
-    short = whole[:33] + _png_chunk(b"IDAT", zlib.compress(bytes(43))) + whole[-12:]
+    short = whole[:33] + chunk(b"IDAT", zlib.compress(bytes(43))) + whole[-12:]
     with pytest.raises(ValueError, match="^not a readable PNG: its pixels must be 44 bytes, found 43$"):
         decode_png(short)
 
@@ -453,11 +454,7 @@ def _filtered_png(image: NDArray[Any], kinds: NDArray[Any]) -> bytes:
             filtered.append((int(rows[number, i]) - int(expected)) % 256)
     header = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], 8 * step, 0, 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", zlib.compress(bytes(filtered))), (b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(name, data) for name, data in chunks)
-
-
-def _png_chunk(name: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(name, data) for name, data in chunks)
 
 
 def test_threads_may_decode_at_once() -> None:
