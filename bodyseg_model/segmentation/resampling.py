@@ -39,6 +39,7 @@ STEP: Final = 64
 that it meets, and views of one size go through a network together."""
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,19 @@ def view_body(
     """
     form = _loops() if use_compiled() else _NumpyForm
     flat, depths = np.ascontiguousarray(range_m).ravel(), np.empty(len(pixels))
-    wide = range_m.shape[1]
-    sides = form.list_depths(flat, pixels, wide, float(camera.centre_px[0]), depths)
+    rows, columns = np.empty_like(pixels), np.empty_like(pixels)
+    centre = float(camera.centre_px[0])
+    least, greatest, first, last = form.list_pixels(flat, pixels, range_m.shape[1], centre, rows, columns, depths)
     turn = turn_rad
     if turn is None:
-        turn = math.atan2(sum(sides) / 2, _median(depths) * camera.focal_px)
-    form.turn_ranges(pixels, wide, _numbers(camera, rig.camera, 1.0, turn, mirrored), depths)
+        turn = math.atan2((least + greatest) / 2, _median(depths) * camera.focal_px)
+    form.turn_ranges(columns, _numbers(camera, rig.camera, 1.0, turn, mirrored), depths)
     median = _median(depths)
     focal_px = rig.camera.focal_px / rig.stand_off_m * median
     rotation = _numbers(camera, rig.camera, focal_px, turn, mirrored)
 
-    down, across, ends = np.empty(len(pixels)), np.empty(len(pixels)), np.empty(4)
-    columns = form.map_to_view(pixels, wide, rotation, down, across, ends)
+    down, across = np.empty(len(pixels)), np.empty(len(pixels))
+    ends = form.map_to_view(rows, columns, rotation, down, across)
     scale = focal_px / camera.focal_px
     top, left = (math.floor(end - scale / 2) for end in ends[::2])
     bottom, right = (math.ceil(end + scale / 2) for end in ends[1::2])
@@ -110,9 +112,9 @@ def view_body(
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
     # Only the body's boxes in frame and view are computed: most pixels of both are empty.
-    begin = int(pixels[0]) // wide - 1, columns[0] - 1
-    own = np.zeros((int(pixels[-1]) // wide - begin[0] + 2, columns[1] - begin[1] + 2))  # a border of empty pixels
-    form.cut_out(pixels, wide, depths, begin, own)
+    begin = int(rows[0]) - 1, first - 1
+    own = np.zeros((int(rows[-1]) - begin[0] + 2, last - begin[1] + 2))  # a border of empty pixels
+    form.cut_out(rows, columns, depths, begin, own)
     box, view_pixels = np.zeros((bottom - top, right - left)), np.empty(len(pixels), np.intp)
     form.pick_ranges(own, begin, rotation, (top, left), box)
     form.fill_lost(down, across, (top, left), depths, box, corner, width, view_pixels)
@@ -155,35 +157,39 @@ class _NumpyForm:
     """The functions of `resampling_loops`, with the same bits."""
 
     @staticmethod
-    def list_depths(
-        flat: NDArray[np.float32], pixels: NDArray[np.intp], columns: int, centre: float, depths: Floats
-    ) -> tuple[float, float]:
+    def list_pixels(
+        flat: NDArray[np.float32],
+        pixels: Indices,
+        width: int,
+        centre: float,
+        rows: Indices,
+        columns: Indices,
+        depths: Floats,
+    ) -> tuple[float, float, int, int]:
+        np.divmod(pixels, width, out=(rows, columns))
         depths[:] = flat[pixels]
-        sides = (pixels % columns + 0.5 - centre) * depths
-        return float(sides.min()), float(sides.max())
+        sides = (columns + 0.5 - centre) * depths
+        return float(sides.min()), float(sides.max()), int(columns.min()), int(columns.max())
 
     @staticmethod
-    def turn_ranges(pixels: NDArray[np.intp], columns: int, rotation: Floats, depths: Floats) -> None:
+    def turn_ranges(columns: Indices, rotation: Floats, depths: Floats) -> None:
         centre, focal_px, sine, cosine = rotation[[0, 2, 6, 7]]
-        depths *= (pixels % columns + 0.5 - centre) / focal_px * sine + cosine
+        depths *= (columns + 0.5 - centre) / focal_px * sine + cosine
 
     @staticmethod
     def map_to_view(
-        pixels: NDArray[np.intp], columns: int, rotation: Floats, down: Floats, across: Floats, ends: Floats
-    ) -> tuple[int, int]:
+        rows: Indices, columns: Indices, rotation: Floats, down: Floats, across: Floats
+    ) -> tuple[float, float, float, float]:
         centre_x, centre_y, focal_px, view_x, view_y, view_focal_px, sine, cosine, sign = rotation
-        row, column = np.divmod(pixels, columns)
-        x, y = (column + 0.5 - centre_x) / focal_px, (row + 0.5 - centre_y) / focal_px
+        x, y = (columns + 0.5 - centre_x) / focal_px, (rows + 0.5 - centre_y) / focal_px
         ahead = x * sine + cosine
         down[:] = view_y + view_focal_px * y / ahead
         across[:] = view_x + sign * view_focal_px * (x * cosine - sine) / ahead
-        ends[:] = down.min(), down.max(), across.min(), across.max()
-        return int(column.min()), int(column.max())
+        return float(down.min()), float(down.max()), float(across.min()), float(across.max())
 
     @staticmethod
-    def cut_out(pixels: NDArray[np.intp], columns: int, ranges: Floats, corner: tuple[int, int], own: Floats) -> None:
-        row, column = np.divmod(pixels, columns)
-        own[row - corner[0], column - corner[1]] = ranges
+    def cut_out(rows: Indices, columns: Indices, ranges: Floats, corner: tuple[int, int], own: Floats) -> None:
+        own[rows - corner[0], columns - corner[1]] = ranges
 
     @staticmethod
     def pick_ranges(
@@ -209,7 +215,7 @@ class _NumpyForm:
         box: Floats,
         corner: tuple[int, int],
         width: int,
-        pixels: NDArray[np.intp],
+        pixels: Indices,
     ) -> None:
         row, column = np.floor(down).astype(np.intp), np.floor(across).astype(np.intp)
         pixels[:] = (row - corner[0]) * width + column - corner[1]

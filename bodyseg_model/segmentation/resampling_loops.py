@@ -1,6 +1,7 @@
 """Resampling of a body, compiled; `resampling.py` has the NumPy forms of the same bits, and describes the mapping.
 
-rotation: float64 [9], `resampling._numbers`. pixels: ascending flat indices of the frame.
+rotation: float64 [9], `resampling._numbers`. pixels: ascending flat indices of the frame; rows, columns: int [N], of
+these.
 """
 
 from __future__ import annotations
@@ -27,73 +28,58 @@ _kernel = partial(compiled, feature="the compiled form of the resampling of bodi
 
 
 @_kernel
-def list_depths(flat: Any, pixels: Any, columns: Any, centre: Any, depths: Any) -> Any:
-    """Write the ranges of pixels, float64 [N]; returns the least and greatest of their distances from the optical axis,
-    to the right, times the focal length. centre: column of the principal point.
+def list_pixels(flat: Any, pixels: Any, width: Any, centre: Any, rows: Any, columns: Any, depths: Any) -> Any:
+    """Write rows, columns and ranges of pixels, int [N] twice and float64 [N].
+
+    Returns the least and greatest of their distances from the optical axis, to the right, times the focal length, and
+    their first and last column. centre: column of the principal point.
     """
-    row_end = columns
-    least, greatest = np.inf, -np.inf
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row_end += columns
-        depths[i] = np.float64(flat[pixel])
-        side = (np.float64(pixel - row_end + columns) + 0.5 - centre) * depths[i]
-        least, greatest = min(least, side), max(greatest, side)
-    return least, greatest
-
-
-@_kernel
-def turn_ranges(pixels: Any, columns: Any, rotation: Any, depths: Any) -> None:
-    """Replace ranges of pixels, float64 [N], by those after the rotation."""
-    row_end = columns
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row_end += columns
-        x = (np.float64(pixel - row_end + columns) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
-        depths[i] *= x * rotation[_SINE] + rotation[_COSINE]
-
-
-@_kernel
-def map_to_view(pixels: Any, columns: Any, rotation: Any, down: Any, across: Any, ends: Any) -> Any:
-    """Write the points of the view's image plane that pixels' centres are mapped to, float64 [N] each, and the least
-    and greatest of `down` and of `across`, float64 [4]. Returns the first and last column of the frame among pixels.
-    """
-    row, row_end = 0, columns
-    y = (0.5 - rotation[_CAMERA_Y]) / rotation[_CAMERA_FOCAL]
-    side = rotation[_SIGN] * rotation[_VIEW_FOCAL]
-    top = left = np.inf
-    bottom = right = -np.inf
-    first, last = columns, -1
+    row, row_end = 0, width
+    least, greatest, first, last = np.inf, -np.inf, width, -1
     for i in range(pixels.size):
         pixel = pixels[i]
         while pixel >= row_end:
             row += 1
-            row_end += columns
-            y = (np.float64(row) + 0.5 - rotation[_CAMERA_Y]) / rotation[_CAMERA_FOCAL]
-        column = pixel - row_end + columns
-        first, last = min(first, column), max(last, column)
-        x = (np.float64(column) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
+            row_end += width
+        rows[i], columns[i], depths[i] = row, pixel - row_end + width, np.float64(flat[pixel])
+        side = (np.float64(columns[i]) + 0.5 - centre) * depths[i]
+        least, greatest = min(least, side), max(greatest, side)
+        first, last = min(first, columns[i]), max(last, columns[i])
+    return least, greatest, first, last
+
+
+@_kernel
+def turn_ranges(columns: Any, rotation: Any, depths: Any) -> None:
+    """Replace ranges of pixels, float64 [N], by those after the rotation."""
+    for i in range(columns.size):
+        x = (np.float64(columns[i]) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
+        depths[i] *= x * rotation[_SINE] + rotation[_COSINE]
+
+
+@_kernel
+def map_to_view(rows: Any, columns: Any, rotation: Any, down: Any, across: Any) -> Any:
+    """Write the points of the view's image plane that pixels' centres are mapped to, float64 [N] each; returns the
+    least and greatest of `down` and of `across`.
+    """
+    side = rotation[_SIGN] * rotation[_VIEW_FOCAL]
+    top = left = np.inf
+    bottom = right = -np.inf
+    for i in range(columns.size):
+        x = (np.float64(columns[i]) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
+        y = (np.float64(rows[i]) + 0.5 - rotation[_CAMERA_Y]) / rotation[_CAMERA_FOCAL]
         ahead = x * rotation[_SINE] + rotation[_COSINE]
         down[i] = rotation[_VIEW_Y] + rotation[_VIEW_FOCAL] * y / ahead
         across[i] = rotation[_VIEW_X] + side * (x * rotation[_COSINE] - rotation[_SINE]) / ahead
         top, bottom = min(top, down[i]), max(bottom, down[i])
         left, right = min(left, across[i]), max(right, across[i])
-    ends[0], ends[1], ends[2], ends[3] = top, bottom, left, right
-    return first, last
+    return top, bottom, left, right
 
 
 @_kernel
-def cut_out(pixels: Any, columns: Any, ranges: Any, corner: Any, own: Any) -> None:
+def cut_out(rows: Any, columns: Any, ranges: Any, corner: Any, own: Any) -> None:
     """Write ranges of pixels, float64 [N], into `own`, float64 [h, w], a part of the frame that begins at `corner`."""
-    row, row_end = 0, columns
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row += 1
-            row_end += columns
-        own[row - corner[0], pixel - row_end + columns - corner[1]] = ranges[i]
+    for i in range(ranges.size):
+        own[rows[i] - corner[0], columns[i] - corner[1]] = ranges[i]
 
 
 @_kernel
