@@ -16,11 +16,12 @@ def mirror(
     A mirrored person's left hand is a right hand, so labels change sides as `label_map` says. Shadows change sides,
     too: such an image is that of a rig whose projector is on the camera's other side.
     """
-    flipped = torch.from_numpy(label_map.mirrored).to(labels.device)[labels.flip(-1).long()]
-    return (
-        torch.where(chosen[:, None, None, None], range_m.flip(-1), range_m),
-        torch.where(chosen[:, None, None], flipped, labels),
-    )
+    picked = chosen.nonzero()[:, 0]
+    range_m, labels = range_m.clone(), labels.clone()
+    range_m[picked] = range_m[picked].flip(-1)
+    table = torch.from_numpy(label_map.mirrored).to(labels.device)
+    labels[picked] = table[labels[picked].flip(-1).int()]
+    return range_m, labels
 
 
 def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:

@@ -101,24 +101,50 @@ class Compact(Network):
         """Compute scores of every fourth pixel each way; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        relief = F.pad(relief_of(range_m), (0, -columns % self._cell, 0, -rows % self._cell))
+        relief = relief_of(range_m)
+        edge = (0, -columns % self._cell, 0, -rows % self._cell)
         if self._shrink > 1:
-            relief = shrunk(relief, self._shrink)
-        x = F.pixel_unshuffle(relief, self._patch).contiguous(memory_format=torch.channels_last)
-        x = self.embed(x)
+            relief, edge = shrunk(F.pad(relief, edge), self._shrink), (0, 0, 0, 0)
+        measured = relief[:, 1:]
+        x = self.embed(_patches(F.pad(_as_layers_compute(relief), edge), self._patch))
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(_mean_over_body(x, relief[:, 1:], self._patch << (len(seen) - 1)))
+            x = x + self.context(_mean_over_body(x, F.pad(measured, edge), self._patch << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
-        x = F.pixel_shuffle(self.head(x), self._fine) if self._fine > 1 else self.head(x)
+        x = _spread(self.head(x), self._fine)
         stride = self.output_stride
         if self._cell < stride:
             x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
         return x[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]
+
+
+def _as_layers_compute(x: torch.Tensor) -> torch.Tensor:
+    """Convert to the type that convolutions compute in: they would convert after copies of twice the size."""
+    kind = x.device.type
+    return x.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else x
+
+
+def _patches(x: torch.Tensor, side: int) -> torch.Tensor:
+    """`F.pixel_unshuffle`, [B, C, H, W] -> [B, C side^2, H / side, W / side]: one copy, laid out as layers want it."""
+    if torch.onnx.is_in_onnx_export():  # graphs have one operation for it
+        return F.pixel_unshuffle(x, side)
+    batch, channels, rows, columns = x.shape
+    parts = x.reshape(batch, channels, rows // side, side, columns // side, side).permute(0, 2, 4, 1, 3, 5)
+    return parts.reshape(batch, rows // side, columns // side, channels * side**2).permute(0, 3, 1, 2)
+
+
+def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
+    """`F.pixel_shuffle`, [B, C side^2, h, w] -> [B, C, h side, w side], whose gradient is one copy, too."""
+    if side == 1 or torch.onnx.is_in_onnx_export():
+        return F.pixel_shuffle(x, side)
+    batch, channels, rows, columns = x.shape
+    parts = x.permute(0, 2, 3, 1).reshape(batch, rows, columns, channels // side**2, side, side)
+    whole = parts.permute(0, 1, 4, 2, 5, 3).reshape(batch, rows * side, columns * side, channels // side**2)
+    return whole.permute(0, 3, 1, 2)
 
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:

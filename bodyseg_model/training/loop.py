@@ -28,11 +28,11 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, ch
 from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
-from bodyseg_model.training.distillation import Teacher
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
-from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report
+from bodyseg_model.training.objective.distillation import Teacher
+from bodyseg_model.training.objective.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import training_plan
 from bodyseg_model.training.recipes import Recipe

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body
+from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body, _patches, _spread
 from bodyseg_model.networks.registry import build, parameters, predict, predict_each
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
@@ -196,3 +197,11 @@ def test_a_shrunk_image_gets_scores_of_its_own_size(shrink: int, rows: int, colu
     with torch.no_grad():
         assert made(figure(rows, columns)).shape == (1, 33, rows, columns)
         assert made.scores(figure(rows, columns)).shape == (1, 33, -(-rows // 4), -(-columns // 4))
+
+
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_patches_and_scores_lie_as_torchs_own_functions_lay_them(side: int) -> None:
+    images = torch.randn(2, 3, 8, 12)
+    assert torch.equal(_patches(images, side), F.pixel_unshuffle(images, side))
+    cells = torch.randn(2, 3 * side**2, 5, 4)
+    assert torch.equal(_spread(cells, side), F.pixel_shuffle(cells, side))

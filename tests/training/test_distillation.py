@@ -16,8 +16,9 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, load_network
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.network import Network
-from bodyseg_model.training.distillation import Teacher
-from bodyseg_model.training.loss import TEMPERATURE, NetworkWithLoss, divergence
+from bodyseg_model.training.objective.distillation import Teacher
+from bodyseg_model.training.objective.loss import TEMPERATURE, NetworkWithLoss, divergence
+from bodyseg_model.training.objective.selected_pixels import SelectedPixels
 
 
 def small(seed: int) -> Compact:
@@ -43,16 +44,16 @@ class PixelTeacher(Network):
 @pytest.mark.parametrize("network", [small(3), PixelTeacher()])
 @pytest.mark.parametrize("stride", [1, 4, 8])
 def test_a_teacher_is_asked_at_the_pixels_of_the_step(network: Network, stride: int) -> None:
-    range_m, _ = frames()
-    row, column = min(2, stride - 1), stride - 1
-    expected = (network(range_m)[:, :, row::stride, column::stride] / TEMPERATURE).log_softmax(1)
-    found = Teacher(network, PARTS33, {})(range_m, row, column, stride)
+    range_m, labels = frames()
+    pixels = SelectedPixels.of(labels, min(2, stride - 1), stride - 1, stride)
+    expected = (network(range_m)[pixels.image, :, pixels.row, pixels.column] / TEMPERATURE).log_softmax(1)
+    found = Teacher(network, PARTS33, {})(range_m, pixels)
     torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
     assert not network.training and not found.requires_grad
 
 
 def test_the_divergence_is_torchs() -> None:
-    scores, other = torch.randn(2, 3, 5, 4), torch.randn(2, 3, 5, 4)
+    scores, other = torch.randn(20, 3), torch.randn(20, 3)
     taught = (other / TEMPERATURE).log_softmax(1)
     expected = F.kl_div((scores / TEMPERATURE).log_softmax(1), taught, reduction="none", log_target=True).sum(1)
     torch.testing.assert_close(divergence(scores, taught), TEMPERATURE**2 * expected)
@@ -70,7 +71,16 @@ def test_the_loss_is_divided_between_labels_and_teacher(share: float) -> None:
         ours, theirs = (each(range_m)[:, :, row::4, column::4] for each in (network, teacher))
     truth = labels[:, row::4, column::4].long()
     weight = torch.where(truth < 33, weights[truth.clamp(max=32)], 0.0)
-    each = weight * divergence(ours, (theirs / TEMPERATURE).log_softmax(1))
+    each = (
+        weight
+        * TEMPERATURE**2
+        * F.kl_div(
+            (ours / TEMPERATURE).log_softmax(1),
+            (theirs / TEMPERATURE).log_softmax(1),
+            reduction="none",
+            log_target=True,
+        ).sum(1)
+    )
     taught = (each.sum((1, 2)) / weight.sum((1, 2))).mean()
     assert float(found.loss.detach()) == pytest.approx(
         (1 - share) * float(alone.loss.detach()) + share * float(taught), rel=1e-4

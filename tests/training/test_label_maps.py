@@ -21,7 +21,7 @@ from bodyseg_model.training import loop
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import Metrics, RunOptions, Training
-from bodyseg_model.training.loss import part_weights
+from bodyseg_model.training.objective.loss import part_weights
 from bodyseg_model.training.recipes import recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 

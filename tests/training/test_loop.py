@@ -21,8 +21,8 @@ from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.loss import class_pixels
 from bodyseg_model.training.metrics import Metrics
+from bodyseg_model.training.objective.loss import class_pixels
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 

@@ -12,7 +12,8 @@ import torch.nn.functional as F  # noqa: N812
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks.network import Network
-from bodyseg_model.training.loss import NetworkWithLoss, part_weights, shifted
+from bodyseg_model.training.objective.loss import NetworkWithLoss, part_weights
+from bodyseg_model.training.objective.selected_pixels import SelectedPixels
 
 
 def batch(rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -84,12 +85,44 @@ def test_an_image_without_a_body_costs_nothing() -> None:
     assert not counts.any()
 
 
-@pytest.mark.parametrize("by", [-0.375, -0.125, 0.0, 0.125, 0.375])
-def test_shifting_is_linear_interpolation(by: float) -> None:
-    scores = torch.randn(1, 1, 4, 6, dtype=torch.float64)
-    places = np.clip(np.arange(6) + by, 0, 5)
-    expected = np.stack([np.interp(places, np.arange(6), row) for row in scores[0, 0].numpy()])
-    np.testing.assert_allclose(shifted(scores, by, 3)[0, 0].numpy(), expected)
+@pytest.mark.parametrize(("step", "stride"), [(1, 1), (4, 4), (4, 8), (8, 4), (16, 1)])
+def test_scores_at_pixels_are_those_of_the_interpolated_image(step: int, stride: int) -> None:
+    """Also at the image's edges, where its outermost scores hold."""
+    _, labels = batch(22, 35)
+    scores = torch.randn(2, 33, -(-22 // step), -(-35 // step))
+    full = F.interpolate(scores, scale_factor=step, mode="bilinear", align_corners=False)
+    total = 0
+    for row, column in itertools.product(range(stride), range(stride)):
+        pixels = SelectedPixels.of(labels, row, column, stride)
+        expected = full[pixels.image, :, pixels.row, pixels.column]
+        torch.testing.assert_close(pixels.interpolated(scores, step), expected, atol=2e-6, rtol=1e-5)
+        assert torch.equal(pixels.truth, labels[pixels.image, pixels.row, pixels.column].long())
+        total += len(pixels.truth)
+    assert total == int((labels != 255).sum())
+
+
+def test_gradients_of_scores_at_pixels_are_those_of_the_interpolated_image() -> None:
+    _, labels = batch(22, 35)
+    scores = torch.randn(2, 33, 6, 9, requires_grad=True)
+    pixels = SelectedPixels.of(labels, 1, 3, 4)
+    full = F.interpolate(scores, scale_factor=4, mode="bilinear", align_corners=False)
+    parts = pixels.interpolated(scores, 4), full[pixels.image, :, pixels.row, pixels.column]
+    found, expected = (torch.autograd.grad(part.square().sum(), scores)[0] for part in parts)
+    torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("stride", [1, 4, 8, 16])
+def test_the_loss_may_select_more_or_fewer_pixels_than_there_are_scores(stride: int) -> None:
+    network, weights = Compact(CompactSettings(patch=8, widths=(4,), blocks=(0,))).eval(), torch.rand(33) + 0.5
+    range_m, labels = batch(24, 16)
+    found = NetworkWithLoss(network, weights, stride)(range_m, labels, torch.tensor([0.5, 0.0]))
+    row = max(4, stride) // 2
+    truth = labels[:, row :: max(4, stride), :: max(4, stride)].long()
+    with torch.no_grad():
+        scores = network(range_m)[:, :, row :: max(4, stride), :: max(4, stride)]
+    each = F.cross_entropy(scores, truth, weights, ignore_index=255, reduction="none").sum((1, 2))
+    weight = torch.where(truth == 255, 0.0, weights[truth.clamp(max=32)]).sum((1, 2))
+    assert float(found.loss.detach()) == pytest.approx(float((each / weight.clamp(min=1e-6)).mean()), rel=1e-4)
 
 
 def test_rare_parts_weigh_more_and_a_mean_pixel_weighs_one() -> None:

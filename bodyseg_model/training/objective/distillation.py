@@ -13,7 +13,8 @@ import torch
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_model.networks.network import Network
-from bodyseg_model.training.loss import TEMPERATURE, scores_at_offset
+from bodyseg_model.training.objective.loss import TEMPERATURE
+from bodyseg_model.training.objective.selected_pixels import SelectedPixels
 
 
 @dataclass(frozen=True)
@@ -49,17 +50,10 @@ class Teacher:
         return self
 
     @torch.no_grad()
-    def __call__(self, range_m: torch.Tensor, row: int, column: int, stride: int) -> torch.Tensor:
-        """Compute log-probabilities at `TEMPERATURE` of one pixel in each cell of stride x stride pixels, that at
-        (row, column) in it, float32 [B, C, h, w].
+    def __call__(self, range_m: torch.Tensor, pixels: SelectedPixels) -> torch.Tensor:
+        """Compute log-probabilities at `TEMPERATURE` of selected pixels, float32 [N, C].
 
         range_m: float32 [B, 1, H, W], metres, 0 = nothing measured.
         """
-        if self.network.output_stride == stride:
-            rows, columns = (
-                len(range(first, side, stride)) for first, side in zip((row, column), range_m.shape[2:], strict=True)
-            )
-            scores = scores_at_offset(self.network.scores(range_m), row, column, stride)[:, :, :rows, :columns]
-        else:
-            scores = self.network(range_m)[:, :, row::stride, column::stride]
-        return (scores.float() / TEMPERATURE).log_softmax(1)
+        scores = pixels.interpolated(self.network.scores(range_m), self.network.output_stride)
+        return (scores / TEMPERATURE).log_softmax(1)

@@ -10,9 +10,9 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_model.networks.network import Network
+from bodyseg_model.training.objective.selected_pixels import SelectedPixels
 
 TEMPERATURE: Final = 2.0
 """Of distillation: scores of both networks are divided by it before their softmax, so that classes other than the best
@@ -27,7 +27,7 @@ class LossTeacher(Protocol):
     @property
     def share(self) -> float: ...
 
-    def __call__(self, range_m: torch.Tensor, row: int, column: int, stride: int) -> torch.Tensor: ...
+    def __call__(self, range_m: torch.Tensor, pixels: SelectedPixels) -> torch.Tensor: ...
 
 
 class LossAndCounts(NamedTuple):
@@ -84,24 +84,21 @@ class NetworkWithLoss(nn.Module):
             torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
             for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
         )
-        scores, step = self._scores(self.network, range_m, *pixels).float(), self.network.output_stride
-        stride = max(step, self.loss_stride)
+        scores, step = self._scores(self.network, range_m, *pixels), self.network.output_stride
+        stride, images, classes = max(step, self.loss_stride), len(labels), len(self.weights)
         row, column = (int(share * stride) for share in offset.tolist())
-        truth = labels[:, row::stride, column::stride].long()
-        if step > 1:
-            scores = scores_at_offset(scores, row, column, step)
-        scores = scores[:, :, : truth.shape[1], : truth.shape[2]]
-        body, classes = truth != BACKGROUND, len(self.weights)
-        each = F.cross_entropy(scores, truth, self.weights, ignore_index=BACKGROUND, reduction="none")
-        weight = torch.where(body, self.weights[truth.clamp(max=classes - 1)], 0.0)
+        chosen = SelectedPixels.of(labels, row, column, stride)
+        at_pixels = chosen.interpolated(scores, step) if step > 1 else chosen.of_cells(scores)
+        weight = self.weights[chosen.truth]
+        each = weight * F.cross_entropy(at_pixels, chosen.truth, reduction="none")
         if self.teacher is not None:
-            taught = divergence(scores, self.teacher(range_m, row, column, stride))
+            taught = divergence(at_pixels, self.teacher(range_m, chosen))
             each = (1 - self.teacher.share) * each + self.teacher.share * weight * taught
-        loss = (each.sum((1, 2)) / weight.sum((1, 2)).clamp(min=1e-6)).mean()
+        sums, weights = (each.new_zeros(images).index_add(0, chosen.image, values) for values in (each, weight))
         with torch.no_grad():
-            pairs = truth[body] * classes + scores.argmax(1)[body]
+            pairs = chosen.truth * classes + at_pixels.argmax(1)
             counts = torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-        return LossAndCounts(loss, counts)
+        return LossAndCounts((sums / weights.clamp(min=1e-6)).mean(), counts)
 
 
 def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
@@ -110,31 +107,14 @@ def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns
 
 
 def divergence(scores: torch.Tensor, taught: torch.Tensor) -> torch.Tensor:
-    """Kullback-Leibler divergence of a network's probabilities from its teacher's at `TEMPERATURE`, [B, h, w].
+    """Kullback-Leibler divergence of a network's probabilities from its teacher's at `TEMPERATURE`, [N].
 
-    scores: float32 [B, C, h, w]; taught: log-probabilities of the same shape. Multiplied by the square of the
+    scores: float32 [N, C]; taught: log-probabilities of the same shape. Multiplied by the square of the
     temperature, so that gradients are as large as those of the cross-entropy (Hinton, Vinyals and Dean, "Distilling the
     knowledge in a neural network", 2015, section 2).
     """
     learnt = (scores / TEMPERATURE).log_softmax(1)
     return TEMPERATURE**2 * (taught.exp() * (taught - learnt)).sum(1)
-
-
-def scores_at_offset(scores: torch.Tensor, row: int, column: int, step: int) -> torch.Tensor:
-    """Scores `step` pixels apart, [B, C, h, w], interpolated at the pixels (row, column) of their cells."""
-    return shifted(shifted(scores, (row + 0.5) / step - 0.5, 2), (column + 0.5) / step - 0.5, 3)
-
-
-def shifted(scores: torch.Tensor, by: float, axis: int) -> torch.Tensor:
-    """Scores interpolated linearly, `by` cells further along an axis, -1 < by < 1; beyond the edge its value holds."""
-    if by == 0:
-        return scores
-    size = scores.shape[axis]
-    if by > 0:
-        neighbour = torch.cat([scores.narrow(axis, 1, size - 1), scores.narrow(axis, size - 1, 1)], axis)
-    else:
-        neighbour = torch.cat([scores.narrow(axis, 0, 1), scores.narrow(axis, 0, size - 1)], axis)
-    return scores.lerp(neighbour, abs(by))
 
 
 def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:

@@ -1,0 +1,1 @@
+"""What a training minimises: the loss over selected pixels of bodies, by labels and by a teacher."""
