@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F  # noqa: N812  its name everywhere
 
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import BACKGROUND
@@ -43,8 +42,8 @@ class GeometricAugmentation:
         if self == GeometricAugmentation():
             return range_m, labels
         rows, columns = range_m.shape[2:]
-        maps, kept = [], torch.ones(len(keys), 1, rows, columns, dtype=torch.bool)
-        for number, (epoch, key) in enumerate(zip(epochs, keys, strict=True)):
+        maps, cuts = [], []
+        for epoch, key in zip(epochs, keys, strict=True):
             roll, zoom, stretch, cut, side, share = (
                 chance(seed, epoch, key, f"placement {what}")
                 for what in ("roll", "zoom", "stretch", "cut", "side", "share")
@@ -53,32 +52,49 @@ class GeometricAugmentation:
             down = (1 + self.zoom) ** (2 * zoom - 1)
             across = down * (1 + self.stretch) ** (2 * stretch - 1)
             maps.append(_source_map(angle, down, across, rows, columns))
-            if cut < self.cut:
-                _cut_side(kept[number, 0], int(4 * side), share / 2)
-        grid = F.affine_grid(torch.tensor(maps), [len(keys), 1, rows, columns], align_corners=False).to(range_m.device)
-        stacked = torch.cat([range_m, labels[:, None].to(range_m.dtype) + 1], 1)  # + 1: outside becomes 0
-        moved = F.grid_sample(stacked, grid, mode="nearest", padding_mode="zeros", align_corners=False)
-        moved = torch.where(kept.to(range_m.device), moved, 0)
-        named = (moved[:, 1] - 1).clamp(min=-1)
-        return moved[:, :1].contiguous(), torch.where(named < 0, BACKGROUND, named).to(torch.uint8)
+            cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < self.cut else None)
+        sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
+        # A processor's caches hold the positions of one image's pixels; a GPU takes all images together.
+        several = 1 if range_m.device.type == "cpu" else len(keys)
+        parts = [
+            _moved(range_m[first : first + several], labels[first : first + several], sources[first : first + several])
+            for first in range(0, len(keys), several)
+        ]
+        moved, named = (torch.cat(images) for images in zip(*parts, strict=True))
+        for image, place in enumerate(cuts):
+            if place is not None:
+                moved[image, 0][place] = 0
+                named[image][place] = BACKGROUND
+        return moved, named
+
+
+def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Images and labels with each pixel taken from the one nearest to where its `_source_map`, [B, 2, 2], points."""
+    images, _, rows, columns = range_m.shape
+    x, y = ((2 * torch.arange(side, device=maps.device) + 1) / side - 1 for side in (columns, rows))
+    row, column = (
+        (maps[:, axis, 0, None] * x * half)[:, None, :] + ((maps[:, axis, 1, None] * y + 1) * half - 0.5)[:, :, None]
+        for axis, half in ((1, rows / 2), (0, columns / 2))
+    )
+    row, column = row.round_(), column.round_()
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    place = torch.where(inside, row.mul_(columns).add_(column), 0).int()
+    place += torch.arange(images, dtype=torch.int32, device=maps.device)[:, None, None] * (rows * columns)
+    ranges, named = (each.reshape(-1).index_select(0, place.view(-1)).view_as(inside) for each in (range_m, labels))
+    return torch.where(inside, ranges, 0)[:, None], torch.where(inside, named, BACKGROUND)
 
 
 def _source_map(angle: float, down: float, across: float, rows: int, columns: int) -> list[list[float]]:
-    """Affine map from the transformed image to the source, both from -1 to 1 each way: [2, 3], (x, y, 1) -> (x, y)."""
+    """Affine map from the transformed image to the source, both from -1 to 1 each way: [2, 2], (x, y) -> (x, y)."""
     cosine, sine = math.cos(angle), math.sin(angle)
     aspect = rows / columns
-    return [[cosine / across, -sine * aspect / across, 0.0], [sine / aspect / down, cosine / down, 0.0]]
+    return [[cosine / across, -sine * aspect / across], [sine / aspect / down, cosine / down]]
 
 
-def _cut_side(kept: torch.Tensor, side: int, share: float) -> None:
-    """Mark a share of bool [H, W] at its top, bottom, left or right as out of view."""
-    rows, columns = kept.shape
+def _cut_side(side: int, share: float, rows: int, columns: int) -> tuple[slice, slice]:
+    """Rows and columns of a share of an image at its top, bottom, left or right, which are out of view."""
     down, across = int(share * rows), int(share * columns)
-    if side == 0:
-        kept[:down] = False
-    elif side == 1:
-        kept[rows - down :] = False
-    elif side == 2:
-        kept[:, :across] = False
-    else:
-        kept[:, columns - across :] = False
+    every = slice(None)
+    if side < 2:
+        return (slice(down) if side == 0 else slice(rows - down, None)), every
+    return every, (slice(across) if side == 2 else slice(columns - across, None))
