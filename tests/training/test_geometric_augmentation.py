@@ -6,9 +6,10 @@ import math
 
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
+from bodyseg_model.training.geometric_augmentation import GeometricAugmentation, _moved, _source_map
 
 KEYS = [f"body-{number}" for number in range(60)]
 EPOCHS = [0] * len(KEYS)
@@ -96,3 +97,26 @@ def test_draws_belong_to_samples() -> None:
 def test_bad_strengths_are_refused(name: str, value: float) -> None:
     with pytest.raises(BadConfig, match=f"{name} must be from 0 to"):
         GeometricAugmentation(**{name: value})
+
+
+def test_pixels_are_taken_from_where_torchs_sampler_takes_them() -> None:
+    """But for positions halfway between two pixels; images together, as on a GPU, are moved as each alone."""
+    draw = torch.Generator().manual_seed(4)
+    range_m = torch.rand(3, 1, 61, 47, generator=draw)
+    labels = torch.randint(0, 33, (3, 61, 47), generator=draw).to(torch.uint8)
+    placements = ((0.1, 1.2, 0.9), (-0.4, 0.7, 1.0), (0.0, 1.0, 1.3))
+    maps = torch.tensor([_source_map(*placement, 61, 47) for placement in placements])
+    seen, named = _moved(range_m, labels, maps)
+
+    affine = torch.cat([maps, torch.zeros(3, 2, 1)], 2)
+    grid = F.affine_grid(affine, [3, 1, 61, 47], align_corners=False)
+    pair = torch.cat([range_m, labels[:, None] + 1.0], 1)
+    expected = F.grid_sample(pair, grid, mode="nearest", padding_mode="zeros", align_corners=False)
+    places = ((grid + 1) * torch.tensor([47, 61]) - 1) / 2
+    clear = ((places % 1 - 0.5).abs() > 1e-4).all(3)
+    assert clear.float().mean() > 0.9
+    assert torch.equal(seen[:, 0][clear], expected[:, 0][clear])
+    assert torch.equal(named[clear], torch.where(expected[:, 1] == 0, 255, expected[:, 1] - 1).to(torch.uint8)[clear])
+    for image in range(3):
+        alone = _moved(*(each[image : image + 1] for each in (range_m, labels, maps)))
+        assert torch.equal(alone[0][0], seen[image]) and torch.equal(alone[1][0], named[image])

@@ -1,1 +1,1 @@
-"""What a training minimises: the loss over selected pixels of bodies, by labels and by a teacher."""
+"""The loss of a training over selected pixels of bodies, by labels and by a teacher."""

@@ -22,7 +22,7 @@ _SAMPLES_FOR_WEIGHTS: Final = 128
 
 
 class LossTeacher(Protocol):
-    """What the loss asks of a teacher; see `distillation.Teacher`. share: its share of the loss."""
+    """A teacher as the loss calls it; see `distillation.Teacher`. share: its share of the loss."""
 
     @property
     def share(self) -> float: ...
