@@ -11,6 +11,7 @@ the wall behind it there is no surface.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -37,6 +38,8 @@ far outside the frame."""
 STEP: Final = 64
 """Views larger than the trained camera's image are so by multiples of this, pixels: a runtime prepares for every size
 that it meets, and views of one size go through a network together."""
+
+USUAL_PEOPLE: Final = 3
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -123,6 +126,18 @@ def view_body(
     inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
     form.move_ranges(box, rig.stand_off_m - median, nearest, farthest, inside)
     return BodyView(view, corner, view_pixels, turn, median, scale)
+
+
+def usual_views(rig: Rig) -> Iterator[list[NDArray[np.float32]]]:
+    """Views, as in `BodyView`, of the sizes and numbers that most frames give: of the trained camera's image and wider
+    ones up to a square, each alone, and up to `USUAL_PEOPLE` of the first together. All show a surface at the
+    stand-off.
+    """
+    rows, columns = rig.camera.rows, rig.camera.columns
+    for width in range(columns, max(rows, columns) + STEP, STEP):
+        view = np.zeros((rows, width), np.float32)
+        view[: rows // 4] = rig.stand_off_m
+        yield from ([view] * several for several in range(1, USUAL_PEOPLE + 1 if width == columns else 2))
 
 
 def _in_steps(trained: int, needed: int) -> int:

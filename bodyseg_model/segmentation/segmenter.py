@@ -23,7 +23,7 @@ from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.resampling import BodyView, view_body
+from bodyseg_model.segmentation.resampling import BodyView, usual_views, view_body
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.undistortion import Undistortion
 
@@ -266,14 +266,16 @@ class Segmenter:
             yield self.label(each)
 
     def prepare(self) -> None:
-        """Load the compiled loops and run the network once, so that the first frame takes no longer than others."""
+        """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
+        takes longer for each size of views, and each number of them together, that it has not met.
+        """
         rows, columns = self.camera.rows, self.camera.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
         find_bodies(room, self.camera, self.background)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
-        view = np.full((self.rig.camera.rows, self.rig.camera.columns), self.rig.stand_off_m, np.float32)
-        predict_each(self._network, [view])
+        for views in usual_views(self.rig):
+            predict_each(self._network, views)
 
 
 class Segmenters:

@@ -18,7 +18,7 @@ from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.segmentation import resampling
-from bodyseg_model.segmentation.resampling import LARGEST_SIDE, BodyView, view_body
+from bodyseg_model.segmentation.resampling import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views, view_body
 
 PAPER = load_rig()
 NEAREST_M, FARTHEST_M = PAPER.range_step_m, 65535 * PAPER.range_step_m
@@ -257,3 +257,17 @@ def test_a_view_beyond_reason_is_refused() -> None:
         viewed(image, KINECT_1)
     wide = replace(KINECT_1, focal_px=KINECT_1.focal_px * 60)
     assert max(viewed(image, wide).range_m.shape) < LARGEST_SIDE
+
+
+def test_usual_views_are_of_the_sizes_and_numbers_that_frames_give() -> None:
+    rig = load_rig()
+    rows, columns = rig.camera.rows, rig.camera.columns
+    assert [(len(views), *views[0].shape) for views in usual_views(rig)] == [
+        *((several, rows, columns) for several in range(1, USUAL_PEOPLE + 1)),
+        *((1, rows, columns + STEP * wider) for wider in range(1, 6)),
+    ]
+    assert columns + 4 * STEP < rows <= columns + 5 * STEP
+    for views in usual_views(rig):
+        assert all(view.dtype == np.float32 and (view == rig.stand_off_m).any() for view in views)
+    landscape = replace(rig, camera=replace(rig.camera, rows=480, columns=640))
+    assert {views[0].shape for views in usual_views(landscape)} == {(480, 640)}

@@ -32,6 +32,7 @@ from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.resampling import usual_views
 from bodyseg_model.segmentation.undistortion import Undistortion
 
 Frame = NDArray[np.uint16]
@@ -411,9 +412,10 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out, label = tmp_path / "out", network.scores
+    before = sum(1 for _ in usual_views(SMALL))
 
     def interrupted(range_m: torch.Tensor) -> torch.Tensor:
-        if len(network.seen) == 4:  # one image before all frames
+        if len(network.seen) == before + 3:
             raise KeyboardInterrupt
         return label(range_m)
 
