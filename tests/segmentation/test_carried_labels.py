@@ -15,7 +15,7 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
 from bodyseg_model.segmentation.temporal.cell_loops import Lens
-from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT
+from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT, nearest, nearest_first
 from bodyseg_model.segmentation.temporal.motion import still
 from bodyseg_model.segmentation.temporal.part_loops import match_parts, peak
 
@@ -195,6 +195,23 @@ def test_evidence_is_that_of_a_plain_count() -> None:
         found.append(carried(range_m, image, [(pixels, confidence.ravel())], LENS)[20:80, 60:100])
     np.testing.assert_array_equal(found, counted(frames, rule))
     assert any((shown != labels).any() for shown, (labels, _) in zip(found, frames, strict=True))
+
+
+@pytest.mark.parametrize("reach", [0, 1, 2, 4])
+def test_a_point_is_sought_at_the_nearest_pixel_of_its_range(reach: int) -> None:
+    """Of equally near ones the first in reading order, none outside the image; by a plain search."""
+    lens, draws = Lens(30.0, 6.0, 5.0, 12, 10, 3, 4, 4), np.random.default_rng(5)
+    old = draws.choice(np.array([0.0, 2.0, 2.02, 2.5], np.float32), 120, p=[0.6, 0.1, 0.1, 0.2])
+    steps = nearest_first(reach)
+    for line, column in np.ndindex(10, 12):
+        fits = [
+            ((v - line) ** 2 + (u - column) ** 2, v, u)
+            for v, u in np.ndindex(10, 12)
+            if 0 < max(abs(v - line), abs(u - column)) <= reach and abs(old[v * 12 + u] - 2.01) <= 0.03
+        ]
+        expected = -1 if not fits else min(fits)[1] * 12 + min(fits)[2]
+        args = np.float32(2.01), old, lens, np.float32(0.03), reach, steps
+        assert nearest(column, line, *args) == expected
 
 
 def test_labels_that_slide_along_a_board_are_followed() -> None:

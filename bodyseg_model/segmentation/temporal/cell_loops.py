@@ -73,11 +73,11 @@ def average_cells(range_m: Any, pixels: Any, labels: Any, lens: Any, jump: Any) 
             v = pixel // lens.columns
             first, beyond = v * lens.columns, (v + 1) * lens.columns
             row, used = (v // lens.side) * lens.across, v % step == 0
-        if used and column[pixel - first] >= 0:
-            c = row + column[pixel - first]
-            total[c] += range_m[pixel]
-            many[c] += 1
-            chosen[number], cell[number] = i, c
+        if used and column[np.uint64(pixel - first)] >= 0:
+            c = row + column[np.uint64(pixel - first)]
+            total[np.uint64(c)] += range_m[np.uint64(pixel)]
+            many[np.uint64(c)] += 1
+            chosen[number], cell[number] = pixel, c
             number += 1
     index, mean = np.full(count, -1, np.int32), np.zeros(count, np.float32)
     found = 0
@@ -90,29 +90,29 @@ def average_cells(range_m: Any, pixels: Any, labels: Any, lens: Any, jump: Any) 
     # The pixel nearest the mean range decides which of two surfaces in a cell is meant.
     middle, off, spread = np.empty(found, np.float32), np.full(found, np.float32(np.inf)), np.zeros(found, np.float32)
     for k in range(number):
-        c, z = cell[k], range_m[pixels[chosen[k]]]
-        away, m = abs(z - mean[c]), index[c]
-        spread[m] += away * away
-        place[m] = c
-        if away < off[m]:
-            off[m], middle[m], named[m] = away, z, labels[pixels[chosen[k]]]
+        place_of, z = np.uint64(cell[k]), range_m[np.uint64(chosen[k])]
+        away, own = abs(z - mean[place_of]), np.uint64(index[place_of])
+        spread[own] += away * away
+        place[own] = place_of
+        if away < off[own]:
+            off[own], middle[own], named[own] = away, z, labels[np.uint64(chosen[k])]
     deviations, known = np.empty(found, np.float32), 0
     for m in range(found):
         if many[place[m]] >= _LEAST_FOR_NOISE:
             deviations[known] = math.sqrt(spread[m] / (many[place[m]] - 1))
             known += 1
-    noise = np.sort(deviations[:known])[known // 2] if known else _ZERO
+    noise = np.partition(deviations[:known], known // 2)[known // 2] if known else _ZERO
     reach = max(jump, 2 * noise)
     kept = np.zeros(found, np.int32)
     for k in range(number):
-        m, pixel = index[cell[k]], pixels[chosen[k]]
-        z = range_m[pixel]
-        if abs(z - middle[m]) <= reach:
+        own, pixel = np.uint64(index[np.uint64(cell[k])]), chosen[k]
+        z = range_m[np.uint64(pixel)]
+        if abs(z - middle[own]) <= reach:
             v = pixel // lens.columns
-            kept[m] += 1
-            points[m, 0] += pixel - v * lens.columns
-            points[m, 1] += v
-            points[m, 2] += z
+            kept[own] += 1
+            points[own, 0] += pixel - v * lens.columns
+            points[own, 1] += v
+            points[own, 2] += z
     for m in range(found):
         z = points[m, 2] / kept[m]
         points[m, 0] = (points[m, 0] / kept[m] + _HALF - lens.x) / lens.focal * z
@@ -145,8 +145,10 @@ def link_cells(index: Any, place: Any, points: Any, lens: Any, jump: Any) -> Any
         right = neighbours[m, 1] if neighbours[m, 1] >= 0 else m
         above = neighbours[m, 2] if neighbours[m, 2] >= 0 else m
         below = neighbours[m, 3] if neighbours[m, 3] >= 0 else m
-        ax, ay, az = points[right] - points[left]
-        bx, by, bz = points[below] - points[above]
+        # One number at a time: a difference of two rows would be a new array for every cell.
+        ax, bx = points[right, 0] - points[left, 0], points[below, 0] - points[above, 0]
+        ay, by = points[right, 1] - points[left, 1], points[below, 1] - points[above, 1]
+        az, bz = points[right, 2] - points[left, 2], points[below, 2] - points[above, 2]
         x, y, z = ay * bz - by * az, az * bx - bz * ax, ax * by - bx * ay
         length = math.sqrt(x * x + y * y + z * z)
         if length > 0:

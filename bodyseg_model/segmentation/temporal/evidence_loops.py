@@ -52,18 +52,34 @@ def begin(range_m: Any, pixels: Any, labels: Any, confidence: Any, ranges: Any, 
 
 
 @_kernel
-def nearest(column: Any, line: Any, z: Any, old_range_m: Any, lens: Any, tolerance: Any, reach: Any) -> Any:
-    """The pixel nearest to (column, line), up to `reach` away along each axis, whose old range is within `tolerance` of
-    z, metres; of several the first in reading order; -1 for none.
+def nearest_first(reach: Any) -> Any:
+    """Steps along rows and columns, int64 [N, 2], of all pixels up to `reach` away along each axis but (0, 0): the
+    nearest first, equally near ones in reading order.
     """
-    found, least = np.int64(-1), np.int64(1 << 30)
-    for v in range(max(line - reach, 0), min(line + reach + 1, lens.rows)):
-        for u in range(max(column - reach, 0), min(column + reach + 1, lens.columns)):
-            p = v * lens.columns + u
-            away = (u - column) ** 2 + (v - line) ** 2
-            if away < least and old_range_m[p] > 0 and abs(old_range_m[p] - z) <= tolerance:
-                found, least = p, away
+    found, count = np.empty(((2 * reach + 1) ** 2 - 1, 2), np.int64), 0
+    for squared in range(1, 2 * reach * reach + 1):
+        for v in range(-reach, reach + 1):
+            for u in range(-reach, reach + 1):
+                if u * u + v * v == squared:
+                    found[count, 0], found[count, 1] = v, u
+                    count += 1
     return found
+
+
+@_kernel
+def nearest(column: Any, line: Any, z: Any, old_range_m: Any, lens: Any, tolerance: Any, reach: Any, steps: Any) -> Any:
+    """The first pixel, by `steps`, those of `nearest_first` up to `reach`, from (column, line), whose old range is
+    within `tolerance` of z, metres; -1 for none.
+    """
+    here = line * lens.columns + column
+    inside = reach <= line < lens.rows - reach and reach <= column < lens.columns - reach
+    for n in range(len(steps)):
+        v, u = steps[n, 0], steps[n, 1]
+        if inside or (0 <= line + v < lens.rows and 0 <= column + u < lens.columns):
+            p = np.uint64(here + v * lens.columns + u)
+            if (old_range_m[p] > 0) & (abs(old_range_m[p] - z) <= tolerance):
+                return np.int64(p)
+    return np.int64(-1)
 
 
 @_kernel
@@ -100,6 +116,7 @@ def carry(
     changes if another has more evidence by more than `margin`, in units. Written at `pixels`: ranges, float32, metres,
     slots, uint32 [H * W, SLOTS], and shown, uint8, labels.
     """
+    steps = nearest_first(reach)
     x_of, cell_of = np.empty(lens.columns, np.float32), np.empty(lens.columns, np.int32)
     focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)
     for u in range(lens.columns):
@@ -118,13 +135,15 @@ def carry(
             v = pixel // lens.columns
             first, beyond, row = v * lens.columns, (v + 1) * lens.columns, (v // lens.side) * lens.across
             y_of = (np.float32(v) + _HALF - cy) / focal
+        # Indices are uint64: int64 would be tested for counting from the end.
         p, u = np.uint64(pixel), pixel - first
         z, label = range_m[p], np.uint32(labels[p])
-        x, y = x_of[u] * z, y_of * z
-        cell = index[row + cell_of[u]]
+        x, y = x_of[np.uint64(u)] * z, y_of * z
+        cell = index[np.uint64(row + cell_of[np.uint64(u)])]
         px, py, pz = a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + l
         if cell >= 0:
-            px, py, pz = px + field[cell, 0], py + field[cell, 1], pz + field[cell, 2]
+            m = np.uint64(cell)
+            px, py, pz = px + field[m, 0], py + field[m, 1], pz + field[m, 2]
         found, column, line = np.int64(-1), np.int64(-1), np.int64(-1)
         if pz > _NEAREST_M:
             scale = focal / pz
@@ -136,7 +155,7 @@ def carry(
                     if not abs(old_range_m[np.uint64(found)] - pz) <= tolerance or old_range_m[np.uint64(found)] <= 0:
                         found = np.int64(-1)
                 if found < 0:
-                    found = nearest(column, line, pz, old_range_m, lens, tolerance, reach)
+                    found = nearest(column, line, pz, old_range_m, lens, tolerance, reach, steps)
         ranges[p] = z
         weight = weight_of(confidence[n])
         if found < 0:
@@ -144,11 +163,11 @@ def carry(
             shown[p] = labels[p]
             continue
         o = np.uint64(found)
-        away = min(abs(column - u) + abs(line - v), _FAST - 1)
-        share = shares[away]
+        moved = np.uint64(min(abs(column - u) + abs(line - v), _FAST - 1))
+        share = shares[moved]
         other = (old_slots[o, 0] & _LABEL) != label
         if other and shown_near(found, label, pz, old_range_m, old_slots, lens, tolerance, border):
-            share = border_shares[away]
+            share = border_shares[moved]
         one, two, three = old_slots[o, 0], old_slots[o, 1], old_slots[o, 2]
         n1, n2, n3 = one & _LABEL, two & _LABEL, three & _LABEL
         w1 = ((one >> _BITS) * share) >> _SHARE_BITS

@@ -20,6 +20,7 @@ _kernel = partial(compiled, feature="carrying labels through a video")
 _ZERO: Final = np.float32(0)
 _STILL: Final = 1.0  # weight of no further motion in a rigid step, against one for every cell
 _STILL_TURN: Final = 0.002  # of a turn, square metres
+_WIDTH: Final = 8  # columns of the table of a rigid step, of which 7 are used: whole vectors are added faster
 
 
 @_kernel
@@ -35,13 +36,22 @@ def cell_at(x: Any, y: Any, z: Any, index: Any, lens: Any) -> Any:
 
 
 @_kernel
+def move(motion: Any, point: Any) -> Any:
+    """A point, float32 [3], metres, after a rigid motion, float64 [3, 4]: three float32."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        np.float32(motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]),
+        np.float32(motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]),
+        np.float32(motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]),
+    )
+
+
+@_kernel
 def moved(motion: Any, points: Any) -> Any:
     """Points [M, 3] after a rigid motion, float64 [3, 4], as float32 [M, 3]."""
     found = np.empty((len(points), 3), np.float32)
     for m in range(len(points)):
-        x, y, z = points[m]
-        for i in range(3):
-            found[m, i] = motion[i, 0] * x + motion[i, 1] * y + motion[i, 2] * z + motion[i, 3]
+        found[m, 0], found[m, 1], found[m, 2] = move(motion, points[m])
     return found
 
 
@@ -49,12 +59,11 @@ def moved(motion: Any, points: Any) -> Any:
 def misfit(points: Any, motion: Any, old_index: Any, old_points: Any, lens: Any, gate: Any) -> Any:
     """Mean difference of range, metres, between moved points and the cells they meet; `gate` where they meet none."""
     total = 0.0
-    places = moved(motion, points)
-    for m in range(len(places)):
-        x, y, z = places[m]
+    for m in range(len(points)):
+        x, y, z = move(motion, points[m])
         o = cell_at(x, y, z, old_index, lens)
         total += min(abs(old_points[o, 2] - z), gate) if o >= 0 else gate
-    return total / max(len(places), 1)
+    return total / max(len(points), 1)
 
 
 @_kernel
@@ -64,7 +73,7 @@ def fit_rigid(
     """Improve `motion`, float64 [3, 4], in place, by Gauss-Newton steps on the distances of moved points to the planes
     of the cells they meet; distances beyond `gate`, metres, do not count (Tukey's weights).
     """
-    table, row = np.empty((6, 7)), np.empty(6)
+    table, row = np.empty((6, _WIDTH)), np.zeros(_WIDTH)
     for _ in range(steps):
         table[:] = 0
         places = moved(motion, points)
@@ -73,20 +82,20 @@ def fit_rigid(
             mx, my, mz = mx + places[m, 0], my + places[m, 1], mz + places[m, 2]
         mx, my, mz = mx / len(places), my / len(places), mz / len(places)
         for m in range(len(places)):
-            x, y, z = places[m]
+            x, y, z = places[m, 0], places[m, 1], places[m, 2]
             o = cell_at(x, y, z, old_index, lens)
             if o < 0 or abs(old_points[o, 2] - z) > gate:
                 continue
-            nx, ny, nz = old_normals[o]
+            nx, ny, nz = old_normals[o, 0], old_normals[o, 1], old_normals[o, 2]
             away = nx * (old_points[o, 0] - x) + ny * (old_points[o, 1] - y) + nz * (old_points[o, 2] - z)
             weight = max(1 - (away / gate) ** 2, 0.0) ** 2
             px, py, pz = x - mx, y - my, z - mz
             row[0], row[1], row[2] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
-            row[3], row[4], row[5] = nx, ny, nz
+            row[3], row[4], row[5], row[6] = nx, ny, nz, away
             for i in range(6):
-                for j in range(i, 6):
-                    table[i, j] += weight * row[i] * row[j]
-                table[i, 6] += weight * row[i] * away
+                share = weight * row[i]
+                for j in range(_WIDTH):
+                    table[i, j] += share * row[j]
         for i in range(6):
             for j in range(i):
                 table[i, j] = table[j, i]
@@ -102,7 +111,7 @@ def fit_rigid(
 
 @_kernel
 def solve(table: Any) -> None:
-    """Solve a positive definite system [n, n + 1] in place: the last column becomes the solution."""
+    """Solve a positive definite system of n rows in place: column n, the right side, becomes the solution."""
     count = len(table)
     for i in range(count):
         for j in range(i + 1, count):
@@ -163,8 +172,8 @@ def relax(
                 x, y, z = own * shifts[part, 0], own * shifts[part, 1], own * shifts[part, 2]
                 near += own
                 for side in range(4):
-                    o = neighbours[m, side]
-                    if o >= 0:
+                    if neighbours[m, side] >= 0:
+                        o = np.uint64(neighbours[m, side])
                         near += 1
                         x, y, z = x + field[o, 0], y + field[o, 1], z + field[o, 2]
                 x, y, z = x / near, y / near, z / near

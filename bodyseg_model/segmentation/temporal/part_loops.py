@@ -87,7 +87,7 @@ def match_parts(
         u = pixel - first
         if skipped or not chosen[u]:
             continue
-        part, z = labels[pixel], range_m[pixel]
+        part, z = labels[np.uint64(pixel)], range_m[np.uint64(pixel)]
         x, y = (u + 0.5 - lens.x) / lens.focal * z, (v + 0.5 - lens.y) / lens.focal * z
         px = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3] + shifts[part, 0]
         py = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3] + shifts[part, 1]
@@ -100,11 +100,11 @@ def match_parts(
         used[part] += 1
         depth[part] += pz
         for i in range(wide):
-            corner = (line + i - reach) * lens.columns + column - reach
-            for j in range(wide):
-                old = old_range_m[corner + j]
-                if old > 0 and abs(old - pz) <= tolerance:
-                    counts[part, i, j] += 1 if (old_slots[corner + j, 0] & _LABEL) == part else -1
+            corner = np.uint64((line + i - reach) * lens.columns + column - reach)
+            for j in range(np.uint64(wide)):
+                old, agrees = old_range_m[corner + j], (old_slots[corner + j, 0] & _LABEL) == part
+                meets = (old > 0) & (abs(old - pz) <= tolerance)
+                counts[part, i, j] += np.int64(meets) * (2 * np.int64(agrees) - 1)
     for part in range(_PARTS):
         if used[part] < _LEAST_PIXELS:
             continue
