@@ -107,9 +107,8 @@ def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
         taken[number] = True
         pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
         taken[pieces] = True
-        bodies.append(
-            np.sort(np.concatenate([surfaces.pixels_of(piece) for piece in (number, *pieces)]), kind="stable")
-        )
+        pixels = [surfaces.pixels_of(piece) for piece in (number, *pieces)]
+        bodies.append(np.sort(np.concatenate(pixels), kind="stable") if len(pieces) else pixels[0])
     return tuple(bodies)
 
 

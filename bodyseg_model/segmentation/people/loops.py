@@ -162,9 +162,12 @@ def list_pixels(segments: Any, number: Any, pixels: Any) -> None:
     count = 0
     for segment in range(segments.shape[1]):
         if segments[2, segment] == number:
-            for pixel in range(segments[0, segment], segments[1, segment]):
-                pixels[count] = pixel
-                count += 1
+            first = segments[0, segment]
+            long = segments[1, segment] - first
+            of_segment = pixels[count : count + long]
+            for i in range(long):
+                of_segment[i] = first + i
+            count += long
 
 
 @_kernel
@@ -185,19 +188,32 @@ def bound_surfaces(flat: Any, columns: Any, segments: Any, lowest: Any, highest:
 
 
 @_kernel
+def _first_from(pixels: Any, first: Any, least: Any) -> Any:
+    """The first place from `first` on at which ascending pixels are at least `least`; their number if there is none."""
+    low, high = first, min(pixels.size, first + least - pixels[first])
+    while low < high:
+        middle = (low + high) // 2
+        if pixels[middle] < least:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@_kernel
 def remove_pixels(range_m: Any, level: Any, pixels: Any, gone: Any) -> None:
     """Make those of ascending pixels that are `gone` unmeasured in a range image, and in its framed `level`."""
-    columns = range_m.shape[1]
-    row, row_end = 0, columns
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row += 1
-            row_end += columns
-        if gone[i]:
-            column = pixel - row_end + columns
-            range_m[row, column] = _NOTHING
-            level[row + 3, column + 3] = _UNMEASURED
+    columns, first = range_m.shape[1], 0
+    while first < pixels.size:
+        row = pixels[first] // columns
+        start, end = row * columns, _first_from(pixels, first, (row + 1) * columns)
+        ranges, levels = range_m[row], level[row + 3, 3:]
+        for i in range(first, end):
+            if gone[i]:
+                column = np.uint64(pixels[i] - start)
+                ranges[column] = _NOTHING
+                levels[column] = _UNMEASURED
+        first = end
 
 
 @_kernel
@@ -263,18 +279,18 @@ def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tole
     """
     a, b, c = plane[0], plane[1], plane[2]
     across, down, focal_px = lens[0], lens[1], lens[2]
-    total = 0.0
-    row, row_end = 0, columns
-    y = (0.5 - down) / focal_px * b
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row += 1
-            row_end += columns
-            y = (np.float64(row) + 0.5 - down) / focal_px * b
-        z = np.float64(flat[pixel])
-        x = (np.float64(pixel - row_end + columns) + 0.5 - across) / focal_px
-        near[i] = abs(x * a + y + c - 1.0 / z) <= tolerance
-        if near[i]:
-            total += z * z * z
+    total, first = 0.0, 0
+    while first < pixels.size:
+        row = pixels[first] // columns
+        start, end = row * columns, _first_from(pixels, first, (row + 1) * columns)
+        y = (np.float64(row) + 0.5 - down) / focal_px * b
+        of_row, marks = pixels[first:end], near[first:end]
+        for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
+            x = (np.float64(of_row[i] - start) + 0.5 - across) / focal_px
+            marks[i] = abs(x * a + y + c - 1.0 / np.float64(flat[np.uint64(of_row[i])])) <= tolerance
+        for i in range(of_row.size):
+            if marks[i]:
+                z = np.float64(flat[np.uint64(of_row[i])])
+                total += z * z * z
+        first = end
     return total

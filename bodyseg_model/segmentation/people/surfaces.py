@@ -25,6 +25,8 @@ SHADOW_M: Final = 0.15
 """Widest shadow that does not divide a surface, metres: pixels of a row are also neighbours if nothing was measured
 between them and they are no farther apart than this at the nearer one's range. An arm's shadow falls on the trunk."""
 
+_ROWS: Final = 32
+
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -58,13 +60,17 @@ def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     rows, columns = range_m.shape
     level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + GAP_PIXELS - 1), np.inf, np.float32)
-    inner = within(level)
     limit = JUMP_M / JUMP_SHARE
-    np.divide(range_m, JUMP_M, out=inner)
-    far = range_m > limit
-    if far.any():
-        np.copyto(inner, (1 + np.log(np.maximum(range_m, limit) / limit)) / JUMP_SHARE, where=far)
-    np.copyto(inner, np.inf, where=range_m <= 0)
+    some, beyond = np.empty((_ROWS, columns), np.float32), np.empty((_ROWS, columns), np.bool_)
+    for first in range(0, rows, _ROWS):  # few rows at a time, which stay in a processor's cache
+        ranges, inner = range_m[first : first + _ROWS], within(level)[first : first + _ROWS]
+        far, value = beyond[: len(ranges)], some[: len(ranges)]
+        np.divide(ranges, JUMP_M, out=inner)
+        if np.greater(ranges, limit, out=far).any():
+            np.divide(np.maximum(ranges, limit, out=value), limit, out=value)
+            np.divide(np.add(np.log(value, out=value), 1, out=value), JUMP_SHARE, out=value)
+            np.copyto(inner, value, where=far)
+        np.copyto(inner, np.inf, where=np.less_equal(ranges, 0, out=far))
     return level
 
 
