@@ -40,6 +40,7 @@ STEP: Final = 64
 that it meets, and views of one size go through a network together."""
 
 USUAL_PEOPLE: Final = 3
+"""Surfaces of one size that a frame may show a network, for which `usual_views` prepares it."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -25,7 +25,7 @@ SHADOW_M: Final = 0.15
 """Widest shadow that does not divide a surface, metres: pixels of a row are also neighbours if nothing was measured
 between them and they are no farther apart than this at the nearer one's range. An arm's shadow falls on the trunk."""
 
-_ROWS: Final = 32
+_ROWS: Final = 32  # of 1024 pixels: with what is computed of them, a quarter of a megabyte
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
