@@ -18,6 +18,7 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, save_network, shipped_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.runtimes.backends import backend_of, load_run, on_backend, to_device
+from bodyseg_model.runtimes.folding import folded
 from bodyseg_model.runtimes.graphs import answer_graph, import_onnx, scores_part
 from bodyseg_model.runtimes.onnx_files import GraphFacts, OnnxModel, export_trained, read_onnx, to_onnx, write_onnx
 from bodyseg_model.runtimes.quantisation import quantised
@@ -91,6 +92,17 @@ def test_bfloat16_is_near() -> None:
         assert backend_of(moved)["precision"] == "bfloat16"
         differ = (predict(moved, range_m).labels != expected.labels).sum() / (expected.labels != 255).sum()
         assert 0 < differ < 0.1
+
+
+@pytest.mark.parametrize(("name", "settings"), [("compact", TINY), ("fcn_alexnet", {"width": 1 / 16})])
+def test_weights_that_are_rounded_once_give_autocasts_bits(name: str, settings: dict[str, Any]) -> None:
+    network, range_m = build(name, settings, seed=3).eval(), frames(1)
+    found = on_backend(network, "torch", "bfloat16")
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+        expected = folded(network).scores(range_m)
+    with torch.inference_mode():
+        assert torch.equal(found.scores(range_m), expected)
+    assert all(weight.dtype == torch.float32 for weight in network.parameters())
 
 
 def test_int8_is_near_and_says_what_it_was_calibrated_on(tmp_path: Path) -> None:
