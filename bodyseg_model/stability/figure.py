@@ -96,7 +96,8 @@ def _panel(axis: Any, sweep: Tree, bound: float) -> None:
         axis.invert_xaxis()  # severity rises to the right
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
     axis.set_xlabel(sweep["axis"], fontsize=9.5)
-    axis.set_title(sweep["title"] + ("" if sweep["counts"] else " (not in mCE, mRR)"), loc="left", fontsize=10.5)
+    # In two lines: longer titles would run into the next panel's.
+    axis.set_title(sweep["title"] + ("" if sweep["counts"] else "\n(not in mCE, mRR)"), loc="left", fontsize=10.5)
     axis.grid(axis="y", color="#e2e2e2", linewidth=0.6)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
