@@ -101,18 +101,16 @@ class Compact(Network):
         """Compute scores of every fourth pixel each way; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        relief = relief_of(range_m)
-        edge = (0, -columns % self._cell, 0, -rows % self._cell)
+        relief = F.pad(relief_of(range_m), (0, -columns % self._cell, 0, -rows % self._cell))
         if self._shrink > 1:
-            relief, edge = shrunk(F.pad(relief, edge), self._shrink), (0, 0, 0, 0)
-        measured = relief[:, 1:]
-        x = self.embed(_patches(F.pad(_as_layers_compute(relief), edge), self._patch))
+            relief = shrunk(relief, self._shrink)
+        x = self.embed(_patches(_as_layers_compute(relief), self._patch))
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(_mean_over_body(x, F.pad(measured, edge), self._patch << (len(seen) - 1)))
+            x = x + self.context(_mean_over_body(x, relief[:, 1:], self._patch << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = _spread(self.head(x), self._fine)
@@ -139,7 +137,9 @@ def _patches(x: torch.Tensor, side: int) -> torch.Tensor:
 
 def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
     """`F.pixel_shuffle`, [B, C side^2, h, w] -> [B, C, h side, w side], whose gradient is one copy, too."""
-    if side == 1 or torch.onnx.is_in_onnx_export():
+    if side == 1:
+        return x
+    if torch.onnx.is_in_onnx_export():
         return F.pixel_shuffle(x, side)
     batch, channels, rows, columns = x.shape
     parts = x.permute(0, 2, 3, 1).reshape(batch, rows, columns, channels // side**2, side, side)

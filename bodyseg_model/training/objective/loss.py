@@ -88,7 +88,7 @@ class NetworkWithLoss(nn.Module):
         stride, images, classes = max(step, self.loss_stride), len(labels), len(self.weights)
         row, column = (int(share * stride) for share in offset.tolist())
         chosen = SelectedPixels.of(labels, row, column, stride)
-        at_pixels = chosen.interpolated(scores, step) if step > 1 else chosen.of_cells(scores)
+        at_pixels = chosen.interpolated(scores, step) if step > 1 else chosen.of_cells(scores, stride)
         weight = self.weights[chosen.truth]
         each = weight * F.cross_entropy(at_pixels, chosen.truth, reduction="none")
         if self.teacher is not None:

@@ -14,8 +14,8 @@ from bodyseg_data.core.parts import BACKGROUND
 class SelectedPixels:
     """N pixels of the bodies in B images: of every cell of stride x stride pixels the one at the same offset.
 
-    image, row, column: int64 [N], place of each pixel, row and column in pixels of the image. cell_row, cell_column:
-    int64 [N], its cell. truth: int64 [N], its class.
+    image, row, column: int64 [N], place of each pixel, row and column in pixels of the image. truth: int64 [N], its
+    class.
 
     Scores are computed at these alone, since most pixels of an image show no body.
     """
@@ -23,21 +23,18 @@ class SelectedPixels:
     image: torch.Tensor
     row: torch.Tensor
     column: torch.Tensor
-    cell_row: torch.Tensor
-    cell_column: torch.Tensor
     truth: torch.Tensor
 
     @classmethod
     def of(cls, labels: torch.Tensor, row: int, column: int, stride: int) -> Self:
         """Select in labels, uint8 [B, H, W]: `row` and `column` are the offset in the cells, pixels."""
         cells = labels[:, row::stride, column::stride]
-        image, cell_row, cell_column = (cells != BACKGROUND).nonzero(as_tuple=True)
-        truth = cells[image, cell_row, cell_column].long()
-        return cls(image, cell_row * stride + row, cell_column * stride + column, cell_row, cell_column, truth)
+        image, down, across = (cells != BACKGROUND).nonzero(as_tuple=True)
+        return cls(image, down * stride + row, across * stride + column, cells[image, down, across].long())
 
-    def of_cells(self, scores: torch.Tensor) -> torch.Tensor:
+    def of_cells(self, scores: torch.Tensor, stride: int) -> torch.Tensor:
         """Scores of these pixels, float32 [N, C], from the scores of the selected pixel of each cell [B, C, h, w]."""
-        return scores.permute(0, 2, 3, 1)[self.image, self.cell_row, self.cell_column].float()
+        return scores.permute(0, 2, 3, 1)[self.image, self.row // stride, self.column // stride].float()
 
     def interpolated(self, scores: torch.Tensor, step: int) -> torch.Tensor:
         """Scores at these pixels, float32 [N, C], interpolated bilinearly as `Network.forward` interpolates.
