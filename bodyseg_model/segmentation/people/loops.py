@@ -188,25 +188,13 @@ def bound_surfaces(flat: Any, columns: Any, segments: Any, lowest: Any, highest:
 
 
 @_kernel
-def _first_from(pixels: Any, first: Any, least: Any) -> Any:
-    """The first place from `first` on at which ascending pixels are at least `least`; their number if there is none."""
-    low, high = first, min(pixels.size, first + least - pixels[first])
-    while low < high:
-        middle = (low + high) // 2
-        if pixels[middle] < least:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@_kernel
 def remove_pixels(range_m: Any, level: Any, pixels: Any, gone: Any) -> None:
     """Make those of ascending pixels that are `gone` unmeasured in a range image, and in its framed `level`."""
     columns, first = range_m.shape[1], 0
     while first < pixels.size:
         row = pixels[first] // columns
-        start, end = row * columns, _first_from(pixels, first, (row + 1) * columns)
+        start = row * columns
+        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
         ranges, levels = range_m[row], level[row + 3, 3:]
         for i in range(first, end):
             if gone[i]:
@@ -282,7 +270,8 @@ def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tole
     total, first = 0.0, 0
     while first < pixels.size:
         row = pixels[first] // columns
-        start, end = row * columns, _first_from(pixels, first, (row + 1) * columns)
+        start = row * columns
+        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
         y = (np.float64(row) + 0.5 - down) / focal_px * b
         of_row, marks = pixels[first:end], near[first:end]
         for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
