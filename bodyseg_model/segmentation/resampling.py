@@ -129,16 +129,17 @@ def view_body(
     return BodyView(view, corner, view_pixels, turn, median, scale)
 
 
-def usual_views(rig: Rig) -> Iterator[list[NDArray[np.float32]]]:
+def usual_views(rig: Rig, together: bool) -> Iterator[list[NDArray[np.float32]]]:
     """Views, as in `BodyView`, of the sizes and numbers that most frames give: of the trained camera's image and wider
-    ones up to a square, each alone, and up to `USUAL_PEOPLE` of the first together. All show a surface at the
-    stand-off.
+    ones up to a square, each alone, and, for a network that takes several `together`, up to `USUAL_PEOPLE` of the
+    first. All show a surface at the stand-off.
     """
     rows, columns = rig.camera.rows, rig.camera.columns
     for width in range(columns, max(rows, columns) + STEP, STEP):
         view = np.zeros((rows, width), np.float32)
         view[: rows // 4] = rig.stand_off_m
-        yield from ([view] * several for several in range(1, USUAL_PEOPLE + 1 if width == columns else 2))
+        most = USUAL_PEOPLE if together and width == columns else 1
+        yield from ([view] * several for several in range(1, most + 1))
 
 
 def _in_steps(trained: int, needed: int) -> int:

@@ -274,7 +274,7 @@ class Segmenter:
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
         find_bodies(room, self.camera, self.background)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
-        for views in usual_views(self.rig):
+        for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)
 
 

@@ -262,12 +262,14 @@ def test_a_view_beyond_reason_is_refused() -> None:
 def test_usual_views_are_of_the_sizes_and_numbers_that_frames_give() -> None:
     rig = load_rig()
     rows, columns = rig.camera.rows, rig.camera.columns
-    assert [(len(views), *views[0].shape) for views in usual_views(rig)] == [
+    assert [(len(views), *views[0].shape) for views in usual_views(rig, True)] == [
         *((several, rows, columns) for several in range(1, USUAL_PEOPLE + 1)),
         *((1, rows, columns + STEP * wider) for wider in range(1, 6)),
     ]
     assert columns + 4 * STEP < rows <= columns + 5 * STEP
-    for views in usual_views(rig):
+    alone = [(1, rows, columns + STEP * wider) for wider in range(6)]
+    assert [(len(views), *views[0].shape) for views in usual_views(rig, False)] == alone
+    for views in usual_views(rig, True):
         assert all(view.dtype == np.float32 and (view == rig.stand_off_m).any() for view in views)
     landscape = replace(rig, camera=replace(rig.camera, rows=480, columns=640))
-    assert {views[0].shape for views in usual_views(landscape)} == {(480, 640)}
+    assert {views[0].shape for views in usual_views(landscape, True)} == {(480, 640)}

@@ -412,7 +412,7 @@ def test_an_interruption_leaves_the_frames_before_it_and_a_repetition_replaces_t
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out, label = tmp_path / "out", network.scores
-    before = sum(1 for _ in usual_views(SMALL))
+    before = sum(1 for _ in usual_views(SMALL, network.together))
 
     def interrupted(range_m: torch.Tensor) -> torch.Tensor:
         if len(network.seen) == before + 3:
