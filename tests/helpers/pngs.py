@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,12 @@ def png(image: np.ndarray[Any, Any] = RAMP, **options: Any) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "PNG", **options)
     return buffer.getvalue()
+
+
+def pixels(path: Path) -> np.ndarray[Any, Any]:
+    """What an image file holds. Compare these, not files: one image may be compressed into other bytes each time."""
+    with Image.open(path) as picture:
+        return np.asarray(picture).copy()
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:

@@ -19,7 +19,7 @@ from folders import SHARED_DATA
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
-from pngs import png
+from pngs import pixels, png
 from small_rig import SMALL
 
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
@@ -82,11 +82,6 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1].startswith("bodyseg segment: ") and not any("Traceback" in line for line in lines)
     return lines[-1].removeprefix("bodyseg segment: ")
-
-
-def pixels(path: Path) -> NDArray[Any]:
-    with Image.open(path) as picture:
-        return np.asarray(picture).copy()
 
 
 def report(out: Path) -> dict[str, Any]:
@@ -394,9 +389,9 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_overlays_labels_and_summary_are_left(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run(recording, "--focal", "100", "--out", out) == 0
-    labels = {path.name: path.read_bytes() for path in (out / "labels").iterdir()}
+    labels = {path.name: pixels(path).tolist() for path in (out / "labels").iterdir()}
     assert run(recording, "--focal", "100", "--out", out, "--no-overlay") == 0
-    assert {path.name: path.read_bytes() for path in (out / "labels").iterdir()} == labels and len(labels) == 5
+    assert {path.name: pixels(path).tolist() for path in (out / "labels").iterdir()} == labels and len(labels) == 5
     assert {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} == {
         *(f"labels/{name}" for name in labels),
         "summary.json",

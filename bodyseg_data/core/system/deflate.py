@@ -9,7 +9,11 @@ from typing import Any
 
 
 def compress(data: Any, level: int) -> bytes:
-    """Compress bytes into zlib's format. level: 0 to 3. isal and zlib write other streams of the same content."""
+    """Compress bytes into zlib's format. level: 0 to 3.
+
+    isal and zlib write other streams of the same content, and isal may write another one when it is called again: so
+    what must have the same bytes every time, like shards, is compressed elsewhere.
+    """
     packed: bytes = library().compress(data, level)
     return packed
 
