@@ -252,9 +252,8 @@ def _background(options: Options) -> Background:
 
 
 def _cutoffs(score: PersonScore) -> dict[str, Any]:
-    """Model and cutoff of the score of persons, and the cutoff of the shape, before the network."""
-    own = {"model": score.model, "cutoff": score.cutoff}
-    return own if score.first is None else {**own, "shape_cutoff": score.first.cutoff}
+    """What the score of persons goes by, its cutoff, and that of the shape alone, before the network."""
+    return {"model": score.model, "cutoff": score.cutoff, "thing_below": score.thing_below}
 
 
 def _facts(trained: Trained) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.resampling import BodyView, usual_views, view_body
@@ -110,13 +109,13 @@ class Segmentation:
 class FoundSurface:
     """A surface of a body's size, before a network has labelled it. pixels: as of `LabelledBody`.
 
-    shape: `shape_features`, float64 [16]; None where nobody tells people from things. thing: probability that it is a
-    person, where its shape alone tells that it is none, which no network will label. view: what the network will see of
-    all others.
+    shape: `PersonScore.of_shape`; None where nobody tells people from things. thing: probability that it is a person,
+    where its shape alone tells that it is none, which no network will label. view: what the network will see of all
+    others.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
-    shape: NDArray[np.float64] | None = field(default=None, repr=False)
+    shape: float | None = None
     thing: float | None = None
     view: BodyView | None = field(default=None, repr=False)
 
@@ -199,7 +198,7 @@ class Segmenter:
             surfaces = [FoundSurface(pixels) for pixels in find_bodies(range_m, self.camera, self.background)]
         if self.people is not None:
             with watch("shape"):
-                shapes = [shape_features(surface.pixels, range_m, self.camera) for surface in surfaces]
+                shapes = [self.people.of_shape(surface.pixels, range_m, self.camera) for surface in surfaces]
                 surfaces = [
                     FoundSurface(surface.pixels, shape, self.people.of_thing(shape))
                     for surface, shape in zip(surfaces, shapes, strict=True)

@@ -16,7 +16,6 @@ from bodyseg_data.core.rig import load_sensor
 from bodyseg_data.core.splits import Split
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
 from bodyseg_model.stability.rooms import Room, Rooms
@@ -93,7 +92,7 @@ def people_and_things(
         people = [body for body in result.bodies if score_of(body, score, segmenter, room, result) >= score.cutoff]
         seconds += time.thread_time() - start
         for body in result.bodies:
-            if score.of_thing(shape_features(body.pixels, room.range_m, segmenter.camera)) is not None:
+            if score.of_thing(score.of_shape(body.pixels, room.range_m, segmenter.camera)) is not None:
                 told["people" if (room.person.ravel()[body.pixels] >= 0).mean() >= 0.5 else "things"] += 1
         before.add(room, result.bodies, result.labels, 1 / segmenter.camera.focal_px)
         after.add(room, people, result.labels, 1 / segmenter.camera.focal_px)

@@ -33,7 +33,6 @@ from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.runtimes.backends import BackendName
 from bodyseg_model.runtimes.onnx_files import Precision
-from bodyseg_model.segmentation.people.features import shape_features
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -189,7 +188,7 @@ def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
     for room in rooms:
         result = segmenter(room.range_m)
         shown = [
-            body for body in result.bodies if score.of_thing(shape_features(body.pixels, room.range_m, camera)) is None
+            body for body in result.bodies if score.of_thing(score.of_shape(body.pixels, room.range_m, camera)) is None
         ]
         people = [body for body in shown if score_of(body, score, segmenter, room, result) >= score.cutoff]
         for count, bodies in zip(counts.values(), (result.bodies, shown, people), strict=True):

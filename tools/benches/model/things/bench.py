@@ -7,37 +7,34 @@ to read the results.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.things.shapes import PERSON, THING
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.people.features import SHAPE_FEATURES, part_features, shape_features
-from bodyseg_model.segmentation.people.person_score import FORMAT, Model, PersonScore
+from bodyseg_model.segmentation.people.part_features import part_features
+from bodyseg_model.segmentation.people.person_score import FEATURES, FORMAT, PersonScore
+from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
+from bodyseg_model.segmentation.people.surface_shape import surface_shape
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, people_and_things, rooms_of
+from bodyseg_model.stability.people_and_things import SENSORS, people_and_things, rooms_of
 
 FIT_SEED: Final = 1
 FIT_SOURCE: Final = "wide"
 
-LOST: Final = 0.02
+LOST: Final = 0.01
 """Share of the people's surfaces in rooms to fit to that the cutoff may lose, when other rooms' weights score them."""
-
-SAFE: Final = 0.5
-"""The cutoff of the shape before the network, as a share of the least score by shape of any person, in
-cross-validation. Surfaces of people count if they show at least `LEAST_SEEN_M2` and the score keeps them.
-"""
 
 RIDGE: Final = 3.0
 """Penalty of squared weights of standardised features."""
 
 _FOLDS: Final = 5
-_PERSON, _THING = 0.5, 0.1  # shares of a surface's pixels that show a person; those between are left out
 _TEST_SHARE: Final = 0.2  # of the rooms fitted to: as many are measured
 
 Floats = NDArray[np.float64]
@@ -45,43 +42,33 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Surfaces of a body's size. features: model -> float64 [N, F]. person: bool [N]. room: int [N], their rooms."""
+    """Surfaces of a body's size. features: `FEATURES`, float64 [N, F]. person: bool [N]. room: int [N], their rooms."""
 
-    features: dict[Model, Floats]
+    features: Floats
     person: NDArray[np.bool_]
     room: NDArray[np.intp]
 
 
 def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: ProgressCallback = silent) -> dict[str, Any]:
-    """Fit both models of the score, and measure the one with parts.
+    """Fit the score, and measure it.
 
     views: made rooms to fit to; a fifth as many others are measured. runs: the network is in the first of them;
     without, it is the one that ships. Bodies to fit to are of the source `wide`, training split.
     """
-    network = load_network(runs[0] if runs else SHIPPED).network
+    network, shapes = load_network(runs[0] if runs else SHIPPED).network, shipped_shape_network()
     tested = max(1, round(_TEST_SHARE * views))
     surfaces = seen_surfaces(network, views, lambda done, _: progress(done, views + tested))
-    models: dict[Model, PersonScore] = {}
-    quality: dict[str, Any] = {}
-    scores = {name: cross_scores(of, surfaces.person, surfaces.room) for name, of in surfaces.features.items()}
-    for model, features in surfaces.features.items():
-        cutoff = float(np.quantile(scores[model][surfaces.person], LOST))
-        weights, bias = logistic_fit(features, surfaces.person)
-        models[model] = PersonScore(model, weights, bias, cutoff)
-        kept = scores[model] >= cutoff
-        quality[model] = {
-            "people_lost": round(float(np.mean(~kept[surfaces.person])), 4),
-            "things_kept": round(float(np.mean(kept[~surfaces.person])), 4),
-        }
-    parts, shape = models["parts"], models["shape"]
-    large = surfaces.features["shape"][:, SHAPE_FEATURES.index("log area")] >= np.log(LEAST_SEEN_M2)
-    counted = surfaces.person & large & (scores["parts"] >= parts.cutoff)
-    first_cutoff = min(SAFE * float(scores["shape"][counted].min()), parts.cutoff)
-    models["parts"] = replace(parts, first=replace(shape, cutoff=first_cutoff))
-    told = scores["shape"] < first_cutoff
-    quality["told by shape"] = {
-        "people": int(told[surfaces.person].sum()),
-        "things": round(float(np.mean(told[~surfaces.person])), 4),
+    by_shape = 1 / (1 + np.exp(-surfaces.features[:, FEATURES.index("shape")]))
+    by_parts = cross_scores(surfaces.features, surfaces.person, surfaces.room)
+    cutoffs = [float(np.quantile(scores[surfaces.person], LOST)) for scores in (by_parts, by_shape)]
+    weights, bias = logistic_fit(surfaces.features, surfaces.person)
+    parts = PersonScore(shapes, min(shapes.thing_below, cutoffs[0]), cutoffs[0], weights, bias)
+    shape = PersonScore(shapes, cutoffs[1], cutoffs[1])
+    told = by_shape < parts.thing_below
+    quality = {
+        "parts": _quality(by_parts < cutoffs[0], surfaces.person),
+        "shape": _quality(by_shape < cutoffs[1], surfaces.person),
+        "told before the network": _quality(told, surfaces.person),
     }
     source = {
         "command": "tools/bench things",
@@ -94,34 +81,40 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
         "things": int((~surfaces.person).sum()),
         "ridge": RIDGE,
         "cutoff": f"{LOST:.0%} of the people's surfaces lost in {_FOLDS}-fold cross-validation by room",
-        "first": f"{SAFE:g} of the least score by shape, in cross-validation, of people who show {LEAST_SEEN_M2} m²",
     }
-    test = people_and_things(network, models["parts"], tested, lambda done, _: progress(views + done, views + tested))
-    score = {"format": FORMAT, "source": source, "models": {name: fit.to_json() for name, fit in models.items()}}
+    test = people_and_things(network, parts, tested, lambda done, _: progress(views + done, views + tested))
+    score = {"format": FORMAT, "source": source, "models": {"parts": parts.to_json(), "shape": shape.to_json()}}
     return {"cross_validation": quality, "test": test, "score": score}
+
+
+def _quality(dropped: NDArray[np.bool_], person: NDArray[np.bool_]) -> dict[str, float]:
+    return {
+        "people_lost": round(float(np.mean(dropped[person])), 4),
+        "things_kept": round(float(np.mean(~dropped[~person])), 4),
+    }
 
 
 def seen_surfaces(network: Network, count: int, progress: ProgressCallback) -> Surfaces:
     """The surfaces of a body's size in `count` rooms to fit to, but those that show person and thing."""
     makers = rooms_of(FIT_SOURCE, "train", FIT_SEED, parts=False)
     segmenters = [Segmenter(network, rooms.camera) for rooms in makers]
-    shapes, answers, shares, numbers = [], [], [], []
+    by_shape = shipped_shape_network()
+    features, shares, numbers = [], [], []
     for number in range(count):
         maker, segmenter = makers[number % len(makers)], segmenters[number % len(makers)]
         room = maker(number)
         result = segmenter(room.range_m)
         for body in result.bodies:
             labels = result.labels.ravel()[body.pixels]
-            shapes.append(shape_features(body.pixels, room.range_m, maker.camera))
-            answers.append(part_features(body.pixels, labels, body.confidence, room.range_m, maker.camera))
+            shape = by_shape(surface_shape(body.pixels, room.range_m, maker.camera))
+            answer = part_features(body.pixels, labels, body.confidence, room.range_m, maker.camera)
+            features.append(np.concatenate([[shape], answer]))
             shares.append(float((room.person.ravel()[body.pixels] >= 0).mean()))
             numbers.append(number)
         progress(number + 1, count)
     share = np.array(shares)
-    clear = (share >= _PERSON) | (share <= _THING)
-    shape = np.array(shapes)[clear]
-    features: dict[Model, Floats] = {"parts": np.concatenate([shape, np.array(answers)[clear]], axis=1), "shape": shape}
-    return Surfaces(features, (share >= _PERSON)[clear], np.array(numbers)[clear])
+    clear = (share >= PERSON) | (share <= THING)
+    return Surfaces(np.array(features)[clear], (share >= PERSON)[clear], np.array(numbers)[clear])
 
 
 def cross_scores(features: Floats, person: NDArray[np.bool_], room: NDArray[np.intp]) -> Floats:

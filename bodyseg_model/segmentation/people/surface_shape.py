@@ -1,23 +1,22 @@
-"""Features of a surface of a body's size that tell a person from a thing: its shape, and a network's answer to it.
+"""The shape of a surface of a body's size, as a camera sees it: ranges over cells of 5 cm, and 16 measures of them.
 
-Furniture is flat where bodies are curved: ranges are averaged over cells of 5 cm, and the second differences of
-neighbouring cells are near 0 on planes; noise, which is estimated from the pixels, is allowed for. A network that was
-trained on people is unsure of things, and gives them few and scattered parts.
+Furniture is flat where bodies are curved: the second differences of neighbouring cells are near 0 on planes; noise,
+which is estimated from the pixels, is allowed for.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
 from bodyseg_data.core.rig import Camera
 
 Floats = NDArray[np.float64]
 
-SHAPE_FEATURES: Final = (
+MEASURES: Final = (
     "flat share",
     "flat share down",
     "flat share across",
@@ -35,27 +34,15 @@ SHAPE_FEATURES: Final = (
     "area of bounding box",
     "log area of height squared",
 )
-"""Features of the shape alone, in their order."""
-
-PART_FEATURES: Final = (
-    "mean confidence",
-    "share above 0.5",
-    "share above 0.7",
-    "share above 0.9",
-    "entropy of parts",
-    "parts above 1 %",
-    "borders",
-    "greatest part",
-    "log confident area",
-    *(f"root of share: {name}" for name in LANDMARKS),
-)
-"""Features of a network's answer in the 33 parts, in their order."""
+"""What is measured of a shape, in its order."""
 
 CELL_M: Final = 0.05
 """Side of the cells over which ranges are averaged, metres."""
 
 _PIXELS_A_CELL: Final = 5  # a side: of larger cells, only every second, third ... pixel is read
-_FEW: Final = 4096  # of a network's labels, evenly spaced, no fewer are read
+FEW: Final = 4096
+"""Of the pixels for a median or a share, evenly spaced, no fewer are read."""
+
 _LEAST_FILLED: Final = 0.5
 _JUMP_M: Final = 0.15  # between cells on two surfaces
 _FLAT_M: Final = 0.003
@@ -65,13 +52,25 @@ _LEAST_SHARE: Final = 0.02  # added before logarithms
 _MAD: Final = 0.6745 * np.sqrt(6.0)  # median of the second differences of normal noise, in standard deviations
 
 
-def shape_features(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> Floats:
-    """Describe the shape of a surface: `SHAPE_FEATURES`, float64 [16].
+@dataclass(frozen=True)
+class SurfaceShape:
+    """Shape of a surface as the camera sees it. measures: `MEASURES`, float64 [16].
+
+    cells: mean ranges of cells of about `CELL_M` in the surface's bounding box, float64 [h, w], metres, NaN where less
+    than half of one is measured.
+    """
+
+    measures: Floats = field(repr=False)
+    cells: Floats = field(repr=False)
+
+
+def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> SurfaceShape:
+    """Describe the shape of a surface.
 
     pixels: int [N], row * columns + column, ascending, at least one, all measured. range_m: float32 [H, W], metres.
     camera: the frame's.
     """
-    cell_px = max(2, round(CELL_M / _pixel_m(pixels, range_m, camera)))
+    cell_px = max(2, round(CELL_M / pixel_m(pixels, range_m, camera)))
     step = max(1, cell_px // _PIXELS_A_CELL)
     side = -(-cell_px // step)
     shown = np.zeros(range_m.shape, np.bool_)
@@ -79,7 +78,7 @@ def shape_features(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camer
     coarse = np.ascontiguousarray(shown[::step, ::step])
     rows, columns = np.divmod(np.flatnonzero(coarse), coarse.shape[1])
     if not len(rows):  # a surface narrower than the step
-        return np.zeros(len(SHAPE_FEATURES))
+        return SurfaceShape(np.zeros(len(MEASURES)), np.full((1, 1), np.nan))
     z = range_m.ravel()[rows * (step * camera.columns) + columns * step].astype(np.float64)
     cells = _Cells(rows, columns, z, side)
     down, across = _second_differences(cells.means)
@@ -90,62 +89,29 @@ def shape_features(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camer
     y = (rows * step + 0.5 - camera.centre_px[1]) * z / camera.focal_px
     width, height = max(float(np.ptp(x)), CELL_M), max(float(np.ptp(y)), CELL_M)
     area = float(((step * z / camera.focal_px) ** 2).sum())
-    return np.array(
+    measures = np.array(
         [
-            *(_share(np.abs(each) < limit, 1.0) for each in (every, down, across)),
-            *(100 * min(_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
-            100 * min(_at(bent, 0.5), _MOST_CURVED_M[0]),
-            100 * min(_at(bent, 0.75), _MOST_CURVED_M[1]),
-            *(np.log(_share(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
+            *(share_of(np.abs(each) < limit, 1.0) for each in (every, down, across)),
+            *(100 * min(value_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
+            100 * min(value_at(bent, 0.5), _MOST_CURVED_M[0]),
+            100 * min(value_at(bent, 0.75), _MOST_CURVED_M[1]),
+            *(np.log(share_of(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
             cells.filled_share,
             width,
             height,
-            _at(z, 0.97) - _at(z, 0.03),
+            value_at(z, 0.97) - value_at(z, 0.03),
             np.log(area),
             area / (width * height),
             np.log(area / height**2),
         ]
     )
+    return SurfaceShape(measures, cells.means)
 
 
-def part_features(
-    pixels: NDArray[np.intp],
-    labels: NDArray[np.uint8],
-    confidence: NDArray[np.float32],
-    range_m: NDArray[np.float32],
-    camera: Camera,
-) -> Floats:
-    """Describe a network's answer to a surface: `PART_FEATURES`, float64 [42].
-
-    labels, confidence: uint8 and float32 [N], of each of `pixels`, the parts 0 to 32 whatever their confidence. The
-    rest as for `shape_features`. At most about 8 000 of the pixels are read, evenly spaced.
-    """
-    few = np.arange(0, len(pixels), max(1, len(pixels) // _FEW))
-    z, sure = range_m.ravel()[pixels[few]].astype(np.float64), confidence[few]
-    shares = np.bincount(labels[few], minlength=PART_COUNT)[:PART_COUNT] / len(few)
-    held = shares[shares > 0]
-    after = np.minimum(few + 1, len(pixels) - 1)
-    beside = pixels[after] == pixels[few] + 1
-    borders = _share((labels[after] != labels[few])[beside], 0.0)
-    area = (z / camera.focal_px) ** 2 * (len(pixels) / len(few))
-    return np.array(
-        [
-            float(sure.mean(dtype=np.float64)),
-            *(_share(sure > least, 0.0) for least in (0.5, 0.7, 0.9)),
-            -(held * np.log(held)).sum(),
-            float((shares > 0.01).sum()),
-            borders * CELL_M / _pixel_m(pixels, range_m, camera),
-            shares.max(),
-            np.log((area * sure).sum() + 1e-6),
-            *np.sqrt(shares),
-        ]
-    )
-
-
-def _pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
+def pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
     """Side of a pixel at the surface's median range, metres."""
-    some = range_m.ravel()[pixels[:: max(1, len(pixels) // _FEW)]]
-    return _at(some, 0.5) / camera.focal_px
+    some = range_m.ravel()[pixels[:: max(1, len(pixels) // FEW)]]
+    return value_at(some, 0.5) / camera.focal_px
 
 
 class _Cells:
@@ -178,14 +144,14 @@ def _noise(rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats) -> floa
     """Standard deviation of the noise of one pixel, metres, from second differences of neighbours in a row."""
     beside = (np.diff(columns) == 1) & (np.diff(rows) == 0)
     inner = beside[:-1] & beside[1:]
-    return float(_at(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner], 0.5) / _MAD)
+    return float(value_at(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner], 0.5) / _MAD)
 
 
-def _share(of: NDArray[np.bool_], without: float) -> float:
+def share_of(of: NDArray[np.bool_], without: float) -> float:
     return float(np.count_nonzero(of) / len(of)) if len(of) else without
 
 
-def _at(values: NDArray[np.floating[Any]], share: float) -> float:
+def value_at(values: NDArray[np.floating[Any]], share: float) -> float:
     """The value below which a share of all lies; 0 without any."""
     place = min(int(share * len(values)), len(values) - 1)
     return float(np.partition(values, place)[place]) if len(values) else 0.0

@@ -1,0 +1,249 @@
+"""`bench shapes`: fit the small network that tells people from things by the shape of a surface, on made rooms.
+
+`network` in the figures is the content of `bodyseg_model/segmentation/people/shape_network.json`. docs/things.md says
+how to read the results.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
+from numpy.typing import NDArray
+from torch import nn
+
+from bodyseg_data.core.splits import Split
+from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_model.segmentation.people.shape_network import (
+    FORMAT,
+    SHAPES,
+    SIDE,
+    ShapeNetwork,
+    network_to_json,
+    shape_image,
+    with_curvature,
+)
+from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, rooms_of
+from bodyseg_model.stability.rooms import Rooms
+
+ROOMS: Final = (("wide", 11, 5), ("everyday", 13, 1), ("wide", 12, 5))
+"""Sources, whose training split is taken, seeds, and how many of eleven rooms each has."""
+
+TESTS: Final = (("open", 31), ("hard", 32))
+"""Sources, whose test split is taken, and seeds."""
+
+PERSON: Final = 0.5
+"""Least share of a surface's pixels that show a person."""
+
+THING: Final = 0.1
+"""Greatest share for a thing; surfaces between both are left out."""
+
+HELD_OUT: Final = 5
+"""One room in so many is not fitted to, but measured."""
+
+SAFE: Final = 0.5
+"""`thing_below` as a share of the least probability of any person in the rooms held out. Surfaces of people count if
+they show at least `LEAST_SEEN_M2`.
+"""
+
+_TEST_SHARE: Final = 0.06  # of the rooms fitted to, for each of `TESTS`
+_EPOCHS: Final = 25
+_BATCH: Final = 64
+_RATE: Final = 3e-3
+_DECAY: Final = 1e-2
+_DROPPED: Final = 0.2  # of the features before the hidden layer
+_SHIFT: Final = 3  # cells, either way
+_ERASED: Final = 0.35  # share of the images
+_NOISE: Final = 0.01, 0.05  # of ranges, in units of the image; of measures, in standard deviations
+_LOST: Final = (0, 1, 2, 5, 10)
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+Plan = tuple[str, Split, int, int]
+"""Source, split, seed and number of rooms."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Surfaces of a body's size. images: float32 [N, 2, 48, 48] of `shape_image`. measures: float64 [N, 16]. person:
+    bool [N]. room: int [N], their rooms, of all sources.
+    """
+
+    images: Image
+    measures: Floats
+    person: NDArray[np.bool_]
+    room: NDArray[np.intp]
+
+    @property
+    def large(self) -> NDArray[np.bool_]:
+        """Which of them show at least `LEAST_SEEN_M2`, [N]."""
+        return self.measures[:, MEASURES.index("log area")] >= math.log(LEAST_SEEN_M2)
+
+    def at(self, chosen: NDArray[np.bool_]) -> Shapes:
+        """Return some of them. chosen: bool [N]."""
+        return Shapes(self.images[chosen], self.measures[chosen], self.person[chosen], self.room[chosen])
+
+
+def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict[str, Any]:
+    """Fit the network to four fifths of `views` made rooms, and measure it on the others, and on people of the test
+    split.
+    """
+    turns = sum(turns for _, _, turns in ROOMS)
+    plan: list[Plan] = [(source, "train", seed, views * share // turns) for source, seed, share in ROOMS]
+    tests: list[Plan] = [(source, "test", seed, max(1, round(_TEST_SHARE * views))) for source, seed in TESTS]
+    rooms = sum(count for *_, count in [*plan, *tests])
+    seen = seen_shapes(plan, partial(_later, progress, 0, rooms))
+    held = seen.room % HELD_OUT == 0
+    fit, validation = seen.at(~held), seen.at(held)
+    network = fitted(fit)
+    least = float(logits(network, validation)[validation.person & validation.large].min())
+    network = replace(network, thing_below=SAFE / (1 + math.exp(-least)))
+    measured = {"held out": quality(network, validation)}
+    before = sum(count for *_, count in plan)
+    for test in tests:
+        shapes = seen_shapes([test], partial(_later, progress, before, rooms))
+        measured[f"{test[0]}, test split"] = quality(network, shapes)
+        before += test[-1]
+    source = {
+        "command": f"tools/bench shapes --views {views}",
+        "rooms": [f"{count} of {name}, training split, seed {seed}" for name, _, seed, count in plan],
+        "sensors": list(SENSORS),
+        "fitted to": {"people": int(fit.person.sum()), "things": int((~fit.person).sum())},
+        "thing_below": f"{SAFE:g} of the least probability of a person of {LEAST_SEEN_M2} m² in one room of {HELD_OUT}",
+    }
+    return {"measured": measured, "network": {"format": FORMAT, "source": source, **network_to_json(network)}}
+
+
+def _later(progress: ProgressCallback, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
+
+
+def seen_shapes(plan: Sequence[Plan], progress: ProgressCallback) -> Shapes:
+    """The surfaces of a body's size in made rooms, but those that show person and thing."""
+    shapes: list[SurfaceShape] = []
+    person, numbers = [], []
+    total, done = sum(count for *_, count in plan), 0
+    for source, split, seed, count in plan:
+        makers = rooms_of(source, split, seed, parts=False)
+        for number in range(count):
+            for shape, share in surfaces_of(makers[number % len(makers)], number):
+                if not THING < share < PERSON:
+                    shapes.append(shape)
+                    person.append(share >= PERSON)
+                    numbers.append(done)
+            done += 1
+            progress(done, total)
+    images = np.stack([shape_image(shape.cells) for shape in shapes])
+    return Shapes(images, np.stack([shape.measures for shape in shapes]), np.array(person), np.array(numbers))
+
+
+def surfaces_of(maker: Rooms, number: int) -> Iterator[tuple[SurfaceShape, float]]:
+    """Shape of every surface of a body's size in a room, and the share of its pixels that show a person."""
+    room, camera = maker(number), maker.camera
+    for pixels in find_bodies(room.range_m, camera, Background()):
+        yield surface_shape(pixels, room.range_m, camera), float((room.person.ravel()[pixels] >= 0).mean())
+
+
+class _Fit(nn.Module):
+    """`ShapeNetwork` as PyTorch fits it. mean, spread: of the measures, which it standardises."""
+
+    def __init__(self, mean: torch.Tensor, spread: torch.Tensor) -> None:
+        super().__init__()
+        for name in ("layer1", "layer2", "layer3"):
+            out, into, side, _ = SHAPES[f"{name}.weight"]
+            self.add_module(name, nn.Conv2d(into, out, side, stride=2, padding=1))
+        for name in ("hidden", "out"):
+            out, into = SHAPES[f"{name}.weight"]
+            self.add_module(name, nn.Linear(into, out))
+        self.mean, self.spread = mean, spread
+
+    def forward(self, images: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
+        """Logits [N]. images: [N, 3, 48, 48]. measures: [N, 16]."""
+        for name in ("layer1", "layer2", "layer3"):
+            images = F.relu(self.get_submodule(name)(images))
+        standard = (measures - self.mean) / self.spread
+        seen = torch.cat([images.mean((2, 3)), images.amax((2, 3)), standard], dim=1)
+        seen = F.dropout(seen, _DROPPED, self.training)
+        found: torch.Tensor = self.get_submodule("out")(F.relu(self.get_submodule("hidden")(seen)))
+        return found[:, 0]
+
+    def network(self) -> ShapeNetwork:
+        """The same for measures as they are."""
+        weights = {name: weight.detach().numpy().copy() for name, weight in self.state_dict().items()}
+        own = weights["hidden.weight"][:, -len(MEASURES) :]
+        own /= self.spread.numpy()
+        weights["hidden.bias"] -= own @ self.mean.numpy()
+        return ShapeNetwork({name: weights[name] for name in SHAPES}, thing_below=0.0)
+
+
+def fitted(shapes: Shapes, seed: int = 0) -> ShapeNetwork:
+    """Fit by the cross-entropy of mirrored, shifted, partly erased and noisy surfaces."""
+    measures = torch.from_numpy(shapes.measures).float()
+    mean, spread = measures.mean(0), measures.std(0) + 1e-6
+    target = torch.from_numpy(shapes.person).float()
+    draws, order = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        fit = _Fit(mean, spread)
+        steps = _EPOCHS * (len(target) // _BATCH)
+        adam = torch.optim.AdamW(fit.parameters(), _RATE, weight_decay=_DECAY)
+        rate = torch.optim.lr_scheduler.OneCycleLR(adam, _RATE, total_steps=steps)
+        for _ in range(_EPOCHS):
+            mixed = torch.randperm(len(target), generator=order)
+            for chosen in mixed[: len(target) // _BATCH * _BATCH].reshape(-1, _BATCH):
+                images = torch.from_numpy(with_curvature(_augmented(shapes.images[chosen.numpy()], draws)))
+                noise = _NOISE[1] * spread * torch.randn(_BATCH, len(MEASURES), generator=order)
+                loss = F.binary_cross_entropy_with_logits(fit(images, measures[chosen] + noise), target[chosen])
+                adam.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
+                adam.step()
+                rate.step()
+    return fit.network()
+
+
+def _augmented(images: Image, draws: np.random.Generator) -> Image:
+    """Mirror half of the images [N, 2, 48, 48], shift all, and erase a bar or a square of some, as occluders do."""
+    images = np.roll(images, draws.integers(-_SHIFT, _SHIFT + 1, 2), axis=(2, 3))  # a copy
+    for image in images:
+        if draws.random() < 0.5:
+            image[:] = image[..., ::-1].copy()
+        if draws.random() < _ERASED:
+            row, column, wide = draws.integers((4, 4, 1), (SIDE - 4, SIDE - 4, 8))
+            across, down = ((2 * wide, 2 * wide), (SIDE, wide), (wide, SIDE))[draws.integers(3)]
+            row, column = (0 if down == SIDE else row), (0 if across == SIDE else column)
+            image[:, row : row + down, column : column + across] = 0
+    images[:, 0] += _NOISE[0] * draws.normal(size=images[:, 0].shape).astype(np.float32) * images[:, 1]
+    return images
+
+
+def logits(network: ShapeNetwork, shapes: Shapes) -> Floats:
+    """Logarithm of the odds of a person, [N]."""
+    return np.array([network.logit(*each) for each in zip(shapes.images, shapes.measures, strict=True)])
+
+
+def quality(network: ShapeNetwork, shapes: Shapes) -> dict[str, Any]:
+    """Who is dropped below `thing_below`, and the share of the things that would be dropped where 0, 1, 2 ... of the
+    large surfaces of people are lost, as plain JSON.
+    """
+    found = logits(network, shapes)
+    people, things = np.sort(found[shapes.person & shapes.large]), found[~shapes.person]
+    cutoff = math.log(network.thing_below / (1 - network.thing_below))
+    return {
+        "people": len(people),
+        "things": len(things),
+        "people_lost": int((people < cutoff).sum()),
+        "things_dropped": round(float(np.mean(things < cutoff)), 4),
+        "things_dropped_where_people_lost": {
+            str(lost): round(float(np.mean(things < people[lost])), 4) for lost in _LOST if lost < len(people)
+        },
+        "lowest_people": [round(float(logit), 3) for logit in people[:5]],
+    }
