@@ -115,12 +115,14 @@ def score_of(body: LabelledBody, score: PersonScore, segmenter: Segmenter, room:
     return score(body.pixels, room.range_m, segmenter.camera, labels, body.confidence)
 
 
-def rooms_of(source: str, split: Split, seed: int, parts: bool = True, most: int | None = None) -> list[Rooms]:
+def rooms_of(
+    source: str, split: Split, seed: int, parts: bool = True, most: int | None = None, touching: bool = False
+) -> list[Rooms]:
     """Makers of rooms for each of `SENSORS`, with bodies of a source's split, `most` of them, evenly spaced."""
     opened = open_source(source)
     bodies = [body for body in opened.bodies() if body.split == split]
     chosen = bodies if most is None else bodies[:: max(1, len(bodies) // most)][:most]
-    return [Rooms(opened, chosen, load_sensor(name).camera, seed, parts) for name in SENSORS]
+    return [Rooms(opened, chosen, load_sensor(name).camera, seed, parts, touching) for name in SENSORS]
 
 
 def _frames(network: Network, count: int) -> Iterator[tuple[Segmenter, Room]]:

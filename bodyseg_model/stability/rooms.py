@@ -35,6 +35,7 @@ _KEPT: Final = 32  # bodies, once they are built
 _ATTEMPTS: Final = 12
 _NEAREST_M: Final = 0.7  # on the floor, where a camera sees the upper half of a person
 _FARTHEST_M: Final = 4.4
+_TOUCHING: Final = 0.4, 0.9  # distance of a thing from who it touches, as a share of both radii
 _NOISE_M: Final = (0.0012, 0.0019, 0.4)
 """Axial noise of a Kinect v1: a + b (z - c)^2 (Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
 reconstruction and tracking", 2012)."""
@@ -63,13 +64,24 @@ class _Person:
 
 
 class Rooms:
-    """Makes rooms by their numbers, with people drawn from `bodies` of one source. parts: label them, too."""
+    """Makes rooms by their numbers, with people drawn from `bodies` of one source.
+
+    parts: label them, too. touching: things stand against people, where there are any, or reach into them, as chairs do
+    into who sits on them; otherwise people and things keep apart.
+    """
 
     def __init__(
-        self, source: BodySource, bodies: Sequence[BodyRef], camera: Camera, seed: int, parts: bool = True
+        self,
+        source: BodySource,
+        bodies: Sequence[BodyRef],
+        camera: Camera,
+        seed: int,
+        parts: bool = True,
+        touching: bool = False,
     ) -> None:
         self.camera = camera
         self._source, self._bodies, self._seed, self._parts = source, bodies, seed, parts
+        self._touching = touching
         self._built = lru_cache(maxsize=_KEPT)(self._build)
 
     def __call__(self, number: int) -> Room:
@@ -89,7 +101,8 @@ class Rooms:
                 bodies.append((body, pose))
         for _ in range(things):
             thing = FURNITURE[KINDS[numbers.whole(0, len(KINDS) - 1)]](numbers)
-            pose = floor.find_pose(thing, numbers)
+            at_people = self._touching and bodies
+            pose = floor.find_touching(thing, len(bodies), numbers) if at_people else floor.find_pose(thing, numbers)
             if pose is not None:
                 layers.append(pose.of(thing))
         return self._seen(key, camera, layers, bodies)
@@ -137,6 +150,27 @@ class _Pose:
         return Solid(points - np.asarray(self.by_m), none).turned(-self.angle_rad).vertices
 
 
+@dataclass(frozen=True)
+class _Footprint:
+    """Where a solid that is turned by `angle_rad` stands: middle on the floor, its lowest point, and radius, metres."""
+
+    angle_rad: float
+    middle: tuple[float, float]
+    low: float
+    radius: float
+
+    @classmethod
+    def of(cls, solid: Solid, angle_rad: float) -> _Footprint:
+        turned = solid.turned(angle_rad)
+        low, high = turned.vertices.min(axis=0), turned.vertices.max(axis=0)
+        centre = (low + high) / 2
+        radius = 0.45 * math.hypot(high[0] - low[0], high[2] - low[2])
+        return cls(angle_rad, (float(centre[0]), float(centre[2])), float(low[1]), radius)
+
+    def at(self, across: float, away: float) -> _Pose:
+        return _Pose(self.angle_rad, (across - self.middle[0], -self.low, -away - self.middle[1]))
+
+
 class _Floor:
     """Places on the floor before a camera that are still free, as discs."""
 
@@ -146,16 +180,27 @@ class _Floor:
 
     def find_pose(self, solid: Solid, numbers: Numbers) -> _Pose | None:
         """Find a pose in which a solid stands on a free place, turned in any way; None if none is found."""
-        angle = numbers.between(-math.pi, math.pi)
-        turned = solid.turned(angle)
-        low, high = turned.vertices.min(axis=0), turned.vertices.max(axis=0)
-        centre, radius = (low + high) / 2, 0.45 * math.hypot(high[0] - low[0], high[2] - low[2])
+        footprint = _Footprint.of(solid, numbers.between(-math.pi, math.pi))
         for _ in range(_ATTEMPTS):
             away = numbers.between(_NEAREST_M, _FARTHEST_M)
             across = numbers.between(-1.0, 1.0) * self._slope * away
-            if all(math.hypot(across - x, away - z) > radius + taken for x, z, taken in self._taken):
-                self._taken.append((across, away, radius))
-                return _Pose(angle, (across - float(centre[0]), -float(low[1]), -away - float(centre[2])))
+            if all(math.hypot(across - x, away - z) > footprint.radius + taken for x, z, taken in self._taken):
+                self._taken.append((across, away, footprint.radius))
+                return footprint.at(across, away)
+        return None
+
+    def find_touching(self, solid: Solid, people: int, numbers: Numbers) -> _Pose | None:
+        """Find a pose in which a solid touches one of the first `people` that stand here, or reaches into them; None if
+        none is found.
+        """
+        footprint = _Footprint.of(solid, numbers.between(-math.pi, math.pi))
+        for _ in range(_ATTEMPTS):
+            x, z, taken = self._taken[numbers.whole(0, people - 1)]
+            direction, apart = numbers.between(-math.pi, math.pi), numbers.between(*_TOUCHING)
+            apart *= footprint.radius + taken
+            across, away = x + apart * math.sin(direction), z + apart * math.cos(direction)
+            if _NEAREST_M < away < _FARTHEST_M:
+                return footprint.at(across, away)
         return None
 
 

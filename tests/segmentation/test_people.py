@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -23,12 +24,7 @@ from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.people import person_score
-from bodyseg_model.segmentation.people.features import (
-    PART_FEATURES,
-    SHAPE_FEATURES,
-    part_features,
-    shape_features,
-)
+from bodyseg_model.segmentation.people.part_features import PART_FEATURES, part_features
 from bodyseg_model.segmentation.people.person_score import (
     FEATURES,
     PersonScore,
@@ -36,6 +32,8 @@ from bodyseg_model.segmentation.people.person_score import (
     score_from_json,
     shipped_score,
 )
+from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
+from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.stability.people_and_things import rooms_of
 
@@ -62,8 +60,8 @@ def column(z: float = 2.0, radius: float = 0.15) -> Frame:
 
 
 def shape_of(frame: Frame) -> dict[str, float]:
-    found = shape_features(np.flatnonzero(frame), frame, CAMERA)
-    return dict(zip(SHAPE_FEATURES, found.tolist(), strict=True))
+    found = surface_shape(np.flatnonzero(frame), frame, CAMERA)
+    return dict(zip(MEASURES, found.measures.tolist(), strict=True))
 
 
 def noisy(frame: Frame, sigma_m: float) -> Frame:
@@ -91,10 +89,21 @@ def test_sizes_are_in_metres() -> None:
 
 
 @pytest.mark.parametrize("pixels", [[0], [5, 6], list(range(0, 76800, 320))])
-def test_slight_surfaces_have_features_too(pixels: list[int]) -> None:
+def test_slight_surfaces_are_measured_and_judged_too(pixels: list[int]) -> None:
     frame = np.full((240, 320), 0.8, np.float32)
-    found = shape_features(np.array(pixels), frame, CAMERA)
-    assert np.isfinite(found).all()
+    found = surface_shape(np.array(pixels), frame, CAMERA)
+    assert np.isfinite(found.measures).all() and math.isfinite(shipped_shape_network()(found))
+
+
+def test_cells_are_means_of_five_centimetres() -> None:
+    frame = board(slant=0.0)
+    cells = surface_shape(np.flatnonzero(frame), frame, CAMERA).cells
+    assert abs(cells.shape[0] - 20) <= 1 and abs(cells.shape[1] - 12) <= 1, "of 1 m x 0.6 m"
+    np.testing.assert_allclose(cells[:-1, :-1], 2.0, rtol=1e-6)
+    hole = frame.copy()
+    hole[110:130, 150:170] = 0
+    cells = surface_shape(np.flatnonzero(hole), hole, CAMERA).cells
+    assert np.isnan(cells[9:11, 5:7]).any() and np.isfinite(cells[:6, :-1]).all()
 
 
 def answer_of(labels: list[int], confidence: list[float], step: int = 1) -> dict[str, float]:
@@ -128,68 +137,75 @@ def test_of_many_pixels_some_are_read() -> None:
 # The score.
 
 
-def flat_score(bias: float = 0.0, weight: float = 0.0, cutoff: float = 0.5) -> PersonScore:
-    weights = np.zeros(len(SHAPE_FEATURES))
-    weights[0] = weight
-    return PersonScore("shape", weights, bias, cutoff)
+def always(odds: float) -> Callable[[SurfaceShape], float]:
+    return lambda shape: odds
 
 
-def test_a_score_is_a_logistic_function() -> None:
-    features = np.zeros(len(SHAPE_FEATURES))
-    features[0] = 2.0
-    assert flat_score(1.0, -3.0).probability(features) == pytest.approx(1 / (1 + math.exp(5)))
-    assert flat_score(1e9).probability(features) == 1.0 and flat_score(-1e9).probability(features) < 1e-300
+def flat_is_thing(shape: SurfaceShape) -> float:
+    """Boards are flat."""
+    return 8.0 - 10.0 * float(shape.measures[MEASURES.index("flat share")])
+
+
+def test_a_score_is_a_logistic_function_of_shape_and_answer() -> None:
+    frame = column()
+    pixels = np.flatnonzero(frame)
+    labels, confidence = np.zeros(len(pixels), np.uint8), np.full(len(pixels), 0.8, np.float32)
+    weights = np.zeros(len(FEATURES))
+    weights[FEATURES.index("shape")], weights[FEATURES.index("mean confidence")] = 0.5, 2.0
+    score = PersonScore(always(3.0), 0.1, 0.5, weights, bias=-1.0)
+    assert score(pixels, frame, CAMERA, labels, confidence) == pytest.approx(1 / (1 + math.exp(1 - 1.5 - 1.6)))
+    assert PersonScore(always(3.0), 0.0, 0.5)(pixels, frame, CAMERA, labels, confidence) == pytest.approx(
+        1 / (1 + math.exp(-3))
+    )
+    sure = PersonScore(always(1e9), 0.0, 0.5, weights, -1.0)
+    assert sure(pixels, frame, CAMERA, labels, confidence) == 1.0
+    never = PersonScore(always(-1e9), 0.1, 0.5, weights)
+    assert never(pixels, frame, CAMERA, labels, confidence) < 1e-300
 
 
 def test_a_score_is_stored_with_the_names_of_its_features() -> None:
-    score = flat_score(0.25, -1.5, 0.125)
+    weights = np.linspace(-1, 1, len(FEATURES))
+    shapes = shipped_shape_network()
+    score = PersonScore(shapes, shapes.thing_below, 0.125, weights, 0.25)
     tree = json.loads(json.dumps(score.to_json()))
-    again = score_from_json("shape", tree)
-    assert (again.bias, again.cutoff) == (0.25, 0.125) and np.array_equal(again.weights, score.weights)
-    with pytest.raises(
-        BadConfig, match="^the score 'parts' has other features than this version computes, in person_score.json"
-    ):
-        score_from_json("parts", tree)
-    with pytest.raises(BadConfig, match="^the score 'shape' has 16 weights, found 3$"):
-        PersonScore("shape", np.zeros(3), 0.0, 0.5)
+    again = score_from_json(tree, shapes)
+    assert (again.bias, again.cutoff, again.thing_below, again.model) == (0.25, 0.125, shapes.thing_below, "parts")
+    assert again.weights is not None
+    np.testing.assert_allclose(again.weights, weights, atol=1e-6)
+    tree["weights"]["hair"] = tree["weights"].pop("shape")
+    with pytest.raises(BadConfig, match="^the score has other features than this version computes, in person_score.js"):
+        score_from_json(tree, shapes)
+    alone = score_from_json(PersonScore(shapes, 0.3, 0.3).to_json(), shapes)
+    assert (alone.model, alone.cutoff, alone.thing_below) == ("shape", 0.3, 0.3)
+
+
+def test_bad_numbers_of_a_score_are_refused() -> None:
+    with pytest.raises(BadConfig, match=f"^a score of people has {len(FEATURES)} weights, found 3$"):
+        PersonScore(always(0.0), 0.0, 0.5, np.zeros(3))
     with pytest.raises(BadConfig, match="^a score needs finite weights and a cutoff from 0 to 1, found cutoff 2$"):
-        flat_score(cutoff=2.0)
+        PersonScore(always(0.0), 0.0, 2.0)
+    with pytest.raises(BadConfig, match="^'thing_below' must be 0 to the cutoff, 0.5, found 0.6$"):
+        PersonScore(always(0.0), 0.6, 0.5)
 
 
-def two_step_score(first_bias: float) -> PersonScore:
-    """By parts everything is a person; by shape nothing below a bias of 0, as its cutoff is 0.5."""
-    parts = np.zeros(len(FEATURES["parts"]))
-    return PersonScore("parts", parts, 4.0, 0.6, first=flat_score(first_bias))
-
-
-def test_a_first_score_tells_things_by_their_shape_alone() -> None:
-    shape = np.zeros(len(SHAPE_FEATURES))
-    assert two_step_score(-2.0).of_thing(shape) == pytest.approx(1 / (1 + math.exp(2)))
-    assert two_step_score(2.0).of_thing(shape) is None
-    assert PersonScore("parts", np.zeros(58), -9.0, 0.6).of_thing(shape) is None, "without a first score, nothing"
-    assert flat_score(-1.0).of_thing(shape) == pytest.approx(1 / (1 + math.e))
-    assert flat_score(1.0).of_thing(shape) is None
+def test_a_thing_may_be_told_by_its_shape_alone() -> None:
+    parts = np.zeros(len(FEATURES))
+    for odds, expected in ((-2.0, 1 / (1 + math.exp(2))), (2.0, None)):
+        told = PersonScore(always(odds), 0.5, 0.6, parts, 4.0).of_thing(odds)
+        assert told == (None if expected is None else pytest.approx(expected))
+    assert PersonScore(always(-9.0), 0.0, 0.6, parts).of_thing(-9.0) is None, "with 0 every surface is labelled"
     frame = board()
     pixels = np.flatnonzero(frame)
     answer = np.zeros(len(pixels), np.uint8), np.ones(len(pixels), np.float32)
-    assert two_step_score(-2.0)(pixels, frame, CAMERA, *answer) == pytest.approx(1 / (1 + math.exp(2)))
-    assert two_step_score(2.0)(pixels, frame, CAMERA, *answer) == pytest.approx(1 / (1 + math.exp(-4)))
-
-
-def test_a_first_score_is_of_the_shape_and_no_stricter() -> None:
-    again = score_from_json("parts", json.loads(json.dumps(two_step_score(-2.0).to_json())))
-    assert again.first is not None and (again.first.model, again.first.bias, again.first.cutoff) == ("shape", -2.0, 0.5)
-    with pytest.raises(BadConfig, match="^a first score needs the model 'shape' and a cutoff of at most 0.4, found 's"):
-        PersonScore("parts", np.zeros(58), 0.0, 0.4, first=flat_score())
-    with pytest.raises(BadConfig, match="at most 0.9, found 'parts' and 0.6$"):
-        PersonScore("parts", np.zeros(58), 0.0, 0.9, first=two_step_score(0.0))
+    for odds, expected_score in ((-2.0, 1 / (1 + math.exp(2))), (2.0, 1 / (1 + math.exp(-4)))):
+        score = PersonScore(always(odds), 0.5, 0.6, parts, 4.0)
+        assert score(pixels, frame, CAMERA, *answer) == pytest.approx(expected_score)
 
 
 def test_a_thing_that_its_shape_tells_is_not_shown_to_the_network() -> None:
     frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
     network = Places(0, 10)
-    first = flat_score(8.0, -10.0)  # boards are flat
-    score = PersonScore("parts", np.zeros(58), 4.0, 0.6, first=first)
+    score = PersonScore(flat_is_thing, 0.5, 0.6, np.zeros(len(FEATURES)), 4.0)
     found = Segmenter(network, CAMERA, people=score)(frame)
     assert len(network.seen) == len(found.bodies) == len(found.things) == 1
     (thing,) = found.things
@@ -201,11 +217,10 @@ def test_a_thing_that_its_shape_tells_is_not_shown_to_the_network() -> None:
 def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
     assert tree["source"]["command"].startswith("tools/bench things") and tree["source"]["people"] > 100
-    assert {model: len(shipped_score(model).weights) for model in FEATURES} == {"parts": 58, "shape": 16}
     assert [score_for(labels).model for labels in (PARTS33, load_label_map("limbs14"))] == ["parts", "shape"]
     (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg person score 0"}))
     monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))
-    with pytest.raises(BadConfig, match="'format' must be 'bodyseg person score 1', found 'bodyseg person score 0'$"):
+    with pytest.raises(BadConfig, match="'format' must be 'bodyseg person score 2', found 'bodyseg person score 0'$"):
         shipped_score()
 
 
@@ -213,7 +228,7 @@ def test_a_segmenter_labels_people_alone() -> None:
     frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
     everything = Segmenter(Places(0, 10), CAMERA)(frame)
     assert len(everything.bodies) == 2 and not everything.things and everything.bodies[0].person is None
-    found = Segmenter(Places(0, 10), CAMERA, people=flat_score(8.0, -10.0))(frame)
+    found = Segmenter(Places(0, 10), CAMERA, people=PersonScore(flat_is_thing, 0.5, 0.5))(frame)
     (person,), (thing,) = found.bodies, found.things
     assert person.person is not None and thing.person is not None and thing.person < 0.5 <= person.person
     assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
@@ -221,7 +236,7 @@ def test_a_segmenter_labels_people_alone() -> None:
         found.labels.ravel()[person.pixels], everything.labels.ravel()[everything.bodies[1].pixels]
     )
     assert found.pixels == len(person.pixels) and min(found.milliseconds[stage] for stage in ("shape", "network")) > 0
-    kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=flat_score(-9.0))(frame)
+    kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=PersonScore(always(-9.0), 0.5, 0.5))(frame)
     assert len(kept.bodies) == 1 and not kept.things, "who keeps all that was measured has said what it is"
 
 

@@ -473,8 +473,7 @@ def test_a_block_is_no_person(
     assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
     facts = report(out)
     score = shipped_score()
-    assert score.first is not None
-    cutoffs = {"cutoff": score.cutoff, "shape_cutoff": score.first.cutoff}
+    cutoffs = {"cutoff": score.cutoff, "thing_below": score.thing_below}
     assert facts["person_score"] == {"model": "parts", **cutoffs}
     assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
     (thing,) = facts["each"][0]["things"]

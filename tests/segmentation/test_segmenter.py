@@ -179,7 +179,7 @@ def test_a_stream_answers_each_frame_before_it_asks_for_the_next() -> None:
 
 def test_a_stream_may_find_the_next_frames_surfaces_ahead() -> None:
     frames = [standing(20, 2.0), np.zeros((60, 80), np.float32), standing(24, 2.0) + standing(50, 3.0, height=30)]
-    score = shipped_score("shape")
+    score = shipped_score()
     plain, ahead = (
         list(Segmenter(Places(0, 10), LENS, people=score).stream(iter(frames), ahead=ahead)) for ahead in (False, True)
     )

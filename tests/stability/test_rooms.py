@@ -13,7 +13,6 @@ from label_networks import Places
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
-from bodyseg_model.segmentation.people.features import SHAPE_FEATURES
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody
 from bodyseg_model.stability import people_and_things as measure
@@ -52,6 +51,27 @@ def test_rooms_hold_people_and_things() -> None:
         assert (room.person[nothing] == -1).all() and (room.labels[nothing] == BACKGROUND).all()
         assert 0.01 < nothing.mean() < 0.7 and np.median(room.range_m[~nothing]) > 1
     assert {room.people for room in made()} > {0, 1} and {room.things for room in made()} > {0, 1, 2}
+
+
+def test_things_touch_people_where_asked() -> None:
+    """The gap from the things to the people of a room, between measured points, is far smaller."""
+
+    def least_gaps(touching: bool) -> list[float]:
+        source = Figures()
+        maker, gaps = Rooms(source, source.bodies(), SMALL, 3, parts=False, touching=touching), []
+        rays = SMALL.pixel_rays()
+        for number in range(16):
+            room = maker(number)
+            points = rays * room.range_m[..., None]
+            measured = room.range_m > 0
+            people, things = points[(room.person >= 0) & measured], points[(room.thing >= 0) & measured]
+            if len(people) and len(things):
+                gaps.append(float(np.sqrt(((people[::5, None] - things[None, ::5]) ** 2).sum(-1).min())))
+        return gaps
+
+    apart, touching = least_gaps(False), least_gaps(True)
+    assert len(apart) > 4 < len(touching)
+    assert np.median(touching) < 0.6 * np.median(apart)
 
 
 def test_ranges_have_a_kinects_noise_in_millimetres() -> None:
@@ -109,7 +129,7 @@ def test_counts_are_of_people_and_of_what_is_labelled() -> None:
 
 
 def scored(bias: float) -> PersonScore:
-    return PersonScore("shape", np.zeros(len(SHAPE_FEATURES)), bias, 0.5)
+    return PersonScore(lambda shape: bias, 0.5, 0.5)
 
 
 @pytest.mark.parametrize(("bias", "kept"), [(5.0, True), (-5.0, False)])

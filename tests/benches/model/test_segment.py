@@ -96,7 +96,7 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
         assert list(size["after"]) == list(DROPPING)
         assert set(size["live"]) == set(live_by_torch)
         for way in (each[order] for each in size["live"].values() for order in ("one by one", "ahead")):
-            assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"] < 40
+            assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"]
         surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
         assert size["after"]["people"]["people_found"] == ways["default"]["found"]

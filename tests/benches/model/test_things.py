@@ -9,8 +9,8 @@ import pytest
 from benches.model.things import bench
 from benches.model.things.bench import RIDGE, bench_things, cross_scores, logistic_fit
 
-from bodyseg_model.segmentation.people.features import PART_FEATURES, SHAPE_FEATURES
-from bodyseg_model.segmentation.people.person_score import score_from_json
+from bodyseg_model.segmentation.people.person_score import FEATURES, score_from_json
+from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
 
 
 def clouds(count: int = 400) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
@@ -51,21 +51,22 @@ def test_cross_scores_come_from_other_rooms() -> None:
 def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     draws = np.random.default_rng(0)
     person = draws.random(120) < 0.5
-    features = {
-        "parts": draws.normal(size=(120, len(SHAPE_FEATURES) + len(PART_FEATURES))) + person[:, None],
-        "shape": draws.normal(size=(120, len(SHAPE_FEATURES))) + person[:, None],
-    }
-    seen = bench.Surfaces(features, person, np.arange(120))  # type: ignore[arg-type]
+    features = draws.normal(size=(120, len(FEATURES))) + person[:, None]
+    features[:, 0] *= 4
+    seen = bench.Surfaces(features, person, np.arange(120))
     monkeypatch.setattr(bench, "seen_surfaces", lambda network, count, progress: seen)
     monkeypatch.setattr(bench, "people_and_things", lambda network, score, count, progress: {"rooms": count})
     figures = bench_things(views=50)
     assert figures["test"] == {"rooms": 10}
     assert figures["score"]["source"]["people"] == person.sum()
-    validated = dict(figures["cross_validation"])
-    first = score_from_json("parts", figures["score"]["models"]["parts"]).first
-    assert first is not None and 0 < first.cutoff < 0.5
-    told = validated.pop("told by shape")
-    assert told["people"] <= 2 and 0 < told["things"] < 1, "people only whom the score loses, too"
-    for model, quality in validated.items():
-        score = score_from_json(model, figures["score"]["models"][model])
-        assert quality["people_lost"] <= 0.04 and 0 <= quality["things_kept"] < 0.5 and 0 < score.cutoff < 1
+    shapes = shipped_shape_network()
+    parts, shape = (score_from_json(figures["score"]["models"][model], shapes) for model in ("parts", "shape"))
+    assert (parts.model, shape.model) == ("parts", "shape") and 0 < shape.cutoff < 1
+    assert 0 < parts.thing_below <= parts.cutoff < 1 and parts.thing_below <= shapes.thing_below
+    found = figures["cross_validation"]
+    told = 1 / (1 + np.exp(-features[:, 0])) < parts.thing_below
+    assert found["told before the network"]["people_lost"] == pytest.approx(told[person].mean(), abs=1e-4)
+    assert found["told before the network"]["things_kept"] == pytest.approx(1 - told[~person].mean(), abs=1e-4)
+    for model in ("parts", "shape"):
+        assert found[model]["people_lost"] <= 0.03 and 0 <= found[model]["things_kept"] <= 1
+    assert found["parts"]["things_kept"] < 0.2

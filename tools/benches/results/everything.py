@@ -79,6 +79,7 @@ def _shipped() -> Iterator[Step]:
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
+    yield _bench("shapes", "--views", "6600")
     yield _bench("things", "--views", "300", reads=shipped)
     yield _bench("windows", "--data", HARD, drawn=True, reads=shipped)
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)

@@ -7,9 +7,11 @@ how to read the results.
 from __future__ import annotations
 
 import math
+import multiprocessing
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +20,9 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import Split
+from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.shape_network import (
@@ -34,17 +38,40 @@ from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceSha
 from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, rooms_of
 from bodyseg_model.stability.rooms import Rooms
 
-ROOMS: Final = (("wide", 11, 5), ("everyday", 13, 1), ("wide", 12, 5))
-"""Sources, whose training split is taken, seeds, and how many of eleven rooms each has."""
 
-TESTS: Final = (("open", 31), ("hard", 32))
-"""Sources, whose test split is taken, and seeds."""
+@dataclass(frozen=True)
+class Plan:
+    """Made rooms: with people of a source's split, by a seed. touching: as of `Rooms`. turns: how many of all rooms."""
+
+    source: str
+    split: Split
+    seed: int
+    touching: bool
+    turns: float
+
+    def __str__(self) -> str:
+        return f"{self.source}, {self.split} split, seed {self.seed}{', touching' if self.touching else ''}"
+
+
+PLANS: Final = (
+    Plan("wide", "train", 11, False, 6 / 11),
+    Plan("everyday", "train", 13, True, 1 / 11),
+    Plan("wide", "train", 12, True, 4 / 11),
+)
+"""Rooms to fit to, one in `HELD_OUT` left out."""
+
+TESTS: Final = {
+    "open": Plan("open", "test", 31, False, 0.06),
+    "hard": Plan("hard", "test", 32, False, 0.06),
+    "touching": Plan("open", "test", 33, True, 0.06),
+}
+"""Rooms to measure on, beside those held out."""
 
 PERSON: Final = 0.5
-"""Least share of a surface's pixels that show a person."""
+"""A surface shows a person if this share of its pixels does, or `LEAST_SEEN_M2` of the person."""
 
 THING: Final = 0.1
-"""Greatest share for a thing; surfaces between both are left out."""
+"""Greatest share for a thing; surfaces that are neither are left out."""
 
 HELD_OUT: Final = 5
 """One room in so many is not fitted to, but measured."""
@@ -54,7 +81,7 @@ SAFE: Final = 0.5
 they show at least `LEAST_SEEN_M2`.
 """
 
-_TEST_SHARE: Final = 0.06  # of the rooms fitted to, for each of `TESTS`
+_ROOMS_A_TASK: Final = 20
 _EPOCHS: Final = 25
 _BATCH: Final = 64
 _RATE: Final = 3e-3
@@ -67,9 +94,6 @@ _LOST: Final = (0, 1, 2, 5, 10)
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
-
-Plan = tuple[str, Split, int, int]
-"""Source, split, seed and number of rooms."""
 
 
 @dataclass(frozen=True)
@@ -97,25 +121,26 @@ def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict
     """Fit the network to four fifths of `views` made rooms, and measure it on the others, and on people of the test
     split.
     """
-    turns = sum(turns for _, _, turns in ROOMS)
-    plan: list[Plan] = [(source, "train", seed, views * share // turns) for source, seed, share in ROOMS]
-    tests: list[Plan] = [(source, "test", seed, max(1, round(_TEST_SHARE * views))) for source, seed in TESTS]
-    rooms = sum(count for *_, count in [*plan, *tests])
-    seen = seen_shapes(plan, partial(_later, progress, 0, rooms))
+    counts = {name: max(1, round(plan.turns * views)) for name, plan in TESTS.items()}
+    rooms = views + sum(counts.values())
+    seen = seen_shapes(PLANS, views, partial(_later, progress, 0, rooms))
     held = seen.room % HELD_OUT == 0
     fit, validation = seen.at(~held), seen.at(held)
+    counted = validation.person & validation.large
+    if not counted.any():
+        raise BadConfig(f"no person shows {LEAST_SEEN_M2} m² in the rooms held out: give bench shapes more --views")
     network = fitted(fit)
-    least = float(logits(network, validation)[validation.person & validation.large].min())
+    least = float(logits(network, validation)[counted].min())
     network = replace(network, thing_below=SAFE / (1 + math.exp(-least)))
     measured = {"held out": quality(network, validation)}
-    before = sum(count for *_, count in plan)
-    for test in tests:
-        shapes = seen_shapes([test], partial(_later, progress, before, rooms))
-        measured[f"{test[0]}, test split"] = quality(network, shapes)
-        before += test[-1]
+    before = views
+    for name, count in counts.items():
+        shapes = seen_shapes([replace(TESTS[name], turns=1.0)], count, partial(_later, progress, before, rooms))
+        measured[name] = quality(network, shapes)
+        before += count
     source = {
         "command": f"tools/bench shapes --views {views}",
-        "rooms": [f"{count} of {name}, training split, seed {seed}" for name, _, seed, count in plan],
+        "rooms": [f"{plan.turns:.0%} {plan}" for plan in PLANS],
         "sensors": list(SENSORS),
         "fitted to": {"people": int(fit.person.sum()), "things": int((~fit.person).sum())},
         "thing_below": f"{SAFE:g} of the least probability of a person of {LEAST_SEEN_M2} m² in one room of {HELD_OUT}",
@@ -127,23 +152,46 @@ def _later(progress: ProgressCallback, before: int, total: int, done: int, _: in
     progress(before + done, total)
 
 
-def seen_shapes(plan: Sequence[Plan], progress: ProgressCallback) -> Shapes:
-    """The surfaces of a body's size in made rooms, but those that show person and thing."""
+def seen_shapes(plans: Sequence[Plan], count: int, progress: ProgressCallback) -> Shapes:
+    """The surfaces of a body's size in `count` made rooms, but those that are neither person nor thing.
+
+    A process for each processor makes the rooms.
+    """
+    tasks = [
+        (plan, range(first, min(first + _ROOMS_A_TASK, whole)))
+        for plan in plans
+        for whole in [round(plan.turns * count)]
+        for first in range(0, whole, _ROOMS_A_TASK)
+    ]
     shapes: list[SurfaceShape] = []
     person, numbers = [], []
-    total, done = sum(count for *_, count in plan), 0
-    for source, split, seed, count in plan:
-        makers = rooms_of(source, split, seed, parts=False)
-        for number in range(count):
-            for shape, share in surfaces_of(makers[number % len(makers)], number):
-                if not THING < share < PERSON:
+    done = 0
+    with ProcessPoolExecutor(processors(), multiprocessing.get_context("spawn")) as pool:
+        for (_, rooms), found in zip(tasks, pool.map(_seen, *zip(*tasks, strict=True)), strict=True):
+            for number, shape, share in found:
+                seen_m2 = share * math.exp(shape.measures[MEASURES.index("log area")])
+                is_person = share >= PERSON or (share > THING and seen_m2 >= LEAST_SEEN_M2)
+                if is_person or share <= THING:
                     shapes.append(shape)
-                    person.append(share >= PERSON)
-                    numbers.append(done)
-            done += 1
-            progress(done, total)
+                    person.append(is_person)
+                    numbers.append(done + number - rooms[0])
+            done += len(rooms)
+            progress(done, count)
     images = np.stack([shape_image(shape.cells) for shape in shapes])
     return Shapes(images, np.stack([shape.measures for shape in shapes]), np.array(person), np.array(numbers))
+
+
+def _seen(plan: Plan, rooms: range) -> list[tuple[int, SurfaceShape, float]]:
+    """Surfaces of rooms: the room's number, the shape, and the share of pixels that show a person."""
+    makers = _makers(plan)
+    return [
+        (number, shape, share) for number in rooms for shape, share in surfaces_of(makers[number % len(makers)], number)
+    ]
+
+
+@cache
+def _makers(plan: Plan) -> list[Rooms]:
+    return rooms_of(plan.source, plan.split, plan.seed, parts=False, touching=plan.touching)
 
 
 def surfaces_of(maker: Rooms, number: int) -> Iterator[tuple[SurfaceShape, float]]:
@@ -232,7 +280,7 @@ def logits(network: ShapeNetwork, shapes: Shapes) -> Floats:
 
 def quality(network: ShapeNetwork, shapes: Shapes) -> dict[str, Any]:
     """Who is dropped below `thing_below`, and the share of the things that would be dropped where 0, 1, 2 ... of the
-    large surfaces of people are lost, as plain JSON.
+    large surfaces of people are lost, as plain JSON; shares are null without any things.
     """
     found = logits(network, shapes)
     people, things = np.sort(found[shapes.person & shapes.large]), found[~shapes.person]
@@ -241,9 +289,13 @@ def quality(network: ShapeNetwork, shapes: Shapes) -> dict[str, Any]:
         "people": len(people),
         "things": len(things),
         "people_lost": int((people < cutoff).sum()),
-        "things_dropped": round(float(np.mean(things < cutoff)), 4),
+        "things_dropped": _share_below(things, cutoff),
         "things_dropped_where_people_lost": {
-            str(lost): round(float(np.mean(things < people[lost])), 4) for lost in _LOST if lost < len(people)
+            str(lost): _share_below(things, people[lost]) for lost in _LOST if lost < len(people)
         },
         "lowest_people": [round(float(logit), 3) for logit in people[:5]],
     }
+
+
+def _share_below(values: Floats, limit: float) -> float | None:
+    return round(float(np.mean(values < limit)), 4) if len(values) else None
