@@ -121,7 +121,6 @@ def test_an_answer_is_described() -> None:
     assert found["parts above 1 %"] == 2 and found["greatest part"] == 0.75
     assert found["borders"] == pytest.approx(5 / 3), "of three pairs of neighbours one, over the pixels of 5 cm"
     assert found["log confident area"] == pytest.approx(math.log(2.75e-4 + 1e-6))
-    assert found["root of share: Suprasternale"] == pytest.approx(math.sqrt(0.75))
     assert answer_of([3, 7], [1.0, 1.0], step=2)["borders"] == 0, "they are no neighbours"
     assert answer_of([32], [1.0])["greatest part"] == 1
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import LANDMARKS, PART_COUNT
+from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.people.surface_shape import (
     CELL_M,
@@ -30,7 +30,6 @@ PART_FEATURES: Final = (
     "borders",
     "greatest part",
     "log confident area",
-    *(f"root of share: {name}" for name in LANDMARKS),
 )
 """Features of a network's answer in the 33 parts, in their order."""
 
@@ -42,7 +41,7 @@ def part_features(
     range_m: NDArray[np.float32],
     camera: Camera,
 ) -> Floats:
-    """Describe a network's answer to a surface: `PART_FEATURES`, float64 [42].
+    """Describe a network's answer to a surface: `PART_FEATURES`, float64 [9].
 
     labels, confidence: uint8 and float32 [N], of each of `pixels`, the parts 0 to 32 whatever their confidence. The
     rest as for `surface_shape`. At most about 8 000 of the pixels are read, evenly spaced.
@@ -64,6 +63,5 @@ def part_features(
             borders * CELL_M / pixel_m(pixels, range_m, camera),
             shares.max(),
             np.log((area * sure).sum() + 1e-6),
-            *np.sqrt(shares),
         ]
     )
