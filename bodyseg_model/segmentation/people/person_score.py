@@ -122,8 +122,8 @@ def score_from_json(tree: Mapping[str, Any], shapes: ShapeNetwork) -> PersonScor
         return PersonScore(shapes, float(tree["cutoff"]), float(tree["cutoff"]))
     if tuple(tree["weights"]) != FEATURES:
         raise BadConfig(f"the score has other features than this version computes, in {FILE}")
-    values = np.array(list(tree["weights"].values()), np.float64)
-    return PersonScore(shapes, shapes.thing_below, float(tree["cutoff"]), values, float(tree["bias"]))
+    values, cutoff = np.array(list(tree["weights"].values()), np.float64), float(tree["cutoff"])
+    return PersonScore(shapes, min(shapes.thing_below, cutoff), cutoff, values, float(tree["bias"]))
 
 
 def score_for(label_map: LabelMap) -> PersonScore:

@@ -129,7 +129,7 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert list(figures["measured"]) == ["held out", "open", "hard", "touching"]
     network = network_from_json(json.loads(json.dumps(figures["network"])))
-    assert 0 < network.thing_below < 0.5 and figures["network"]["source"]["command"] == "tools/bench shapes --views 22"
+    assert 0 < network.thing_below < 1 and figures["network"]["source"]["command"] == "tools/bench shapes --views 22"
 
 
 def test_rooms_without_people_fit_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,7 +57,7 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "seen_surfaces", lambda network, count, progress: seen)
     monkeypatch.setattr(bench, "people_and_things", lambda network, score, count, progress: {"rooms": count})
     figures = bench_things(views=50)
-    assert figures["test"] == {"rooms": 10}
+    assert figures["test"] == {"rooms": 40}
     assert figures["score"]["source"]["people"] == person.sum()
     shapes = shipped_shape_network()
     parts, shape = (score_from_json(figures["score"]["models"][model], shapes) for model in ("parts", "shape"))
