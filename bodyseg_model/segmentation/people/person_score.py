@@ -61,7 +61,7 @@ class PersonScore:
 
     @property
     def model(self) -> Literal["parts", "shape"]:
-        """What decides: a network's answer in the 33 parts, or the shape alone."""
+        """`parts` if a network's answer in the 33 parts decides, `shape` if the shape alone does."""
         return "shape" if self.weights is None else "parts"
 
     def __call__(

@@ -103,7 +103,7 @@ def shape_image(cells: NDArray[np.float64]) -> Image:
 
 
 def _middle(size: int) -> tuple[slice, slice]:
-    """Where `size` cells lie in an image's side, and which of them do."""
+    """Slices of an image's side and of the `size` cells of a surface that are placed there."""
     shown = min(size, SIDE)
     return slice((SIDE - shown) // 2, (SIDE + shown) // 2), slice((size - shown) // 2, (size + shown) // 2)
 

@@ -109,7 +109,7 @@ class Shapes:
 
     @property
     def large(self) -> NDArray[np.bool_]:
-        """Which of them show at least `LEAST_SEEN_M2`, [N]."""
+        """Surfaces of at least `LEAST_SEEN_M2`, bool [N]."""
         return self.measures[:, MEASURES.index("log area")] >= math.log(LEAST_SEEN_M2)
 
     def at(self, chosen: NDArray[np.bool_]) -> Shapes:
@@ -279,8 +279,9 @@ def logits(network: ShapeNetwork, shapes: Shapes) -> Floats:
 
 
 def quality(network: ShapeNetwork, shapes: Shapes) -> dict[str, Any]:
-    """Who is dropped below `thing_below`, and the share of the things that would be dropped where 0, 1, 2 ... of the
-    large surfaces of people are lost, as plain JSON; shares are null without any things.
+    """Surfaces of people lost and share of the things dropped by `thing_below`; and the share of the things that a
+    cutoff would drop which loses 0, 1, 2 ... of the people. Only large surfaces of people count. Shares are null
+    without any things.
     """
     found = logits(network, shapes)
     people, things = np.sort(found[shapes.person & shapes.large]), found[~shapes.person]
