@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.people.surface_shape import (
-    CELL_M,
-    FEW,
-    Floats,
-    pixel_m,
-    share_of,
-)
+from bodyseg_model.segmentation.people.surface_shape import CELL_M, FEW, Floats, pixel_m, share_of
 
 PART_FEATURES: Final = (
     "mean confidence",

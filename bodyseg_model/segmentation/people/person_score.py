@@ -116,14 +116,24 @@ def _probability(odds: float) -> float:
     return 1 / (1 + math.exp(-min(max(odds, -700.0), 700.0)))
 
 
+def score_with(
+    shapes: ShapeNetwork, cutoff: float, weights: NDArray[np.float64] | None = None, bias: float = 0.0
+) -> PersonScore:
+    """The score that judges shapes by a network, whose `thing_below` it takes, but none above its cutoff. Without
+    weights the shape alone decides. Raises BadConfig as `PersonScore`.
+    """
+    thing_below = cutoff if weights is None else min(shapes.thing_below, cutoff)
+    return PersonScore(shapes, thing_below, cutoff, weights, bias)
+
+
 def score_from_json(tree: Mapping[str, Any], shapes: ShapeNetwork) -> PersonScore:
     """Rebuild a score from what `PersonScore.to_json` gave. Raises BadConfig for other features."""
+    cutoff = float(tree["cutoff"])
     if "weights" not in tree:
-        return PersonScore(shapes, float(tree["cutoff"]), float(tree["cutoff"]))
+        return score_with(shapes, cutoff)
     if tuple(tree["weights"]) != FEATURES:
         raise BadConfig(f"the score has other features than this version computes, in {FILE}")
-    values, cutoff = np.array(list(tree["weights"].values()), np.float64), float(tree["cutoff"])
-    return PersonScore(shapes, min(shapes.thing_below, cutoff), cutoff, values, float(tree["bias"]))
+    return score_with(shapes, cutoff, np.array(list(tree["weights"].values()), np.float64), float(tree["bias"]))
 
 
 def score_for(label_map: LabelMap) -> PersonScore:

@@ -19,7 +19,7 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.segmentation.people.part_features import part_features
-from bodyseg_model.segmentation.people.person_score import FEATURES, FORMAT, PersonScore
+from bodyseg_model.segmentation.people.person_score import FEATURES, FORMAT, score_with
 from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
 from bodyseg_model.segmentation.people.surface_shape import surface_shape
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -62,8 +62,7 @@ def bench_things(views: int = 300, runs: Sequence[Path] = (), progress: Progress
     by_parts = cross_scores(surfaces.features, surfaces.person, surfaces.room)
     cutoffs = [float(np.quantile(scores[surfaces.person], LOST)) for scores in (by_parts, by_shape)]
     weights, bias = logistic_fit(surfaces.features, surfaces.person)
-    parts = PersonScore(shapes, min(shapes.thing_below, cutoffs[0]), cutoffs[0], weights, bias)
-    shape = PersonScore(shapes, cutoffs[1], cutoffs[1])
+    parts, shape = score_with(shapes, cutoffs[0], weights, bias), score_with(shapes, cutoffs[1])
     told = by_shape < parts.thing_below
     quality = {
         "parts": _quality(by_parts < cutoffs[0], surfaces.person),

@@ -41,13 +41,13 @@ from bodyseg_model.stability.rooms import Rooms
 
 @dataclass(frozen=True)
 class Plan:
-    """Made rooms: with people of a source's split, by a seed. touching: as of `Rooms`. turns: how many of all rooms."""
+    """Made rooms: with people of a source's split, by a seed. touching: as of `Rooms`. share: of all rooms."""
 
     source: str
     split: Split
     seed: int
     touching: bool
-    turns: float
+    share: float
 
     def __str__(self) -> str:
         return f"{self.source}, {self.split} split, seed {self.seed}{', touching' if self.touching else ''}"
@@ -121,7 +121,7 @@ def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict
     """Fit the network to four fifths of `views` made rooms, and measure it on the others, and on people of the test
     split.
     """
-    counts = {name: max(1, round(plan.turns * views)) for name, plan in TESTS.items()}
+    counts = {name: max(1, round(plan.share * views)) for name, plan in TESTS.items()}
     rooms = views + sum(counts.values())
     seen = seen_shapes(PLANS, views, partial(_later, progress, 0, rooms))
     held = seen.room % HELD_OUT == 0
@@ -135,12 +135,12 @@ def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict
     measured = {"held out": quality(network, validation)}
     before = views
     for name, count in counts.items():
-        shapes = seen_shapes([replace(TESTS[name], turns=1.0)], count, partial(_later, progress, before, rooms))
+        shapes = seen_shapes([replace(TESTS[name], share=1.0)], count, partial(_later, progress, before, rooms))
         measured[name] = quality(network, shapes)
         before += count
     source = {
         "command": f"tools/bench shapes --views {views}",
-        "rooms": [f"{plan.turns:.0%} {plan}" for plan in PLANS],
+        "rooms": [f"{plan.share:.0%} {plan}" for plan in PLANS],
         "sensors": list(SENSORS),
         "fitted to": {"people": int(fit.person.sum()), "things": int((~fit.person).sum())},
         "thing_below": f"{LOST:.1%} of the people of {LEAST_SEEN_M2} m² lost in rooms not fitted to, one in {HELD_OUT}",
@@ -160,7 +160,7 @@ def seen_shapes(plans: Sequence[Plan], count: int, progress: ProgressCallback) -
     tasks = [
         (plan, range(first, min(first + _ROOMS_A_TASK, whole)))
         for plan in plans
-        for whole in [round(plan.turns * count)]
+        for whole in [round(plan.share * count)]
         for first in range(0, whole, _ROOMS_A_TASK)
     ]
     shapes: list[SurfaceShape] = []
