@@ -42,7 +42,7 @@ from bodyseg_model.segmentation.files.frame_results import FrameResults, Labelle
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.files.write_behind import WriteBehind
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import PersonScore, score_for
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.overlay import Preview, draw_parts_legend
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
@@ -105,7 +105,7 @@ def run(options: Options) -> int:
     preview = None if options.no_overlay else Preview(options.fps, label_map)
     to_device(trained.network, options.device)
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig, skipping)
-    score = None if options.keep_things else score_for(label_map)
+    score = None if options.keep_things else shipped_score()
     video = CarriedLabels() if options.video else None
     segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score, video)
     _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
@@ -151,7 +151,7 @@ def run(options: Options) -> int:
         "unit_m": _units(frames),
         "skipped": skipping.skipped,
         "background": background.to_json(),
-        "person_score": None if first.people is None else _cutoffs(first.people),
+        "person_score": None if first.people is None else {"cutoff": first.people.cutoff},
         "resampling": {
             "rig": trained.rig.name,
             "focal_px": trained.rig.camera.focal_px,
@@ -249,11 +249,6 @@ def _background(options: Options) -> Background:
     if given and options.background == "keep":
         raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
     return Background(options.background, **given)
-
-
-def _cutoffs(score: PersonScore) -> dict[str, Any]:
-    """What the score of persons goes by, its cutoff, and that of the shape alone, before the network."""
-    return {"model": score.model, "cutoff": score.cutoff, "thing_below": score.thing_below}
 
 
 def _facts(trained: Trained) -> dict[str, Any]:

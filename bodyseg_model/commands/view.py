@@ -22,7 +22,7 @@ from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_ne
 from bodyseg_model.recordings.camera_files import find_cameras
 from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import score_for
+from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenters
 from bodyseg_model.training.distributed import find_device
 from bodyseg_model.viewing.pages.page import Page
@@ -192,6 +192,6 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
             raise
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
     cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
-    score = None if options.keep_things else score_for(trained.label_map)
+    score = None if options.keep_things else shipped_score()
     segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
     return RecordingView(frames, cameras, segmenters, trained.label_map)

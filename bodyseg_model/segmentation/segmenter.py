@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
@@ -28,7 +28,7 @@ from bodyseg_model.segmentation.undistortion import Undistortion
 
 _KEPT: Final = 4
 
-STAGES: Final = ("background", "shape", "resample", "network", "back", "people", "video")
+STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
 
 @dataclass(frozen=True)
@@ -51,25 +51,12 @@ class LabelledBody:
 class Thing:
     """A surface of a body's size that is no person. pixels: as of `LabelledBody`. median_range_m: of the pixels.
 
-    person: probability that it is a person, 0 to 1. confidence: of the network, float32 [N]; None for one that is told
-    by its shape, which no network has labelled.
+    person: probability that it is a person, 0 to 1.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
     median_range_m: float
     person: float
-    confidence: NDArray[np.float32] | None = field(default=None, repr=False)
-
-    @classmethod
-    def of(
-        cls,
-        range_m: NDArray[np.float32],
-        pixels: NDArray[np.intp],
-        person: float,
-        confidence: NDArray[np.float32] | None = None,
-    ) -> Thing:
-        """Return the thing at `pixels` of a frame, float32 [H, W], metres."""
-        return cls(pixels, float(np.median(range_m.ravel()[pixels])), person, confidence)
 
 
 @dataclass(frozen=True)
@@ -106,28 +93,23 @@ class Segmentation:
 
 
 @dataclass(frozen=True)
-class FoundSurface:
-    """A surface of a body's size, before a network has labelled it. pixels: as of `LabelledBody`.
-
-    shape: `PersonScore.of_shape`; None where nobody tells people from things. thing: probability that it is a person,
-    where its shape alone tells that it is none, which no network will label. view: what the network will see of all
-    others.
-    """
+class FoundBody:
+    """A body before a network has labelled it. pixels, person: as of `LabelledBody`. view: what the network sees."""
 
     pixels: NDArray[np.intp] = field(repr=False)
-    shape: float | None = None
-    thing: float | None = None
-    view: BodyView | None = field(default=None, repr=False)
+    view: BodyView = field(repr=False)
+    person: float | None = None
 
 
 @dataclass(frozen=True)
 class FoundSurfaces:
-    """The surfaces of a frame, the largest first; range_m: the frame, float32 [H, W], metres. milliseconds: of each of
-    `STAGES` so far.
+    """The surfaces of a frame that have a body's size, people and things, the largest of each first. range_m: the
+    frame, float32 [H, W], metres. milliseconds: of each of `STAGES` so far.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
-    surfaces: tuple[FoundSurface, ...]
+    bodies: tuple[FoundBody, ...]
+    things: tuple[Thing, ...]
     milliseconds: dict[str, float]
 
 
@@ -195,58 +177,44 @@ class Segmenter:
             )
         watch = Stopwatch(STAGES)
         with watch("background"):
-            surfaces = [FoundSurface(pixels) for pixels in find_bodies(range_m, self.camera, self.background)]
-        if self.people is not None:
-            with watch("shape"):
-                shapes = [self.people.of_shape(surface.pixels, range_m, self.camera) for surface in surfaces]
-                surfaces = [
-                    FoundSurface(surface.pixels, shape, self.people.of_thing(shape))
-                    for surface, shape in zip(surfaces, shapes, strict=True)
-                ]
-        with watch("resample"):
-            surfaces = [self._resampled(range_m, surface) for surface in surfaces]
-        return FoundSurfaces(range_m, tuple(surfaces), watch.milliseconds)
-
-    def _resampled(self, range_m: NDArray[np.float32], surface: FoundSurface) -> FoundSurface:
-        if surface.thing is not None:
-            return surface
-        return replace(surface, view=view_body(range_m, surface.pixels, self.camera, self.rig, self.mirrored))
+            surfaces = find_bodies(range_m, self.camera, self.background)
+        bodies: list[FoundBody] = []
+        things: list[Thing] = []
+        for pixels in surfaces:
+            person = None
+            if self.people is not None:
+                with watch("shape"):
+                    person = self.people(pixels, range_m, self.camera)
+                if person < self.people.cutoff:
+                    things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), person))
+                    continue
+            with watch("resample"):
+                view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
+            bodies.append(FoundBody(pixels, view, person))
+        return FoundSurfaces(range_m, tuple(bodies), tuple(things), watch.milliseconds)
 
     def label(self, found: FoundSurfaces) -> Segmentation:
-        """Label the surfaces of a frame. With `video`, frames must come in order."""
+        """Label the bodies of a frame. With `video`, frames must come in order."""
         range_m, watch = found.range_m, Stopwatch(STAGES)
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
-        things: list[Thing] = []
         with watch("network"):
-            views = [surface.view for surface in found.surfaces if surface.view is not None]
-            answers = zip(views, predict_each(self._network, [view.range_m for view in views]), strict=True)
-        for surface in found.surfaces:
-            pixels, shape = surface.pixels, surface.shape
-            if surface.thing is not None:
-                things.append(Thing.of(range_m, pixels, surface.thing))
-                continue
-            view, (view_labels, view_confidence) = next(answers)
-            with watch("back"):
-                confidence, named = view.back(view_confidence), view.back(view_labels)
-            person = None
-            if self.people is not None and shape is not None:
-                with watch("people"):
-                    person = self.people.of_answer(shape, pixels, range_m, self.camera, named, confidence)
-                if person < self.people.cutoff:
-                    things.append(Thing.of(range_m, pixels, person, confidence))
-                    continue
-            bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
-            with watch("back"):
-                labels.ravel()[pixels] = named
+            answers = predict_each(self._network, [body.view.range_m for body in found.bodies])
+        with watch("back"):
+            for body, (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+                view, confidence = body.view, body.view.back(view_confidence)
+                labels.ravel()[body.pixels] = view.back(view_labels)
+                bodies.append(
+                    LabelledBody(body.pixels, view.median_range_m, view.turn_rad, view.scale, confidence, body.person)
+                )
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
                 labels = self.video(range_m, labels, seen, self.camera)
-        for body in bodies:
-            labels.ravel()[body.pixels[body.confidence < self.least_confidence]] = BACKGROUND
-        return Segmentation(labels, tuple(bodies), watch.milliseconds, tuple(things))
+        for labelled in bodies:
+            labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
+        return Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
 
     def stream(self, frames: Iterable[NDArray[np.float32]], ahead: bool = False) -> Iterator[Segmentation]:
         """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
@@ -271,7 +239,9 @@ class Segmenter:
         rows, columns = self.camera.rows, self.camera.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
-        find_bodies(room, self.camera, self.background)
+        for pixels in find_bodies(room, self.camera, self.background):
+            if self.people is not None:
+                self.people(pixels, room, self.camera)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)

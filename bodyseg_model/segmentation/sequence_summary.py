@@ -133,12 +133,7 @@ def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
 
 
 def _thing(thing: Thing, columns: int) -> dict[str, Any]:
-    """Entry of a thing; one that is told by its shape has no confidence."""
-    return {
-        **_place(thing.pixels, columns, thing.median_range_m),
-        "mean_confidence": None if thing.confidence is None else _mean(thing.confidence),
-        "person": _rounded(thing.person),
-    }
+    return {**_place(thing.pixels, columns, thing.median_range_m), "person": _rounded(thing.person)}
 
 
 def _place(pixels: NDArray[np.intp], columns: int, range_m: float) -> dict[str, Any]:

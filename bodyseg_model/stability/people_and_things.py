@@ -17,7 +17,7 @@ from bodyseg_data.core.splits import Split
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.network import Network
 from bodyseg_model.segmentation.people.person_score import PersonScore
-from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
+from bodyseg_model.segmentation.segmenter import LabelledBody, Segmenter
 from bodyseg_model.stability.rooms import Room, Rooms
 
 SENSORS: Final = ("kinect_v1", "kinect_v2")
@@ -81,19 +81,14 @@ def people_and_things(
 ) -> dict[str, Any]:
     """Measure a network on `count` made rooms, with labels on every surface of a body's size, and on people alone.
 
-    Returns plain JSON: `Counts.to_json` "before" and "after" the score; "told_by_shape", the surfaces of people and of
-    things that it drops before a network is asked; and its processor time, milliseconds a frame.
+    Returns plain JSON: `Counts.to_json` "before" and "after" the score, and its processor time, milliseconds a frame.
     """
     before, after, seconds = Counts(), Counts(), 0.0
-    told = {"people": 0, "things": 0}
     for done, (segmenter, room) in enumerate(_frames(network, count)):
         result = segmenter(room.range_m)
         start = time.thread_time()
-        people = [body for body in result.bodies if score_of(body, score, segmenter, room, result) >= score.cutoff]
+        people = [body for body in result.bodies if score(body.pixels, room.range_m, segmenter.camera) >= score.cutoff]
         seconds += time.thread_time() - start
-        for body in result.bodies:
-            if score.of_thing(score.of_shape(body.pixels, room.range_m, segmenter.camera)) is not None:
-                told["people" if (room.person.ravel()[body.pixels] >= 0).mean() >= 0.5 else "things"] += 1
         before.add(room, result.bodies, result.labels, 1 / segmenter.camera.focal_px)
         after.add(room, people, result.labels, 1 / segmenter.camera.focal_px)
         progress(done + 1, count)
@@ -104,15 +99,8 @@ def people_and_things(
         "seed": TEST_SEED,
         "before": before.to_json(),
         "after": after.to_json(),
-        "told_by_shape": told,
         "score_ms": round(1000 * seconds / count, 3),
     }
-
-
-def score_of(body: LabelledBody, score: PersonScore, segmenter: Segmenter, room: Room, result: Segmentation) -> float:
-    """Score one body of a frame that was labelled without a score and without a least confidence."""
-    labels = result.labels.ravel()[body.pixels]
-    return score(body.pixels, room.range_m, segmenter.camera, labels, body.confidence)
 
 
 def rooms_of(

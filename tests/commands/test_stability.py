@@ -24,7 +24,7 @@ from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
 from bodyseg_model.stability import accuracies
 from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs
@@ -223,7 +223,7 @@ def test_people_and_things_are_counted_for_each_group(
     figures_set: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def counted(network: Any, score: PersonScore, count: int, progress: Any) -> dict[str, Any]:
-        assert score.model == "parts"
+        assert score == shipped_score()
         progress(count, count)
         row = {"found": 0.9, "things": 7, "thing_pixels": 5000, "accuracy": None}
         return {"rooms": count, "before": row, "after": {**row, "things": 1}}

@@ -1,12 +1,10 @@
-"""People and things: features of known shapes and answers, the score, and what a segmenter does with it."""
+"""People and things: measures of known shapes, the score, and what a segmenter does with it."""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +16,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.people import person_score
-from bodyseg_model.segmentation.people.part_features import PART_FEATURES, part_features
-from bodyseg_model.segmentation.people.person_score import (
-    FEATURES,
-    PersonScore,
-    score_for,
-    score_from_json,
-    shipped_score,
-)
+from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
 from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
 from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -106,33 +95,6 @@ def test_cells_are_means_of_five_centimetres() -> None:
     assert np.isnan(cells[9:11, 5:7]).any() and np.isfinite(cells[:6, :-1]).all()
 
 
-def answer_of(labels: list[int], confidence: list[float], step: int = 1) -> dict[str, float]:
-    pixels = 320 * 100 + step * np.arange(len(labels))
-    frame = np.full((240, 320), 2.625, np.float32)  # a pixel is 1 cm wide
-    values = part_features(pixels, np.array(labels, np.uint8), np.array(confidence, np.float32), frame, CAMERA)
-    return dict(zip(PART_FEATURES, values.tolist(), strict=True))
-
-
-def test_an_answer_is_described() -> None:
-    found = answer_of([3, 3, 3, 7], [0.95, 0.8, 0.6, 0.4])
-    assert found["mean confidence"] == pytest.approx(0.6875)
-    assert [found[f"share above {least}"] for least in (0.5, 0.7, 0.9)] == [0.75, 0.5, 0.25]
-    assert found["entropy of parts"] == pytest.approx(-(0.75 * math.log(0.75) + 0.25 * math.log(0.25)))
-    assert found["parts above 1 %"] == 2 and found["greatest part"] == 0.75
-    assert found["borders"] == pytest.approx(5 / 3), "of three pairs of neighbours one, over the pixels of 5 cm"
-    assert found["log confident area"] == pytest.approx(math.log(2.75e-4 + 1e-6))
-    assert answer_of([3, 7], [1.0, 1.0], step=2)["borders"] == 0, "they are no neighbours"
-    assert answer_of([32], [1.0])["greatest part"] == 1
-
-
-def test_of_many_pixels_some_are_read() -> None:
-    draws = np.random.default_rng(0)
-    labels, confidence = draws.integers(0, 33, 20_000), draws.random(20_000)
-    found = answer_of(labels.tolist(), confidence.tolist())
-    assert found["mean confidence"] == pytest.approx(0.5, abs=0.02) and found["parts above 1 %"] == 33
-    assert math.exp(found["log confident area"]) == pytest.approx(20_000 * 0.5e-4, rel=0.05)
-
-
 # The score.
 
 
@@ -145,97 +107,48 @@ def flat_is_thing(shape: SurfaceShape) -> float:
     return 8.0 - 10.0 * float(shape.measures[MEASURES.index("flat share")])
 
 
-def test_a_score_is_a_logistic_function_of_shape_and_answer() -> None:
+def test_a_score_is_the_probability_of_a_persons_shape() -> None:
     frame = column()
     pixels = np.flatnonzero(frame)
-    labels, confidence = np.zeros(len(pixels), np.uint8), np.full(len(pixels), 0.8, np.float32)
-    weights = np.zeros(len(FEATURES))
-    weights[FEATURES.index("shape")], weights[FEATURES.index("mean confidence")] = 0.5, 2.0
-    score = PersonScore(always(3.0), 0.1, 0.5, weights, bias=-1.0)
-    assert score(pixels, frame, CAMERA, labels, confidence) == pytest.approx(1 / (1 + math.exp(1 - 1.5 - 1.6)))
-    assert PersonScore(always(3.0), 0.0, 0.5)(pixels, frame, CAMERA, labels, confidence) == pytest.approx(
-        1 / (1 + math.exp(-3))
-    )
-    sure = PersonScore(always(1e9), 0.0, 0.5, weights, -1.0)
-    assert sure(pixels, frame, CAMERA, labels, confidence) == 1.0
-    never = PersonScore(always(-1e9), 0.1, 0.5, weights)
-    assert never(pixels, frame, CAMERA, labels, confidence) < 1e-300
+    for odds, expected in ((3.0, 1 / (1 + math.exp(-3))), (0.0, 0.5), (1e9, 1.0)):
+        assert PersonScore(always(odds), 0.5)(pixels, frame, CAMERA) == pytest.approx(expected)
+    assert PersonScore(always(-1e9), 0.5)(pixels, frame, CAMERA) < 1e-300
+    with pytest.raises(BadConfig, match="^a score of people needs a cutoff from 0 to 1, found 2$"):
+        PersonScore(always(0.0), 2.0)
 
 
-def test_a_score_is_stored_with_the_names_of_its_features() -> None:
-    weights = np.linspace(-1, 1, len(FEATURES))
-    shapes = shipped_shape_network()
-    score = PersonScore(shapes, shapes.thing_below, 0.125, weights, 0.25)
-    tree = json.loads(json.dumps(score.to_json()))
-    again = score_from_json(tree, shapes)
-    assert (again.bias, again.cutoff, again.thing_below, again.model) == (0.25, 0.125, shapes.thing_below, "parts")
-    assert again.weights is not None
-    np.testing.assert_allclose(again.weights, weights, atol=1e-6)
-    tree["weights"]["hair"] = tree["weights"].pop("shape")
-    with pytest.raises(BadConfig, match="^the score has other features than this version computes, in person_score.js"):
-        score_from_json(tree, shapes)
-    alone = score_from_json(PersonScore(shapes, 0.3, 0.3).to_json(), shapes)
-    assert (alone.model, alone.cutoff, alone.thing_below) == ("shape", 0.3, 0.3)
+def test_the_score_that_ships_is_that_of_the_network_of_shapes() -> None:
+    frame, network = column(), shipped_shape_network()
+    pixels, score = np.flatnonzero(frame), shipped_score()
+    odds = network(surface_shape(pixels, frame, CAMERA))
+    assert score(pixels, frame, CAMERA) == pytest.approx(1 / (1 + math.exp(-odds)))
+    assert score.cutoff == network.cutoff
 
 
-def test_bad_numbers_of_a_score_are_refused() -> None:
-    with pytest.raises(BadConfig, match=f"^a score of people has {len(FEATURES)} weights, found 3$"):
-        PersonScore(always(0.0), 0.0, 0.5, np.zeros(3))
-    with pytest.raises(BadConfig, match="^a score needs finite weights and a cutoff from 0 to 1, found cutoff 2$"):
-        PersonScore(always(0.0), 0.0, 2.0)
-    with pytest.raises(BadConfig, match="^'thing_below' must be 0 to the cutoff, 0.5, found 0.6$"):
-        PersonScore(always(0.0), 0.6, 0.5)
-
-
-def test_a_thing_may_be_told_by_its_shape_alone() -> None:
-    parts = np.zeros(len(FEATURES))
-    for odds, expected in ((-2.0, 1 / (1 + math.exp(2))), (2.0, None)):
-        told = PersonScore(always(odds), 0.5, 0.6, parts, 4.0).of_thing(odds)
-        assert told == (None if expected is None else pytest.approx(expected))
-    assert PersonScore(always(-9.0), 0.0, 0.6, parts).of_thing(-9.0) is None, "with 0 every surface is labelled"
-    frame = board()
-    pixels = np.flatnonzero(frame)
-    answer = np.zeros(len(pixels), np.uint8), np.ones(len(pixels), np.float32)
-    for odds, expected_score in ((-2.0, 1 / (1 + math.exp(2))), (2.0, 1 / (1 + math.exp(-4)))):
-        score = PersonScore(always(odds), 0.5, 0.6, parts, 4.0)
-        assert score(pixels, frame, CAMERA, *answer) == pytest.approx(expected_score)
-
-
-def test_a_thing_that_its_shape_tells_is_not_shown_to_the_network() -> None:
+def test_a_thing_is_not_shown_to_the_network() -> None:
     frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
     network = Places(0, 10)
-    score = PersonScore(flat_is_thing, 0.5, 0.6, np.zeros(len(FEATURES)), 4.0)
-    found = Segmenter(network, CAMERA, people=score)(frame)
+    found = Segmenter(network, CAMERA, people=PersonScore(flat_is_thing, 0.5))(frame)
     assert len(network.seen) == len(found.bodies) == len(found.things) == 1
     (thing,) = found.things
-    assert thing.confidence is None and thing.person < 0.5 and thing.median_range_m == pytest.approx(2.0)
+    assert thing.person < 0.5 and thing.median_range_m == pytest.approx(2.0)
     np.testing.assert_array_equal(thing.pixels, np.flatnonzero(np.roll(board(slant=0.0), -60, axis=1)))
     assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
-
-
-def test_the_score_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    tree = json.loads((resources.files(person_score.__package__) / person_score.FILE).read_text())
-    assert tree["source"]["command"].startswith("tools/bench things") and tree["source"]["people"] > 100
-    assert [score_for(labels).model for labels in (PARTS33, load_label_map("limbs14"))] == ["parts", "shape"]
-    (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg person score 0"}))
-    monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))
-    with pytest.raises(BadConfig, match="'format' must be 'bodyseg person score 2', found 'bodyseg person score 0'$"):
-        shipped_score()
 
 
 def test_a_segmenter_labels_people_alone() -> None:
     frame = np.maximum(np.roll(board(slant=0.0), -60, axis=1), np.roll(column(), 60, axis=1))
     everything = Segmenter(Places(0, 10), CAMERA)(frame)
     assert len(everything.bodies) == 2 and not everything.things and everything.bodies[0].person is None
-    found = Segmenter(Places(0, 10), CAMERA, people=PersonScore(flat_is_thing, 0.5, 0.5))(frame)
+    found = Segmenter(Places(0, 10), CAMERA, people=PersonScore(flat_is_thing, 0.5))(frame)
     (person,), (thing,) = found.bodies, found.things
-    assert person.person is not None and thing.person is not None and thing.person < 0.5 <= person.person
+    assert person.person is not None and thing.person < 0.5 <= person.person
     assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
     np.testing.assert_array_equal(
         found.labels.ravel()[person.pixels], everything.labels.ravel()[everything.bodies[1].pixels]
     )
     assert found.pixels == len(person.pixels) and min(found.milliseconds[stage] for stage in ("shape", "network")) > 0
-    kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=PersonScore(always(-9.0), 0.5, 0.5))(frame)
+    kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=PersonScore(always(-9.0), 0.5))(frame)
     assert len(kept.bodies) == 1 and not kept.things, "who keeps all that was measured has said what it is"
 
 

@@ -464,7 +464,6 @@ def test_frames_read_ahead_have_the_same_labels(
 def test_a_block_is_no_person(
     recording: Path, tmp_path: Path, network: Places, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    network.sure_m = 1.0  # so it is unsure of the block, as networks are of things
     assert run(recording, "--focal", "100", "--out", tmp_path / "all") == 0
     assert report(tmp_path / "all")["person_score"] is None and report(tmp_path / "all")["things"] == 0
     assert "person" not in report(tmp_path / "all")["each"][0]["bodies"][0]
@@ -472,18 +471,15 @@ def test_a_block_is_no_person(
     out = tmp_path / "out"
     assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
     facts = report(out)
-    score = shipped_score()
-    cutoffs = {"cutoff": score.cutoff, "thing_below": score.thing_below}
-    assert facts["person_score"] == {"model": "parts", **cutoffs}
+    assert facts["person_score"] == {"cutoff": shipped_score().cutoff}
     assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
     (thing,) = facts["each"][0]["things"]
     assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26] and 0 <= thing["person"] < 0.1
-    assert thing["mean_confidence"] is None, "a block is told by its shape"
     assert (pixels(out / "labels" / "7.png") == BACKGROUND).all()
     assert "1 things a frame got no label: --keep-things labels them, too" in capsys.readouterr().err
 
 
-def test_things_of_other_classes_are_told_by_their_shape(
+def test_things_are_told_whatever_classes_a_network_has(
     recording: Path, tmp_path: Path, network: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
@@ -491,7 +487,6 @@ def test_things_of_other_classes_are_told_by_their_shape(
     card = {"labels": halves.to_json(), "rig": SMALL.to_json()}
     monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, card))
     assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
-    assert report(tmp_path / "out")["person_score"]["model"] == "shape"
     assert report(tmp_path / "out")["things"] == 5
 
 

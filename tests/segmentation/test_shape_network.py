@@ -61,11 +61,11 @@ def test_curvature_is_the_range_from_the_mean_around() -> None:
 def test_the_network_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tree = json.loads((resources.files(shape_network.__package__) / shape_network.FILE).read_text())
     assert tree["source"]["command"].startswith("tools/bench shapes") and tree["source"]["fitted to"]["people"] > 5000
-    assert 0.005 < shipped_shape_network().thing_below < 0.1
+    assert 0.01 < shipped_shape_network().cutoff < 0.5
     (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg shape network 0"}))
     monkeypatch.setattr(shape_network, "FILE", str(tmp_path / "other.json"))
     shipped_shape_network.cache_clear()
-    with pytest.raises(BadConfig, match="'format' must be 'bodyseg shape network 1', found 'bodyseg shape network 0'$"):
+    with pytest.raises(BadConfig, match="'format' must be 'bodyseg shape network 2', found 'bodyseg shape network 0'$"):
         shipped_shape_network()
     shipped_shape_network.cache_clear()
 
@@ -74,7 +74,7 @@ def test_a_network_is_stored_and_read_again() -> None:
     draws = np.random.default_rng(0)
     weights = {name: draws.normal(size=shape).astype(np.float32) for name, shape in SHAPES.items()}
     again = network_from_json(json.loads(json.dumps(network_to_json(ShapeNetwork(weights, 0.0125)))))
-    assert again.thing_below == 0.0125
+    assert again.cutoff == 0.0125
     for name, weight in weights.items():
         np.testing.assert_array_equal(again.weights[name], weight)
     tree = network_to_json(ShapeNetwork(weights, 0.0125))

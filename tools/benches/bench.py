@@ -72,8 +72,8 @@ BENCHES: Final = {
         optional=("runs", "images"),
     ),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
-    "shapes": Bench("model.things.shapes", None, "made rooms to fit to, 6600"),
-    "things": Bench("model.things.bench", None, "made rooms to fit to, 300", optional=("runs",)),
+    "shapes": Bench("model.things.shapes", None, "made rooms to fit to, 20000"),
+    "things": Bench("model.things.bench", None, "made rooms, 240", optional=("runs",)),
     "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
     "windows": Bench(
         "model.segment.windows", "windows_figure", "made rooms, 120", required=("data",), optional=("runs", "images")

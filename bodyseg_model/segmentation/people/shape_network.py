@@ -2,8 +2,8 @@
 
 It sees the surface at `CELL_M` a pixel, 48 x 48 of them, in three channels: range from the median, what is measured,
 and range from the mean of the 3 x 3 cells around, which shows how a body is curved; and the measures of the shape. With
-8 825 weights it takes 0.4 ms a surface, a twentieth of the network that labels bodies, so it is asked first. NumPy
-computes it: a runtime's threads would take processors from that network.
+8 825 weights it takes 0.4 ms a surface, a twentieth of the network that labels bodies. NumPy computes it: a runtime's
+threads would take processors from that network.
 
 `shape_network.json` holds the weights; `tools/bench shapes` fits them on made rooms (docs/things.md).
 """
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape
 
-FORMAT: Final = "bodyseg shape network 1"
+FORMAT: Final = "bodyseg shape network 2"
 FILE: Final = "shape_network.json"
 
 SIDE: Final = 48
@@ -60,12 +60,12 @@ Image = NDArray[np.float32]
 class ShapeNetwork:
     """Three convolutions of stride 2, the mean and maximum of each channel, and two linear layers.
 
-    weights: float32 arrays of `SHAPES`. thing_below: a surface of a lower probability, 0 to 1, is a thing with
-    certainty. Raises BadConfig for other weights.
+    weights: float32 arrays of `SHAPES`. cutoff: least probability of a person, 0 to 1. Raises BadConfig for other
+    weights.
     """
 
     weights: Mapping[str, Image] = field(repr=False)
-    thing_below: float
+    cutoff: float
 
     def __post_init__(self) -> None:
         if {name: weight.shape for name, weight in self.weights.items()} != SHAPES:
@@ -148,7 +148,7 @@ def network_to_json(network: ShapeNetwork) -> dict[str, Any]:
     weights = {
         name: base64.b64encode(np.asarray(weight, "<f4").tobytes()).decode() for name, weight in network.weights.items()
     }
-    return {"thing_below": round(network.thing_below, 4), "weights": weights}
+    return {"cutoff": round(network.cutoff, 4), "weights": weights}
 
 
 def network_from_json(tree: Mapping[str, Any]) -> ShapeNetwork:
@@ -157,7 +157,7 @@ def network_from_json(tree: Mapping[str, Any]) -> ShapeNetwork:
     if {name: len(each) for name, each in raw.items()} != _BYTES:
         raise BadConfig(f"the weights in {FILE} are not those of this version's network")
     weights = {name: np.frombuffer(raw[name], "<f4").reshape(shape) for name, shape in SHAPES.items()}
-    return ShapeNetwork(weights, float(tree["thing_below"]))
+    return ShapeNetwork(weights, float(tree["cutoff"]))
 
 
 @cache

@@ -7,11 +7,13 @@ which is estimated from the pixels, is allowed for.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 
 Floats = NDArray[np.float64]
@@ -40,8 +42,7 @@ CELL_M: Final = 0.05
 """Side of the cells over which ranges are averaged, metres."""
 
 _PIXELS_A_CELL: Final = 5  # a side: of larger cells, only every second, third ... pixel is read
-FEW: Final = 4096
-"""Of the pixels for a median or a share, evenly spaced, no fewer are read."""
+_FEW: Final = 4096  # of the pixels for a median, evenly spaced, no fewer are read
 
 _LEAST_FILLED: Final = 0.5
 _JUMP_M: Final = 0.15  # between cells on two surfaces
@@ -70,36 +71,38 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     pixels: int [N], row * columns + column, ascending, at least one, all measured. range_m: float32 [H, W], metres.
     camera: the frame's.
     """
-    cell_px = max(2, round(CELL_M / pixel_m(pixels, range_m, camera)))
+    form = _loops() if use_compiled() else _NumpyForm
+    cell_px = max(2, round(CELL_M / _pixel_m(pixels, range_m, camera)))
     step = max(1, cell_px // _PIXELS_A_CELL)
     side = -(-cell_px // step)
-    shown = np.zeros(range_m.shape, np.bool_)
-    shown.ravel()[pixels] = True
-    coarse = np.ascontiguousarray(shown[::step, ::step])
-    rows, columns = np.divmod(np.flatnonzero(coarse), coarse.shape[1])
-    if not len(rows):  # a surface narrower than the step
+    most = len(pixels)
+    rows, columns, z = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    count = form.list_every(pixels, range_m.ravel(), camera.columns, step, rows, columns, z)
+    if not count:  # a surface narrower than the step
         return SurfaceShape(np.zeros(len(MEASURES)), np.full((1, 1), np.nan))
-    z = range_m.ravel()[rows * (step * camera.columns) + columns * step].astype(np.float64)
-    cells = _Cells(rows, columns, z, side)
+    rows, columns, z = rows[:count], columns[:count], z[:count]
+    left, right = form.extent(columns, z, step, camera.centre_px[0], camera.focal_px)
+    top, bottom = form.extent(rows, z, step, camera.centre_px[1], camera.focal_px)
+    bends = np.empty(count)  # show the noise of one pixel: neighbours lie on a plane, nearly
+    noise_m = _value_at(bends[: form.list_bends(rows, columns, z, bends)], 0.5) / _MAD
+    cells = _Cells(form, rows, columns, z, side)
     down, across = _second_differences(cells.means)
     every = np.concatenate([down, across])
     bent = np.abs(every)
-    limit = _FLAT_M + _SIGMAS * np.sqrt(6.0) * _noise(rows, columns, z) / side
-    x = (columns * step + 0.5 - camera.centre_px[0]) * z / camera.focal_px
-    y = (rows * step + 0.5 - camera.centre_px[1]) * z / camera.focal_px
-    width, height = max(float(np.ptp(x)), CELL_M), max(float(np.ptp(y)), CELL_M)
+    limit = _FLAT_M + _SIGMAS * np.sqrt(6.0) * noise_m / side
+    width, height = max(right - left, CELL_M), max(bottom - top, CELL_M)
     area = float(((step * z / camera.focal_px) ** 2).sum())
     measures = np.array(
         [
-            *(share_of(np.abs(each) < limit, 1.0) for each in (every, down, across)),
-            *(100 * min(value_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
-            100 * min(value_at(bent, 0.5), _MOST_CURVED_M[0]),
-            100 * min(value_at(bent, 0.75), _MOST_CURVED_M[1]),
-            *(np.log(share_of(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
+            *(_share_of(np.abs(each) < limit, 1.0) for each in (every, down, across)),
+            *(100 * min(_value_at(each, 0.5), _MOST_CURVED_M[0]) for each in (down, across)),
+            100 * min(_value_at(bent, 0.5), _MOST_CURVED_M[0]),
+            100 * min(_value_at(bent, 0.75), _MOST_CURVED_M[1]),
+            *(np.log(_share_of(each, 0.0) + _LEAST_SHARE) for each in (every > limit, every < -limit)),
             cells.filled_share,
             width,
             height,
-            value_at(z, 0.97) - value_at(z, 0.03),
+            _value_at(z, 0.97) - _value_at(z, 0.03),
             np.log(area),
             area / (width * height),
             np.log(area / height**2),
@@ -108,26 +111,63 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     return SurfaceShape(measures, cells.means)
 
 
-def pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.people.shape_loops")
+
+
+class _NumpyForm:
+    """The functions of `shape_loops`, with the same bits."""
+
+    @staticmethod
+    def list_every(pixels: Any, flat: Any, width: int, step: int, rows: Any, columns: Any, depths: Any) -> int:
+        row, column = np.divmod(pixels, width)
+        every = (row % step == 0) & (column % step == 0)
+        count = int(np.count_nonzero(every))
+        rows[:count], columns[:count] = row[every] // step, column[every] // step
+        depths[:count] = flat[pixels[every]]
+        return count
+
+    @staticmethod
+    def add_to_cells(rows: Any, columns: Any, depths: Any, side: int, counts: Any, sums: Any) -> None:
+        index = rows // side * counts.shape[1] + columns // side
+        counts += np.bincount(index, minlength=counts.size).reshape(counts.shape)
+        sums += np.bincount(index, depths, minlength=counts.size).reshape(counts.shape)
+
+    @staticmethod
+    def list_bends(rows: Any, columns: Any, depths: Any, bends: Any) -> int:
+        beside = (np.diff(columns) == 1) & (np.diff(rows) == 0)
+        found = np.abs(depths[:-2] - 2 * depths[1:-1] + depths[2:])[beside[:-1] & beside[1:]]
+        bends[: len(found)] = found
+        return len(found)
+
+    @staticmethod
+    def extent(places: Any, depths: Any, step: int, centre: float, focal_px: float) -> tuple[float, float]:
+        at = (places * step + 0.5 - centre) * depths / focal_px
+        return float(at.min()), float(at.max())
+
+
+def _pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
     """Side of a pixel at the surface's median range, metres."""
-    some = range_m.ravel()[pixels[:: max(1, len(pixels) // FEW)]]
-    return value_at(some, 0.5) / camera.focal_px
+    some = range_m.ravel()[pixels[:: max(1, len(pixels) // _FEW)]]
+    return _value_at(some, 0.5) / camera.focal_px
 
 
 class _Cells:
     """Squares of `side` x `side` pixels of a surface. means: their mean ranges [h, w], NaN where less than half of one
     is measured. filled_share: of those measured at all, the share that is measured for a half or more.
+
+    form: the loops, or their NumPy form.
     """
 
-    def __init__(self, rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats, side: int) -> None:
-        down, across = (rows - rows.min()) // side, (columns - columns.min()) // side
-        shape = int(down.max()) + 1, int(across.max()) + 1
-        index = down * shape[1] + across
-        count = np.bincount(index, minlength=shape[0] * shape[1])
-        filled = count >= _LEAST_FILLED * side**2
-        means = np.bincount(index, z, minlength=len(count)) / np.maximum(count, 1)
-        self.means = np.where(filled, means, np.nan).reshape(shape)
-        self.filled_share = float(filled.sum() / np.count_nonzero(count))
+    def __init__(self, form: Any, rows: NDArray[np.int64], columns: NDArray[np.int64], z: Floats, side: int) -> None:
+        rows, columns = rows - rows[0], columns - columns.min()
+        shape = int(rows[-1]) // side + 1, int(columns.max()) // side + 1
+        counts, sums = np.zeros(shape, np.int64), np.zeros(shape)
+        form.add_to_cells(rows, columns, z, side, counts, sums)
+        filled = counts >= _LEAST_FILLED * side**2
+        self.means = np.where(filled, sums / np.maximum(counts, 1), np.nan)
+        self.filled_share = float(filled.sum() / np.count_nonzero(counts))
 
 
 def _second_differences(means: Floats) -> tuple[Floats, Floats]:
@@ -140,18 +180,11 @@ def _second_differences(means: Floats) -> tuple[Floats, Floats]:
     return found[0], found[1]
 
 
-def _noise(rows: NDArray[np.intp], columns: NDArray[np.intp], z: Floats) -> float:
-    """Standard deviation of the noise of one pixel, metres, from second differences of neighbours in a row."""
-    beside = (np.diff(columns) == 1) & (np.diff(rows) == 0)
-    inner = beside[:-1] & beside[1:]
-    return float(value_at(np.abs(z[:-2] - 2 * z[1:-1] + z[2:])[inner], 0.5) / _MAD)
-
-
-def share_of(of: NDArray[np.bool_], without: float) -> float:
+def _share_of(of: NDArray[np.bool_], without: float) -> float:
     return float(np.count_nonzero(of) / len(of)) if len(of) else without
 
 
-def value_at(values: NDArray[np.floating[Any]], share: float) -> float:
+def _value_at(values: NDArray[np.floating[Any]], share: float) -> float:
     """The value below which a share of all lies; 0 without any."""
     place = min(int(share * len(values)), len(values) - 1)
     return float(np.partition(values, place)[place]) if len(values) else 0.0

@@ -69,7 +69,7 @@ def test_who_is_lost_at_which_cutoff() -> None:
     shapes.measures[:, 0] = np.where(shapes.person, 3.0, 1.0)
     shapes.measures[0, 0] = 0.5  # a person
     shapes.measures[1, 0] = 4.0  # a thing
-    found = quality(ShapeNetwork(weights, thing_below=1 / (1 + np.exp(-2.0))), shapes)
+    found = quality(ShapeNetwork(weights, cutoff=1 / (1 + np.exp(-2.0))), shapes)
     assert (found["people"], found["people_lost"], found["things"]) == (20, 1, 20)
     assert found["things_dropped"] == pytest.approx(0.95)
     assert found["things_dropped_where_people_lost"] == {"0": 0.0, "1": 0.95, "2": 0.95, "5": 0.95, "10": 0.95}
@@ -129,7 +129,7 @@ def test_what_the_bench_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert list(figures["measured"]) == ["held out", "open", "hard", "touching"]
     network = network_from_json(json.loads(json.dumps(figures["network"])))
-    assert 0 < network.thing_below < 1 and figures["network"]["source"]["command"] == "tools/bench shapes --views 22"
+    assert 0 < network.cutoff < 1 and figures["network"]["source"]["command"] == "tools/bench shapes --views 22"
 
 
 def test_rooms_without_people_fit_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

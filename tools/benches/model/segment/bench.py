@@ -36,7 +36,7 @@ from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, score_of
+from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts
 from bodyseg_model.stability.rooms import Room, Rooms
 
 _SQUARE: Final = 1024
@@ -45,7 +45,7 @@ _SQUARE_FOCAL_PX: Final = 840.0
 
 _BODIES: Final = 6  # of each source: to label one takes a second
 
-STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "people", "write")
+STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "write")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ LIVE: Final[dict[str, tuple[BackendName | None, Precision | None]]] = {
 }
 """Ways to label a live sensor's frames: backend and precision of each."""
 
-DROPPING: Final = ("background", "shape", "people")
+DROPPING: Final = ("background", "shape")
 """Stages after which fewer surfaces are left, in their order."""
 
 
@@ -187,11 +187,8 @@ def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
     counts = {stage: Counts() for stage in DROPPING}
     for room in rooms:
         result = segmenter(room.range_m)
-        shown = [
-            body for body in result.bodies if score.of_thing(score.of_shape(body.pixels, room.range_m, camera)) is None
-        ]
-        people = [body for body in shown if score_of(body, score, segmenter, room, result) >= score.cutoff]
-        for count, bodies in zip(counts.values(), (result.bodies, shown, people), strict=True):
+        people = [body for body in result.bodies if score(body.pixels, room.range_m, camera) >= score.cutoff]
+        for count, bodies in zip(counts.values(), (result.bodies, people), strict=True):
             count.add(room, bodies, result.labels, 1 / camera.focal_px)
     return {stage: count.to_json() for stage, count in counts.items()}
 

@@ -10,7 +10,7 @@ from bodyseg_data.drawing.style import new_chart, save_chart
 
 Tree = dict[str, Any]
 
-_COLOURS: Final = ("#8a8a8a", "#1f4fa8", "#7a4fa8", "#5b8ad6", "#c25a00", "#e2a36b", "#3b7d4f", "#d8d8de")
+_COLOURS: Final = ("#8a8a8a", "#1f4fa8", "#7a4fa8", "#5b8ad6", "#c25a00", "#3b7d4f", "#d8d8de")
 """Of the stages, in their order."""
 
 

@@ -23,7 +23,6 @@ from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.segmentation.resampling import view_body
 from bodyseg_model.segmentation.segmenter import Segmenter
 
 MARGINS: Final = (32, 64, 96, 128, None)
@@ -106,13 +105,12 @@ def bench_windows(
     def from_rooms() -> Iterator[tuple[torch.Tensor, Score]]:
         segmenter = Segmenter(trained.network, camera, rig=trained.rig)
         for room in made_rooms(camera, views):
-            for surface in segmenter.find(room.range_m).surfaces:
-                if (room.person.ravel()[surface.pixels] < 0).mean() > 0.5:
+            for body in segmenter.find(room.range_m).bodies:
+                if (room.person.ravel()[body.pixels] < 0).mean() > 0.5:
                     continue
-                view = view_body(room.range_m, surface.pixels, camera, trained.rig)
-                truth = torch.from_numpy(room.labels.ravel()[surface.pixels])
-                backwards = torch.from_numpy(view.view_pixels)
-                yield torch.from_numpy(view.range_m)[None, None], _scored(truth, backwards)
+                truth = torch.from_numpy(room.labels.ravel()[body.pixels])
+                backwards = torch.from_numpy(body.view.view_pixels)
+                yield torch.from_numpy(body.view.range_m)[None, None], _scored(truth, backwards)
             advance()
 
     with torch_threads(1):

@@ -76,9 +76,9 @@ THING: Final = 0.1
 HELD_OUT: Final = 5
 """One room in so many is not fitted to, but measured."""
 
-LOST: Final = 0.002
-"""Share of the people's surfaces in the rooms held out that may be below `thing_below`. They count if they show at
-least `LEAST_SEEN_M2`.
+LOST: Final = 0.005
+"""Share of the people's surfaces in the rooms held out that may be below the cutoff. They count if they show at least
+`LEAST_SEEN_M2`.
 """
 
 _ROOMS_A_TASK: Final = 20
@@ -117,7 +117,7 @@ class Shapes:
         return Shapes(self.images[chosen], self.measures[chosen], self.person[chosen], self.room[chosen])
 
 
-def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict[str, Any]:
+def bench_shapes(views: int = 20000, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Fit the network to four fifths of `views` made rooms, and measure it on the others, and on people of the test
     split.
     """
@@ -131,7 +131,7 @@ def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict
         raise BadConfig(f"no person shows {LEAST_SEEN_M2} m² in the rooms held out: give bench shapes more --views")
     network = fitted(fit)
     people = np.sort(logits(network, validation)[counted])
-    network = replace(network, thing_below=1 / (1 + math.exp(-people[int(LOST * len(people))])))
+    network = replace(network, cutoff=1 / (1 + math.exp(-people[int(LOST * len(people))])))
     measured = {"held out": quality(network, validation)}
     before = views
     for name, count in counts.items():
@@ -143,7 +143,7 @@ def bench_shapes(views: int = 6600, progress: ProgressCallback = silent) -> dict
         "rooms": [f"{plan.share:.0%} {plan}" for plan in PLANS],
         "sensors": list(SENSORS),
         "fitted to": {"people": int(fit.person.sum()), "things": int((~fit.person).sum())},
-        "thing_below": f"{LOST:.1%} of the people of {LEAST_SEEN_M2} m² lost in rooms not fitted to, one in {HELD_OUT}",
+        "cutoff": f"{LOST:.1%} of the people of {LEAST_SEEN_M2} m² lost in rooms not fitted to, one in {HELD_OUT}",
     }
     return {"measured": measured, "network": {"format": FORMAT, "source": source, **network_to_json(network)}}
 
@@ -230,7 +230,7 @@ class _Fit(nn.Module):
         own = weights["hidden.weight"][:, -len(MEASURES) :]
         own /= self.spread.numpy()
         weights["hidden.bias"] -= own @ self.mean.numpy()
-        return ShapeNetwork({name: weights[name] for name in SHAPES}, thing_below=0.0)
+        return ShapeNetwork({name: weights[name] for name in SHAPES}, cutoff=0.0)
 
 
 def fitted(shapes: Shapes, seed: int = 0) -> ShapeNetwork:
@@ -279,13 +279,13 @@ def logits(network: ShapeNetwork, shapes: Shapes) -> Floats:
 
 
 def quality(network: ShapeNetwork, shapes: Shapes) -> dict[str, Any]:
-    """Surfaces of people lost and share of the things dropped by `thing_below`; and the share of the things that a
-    cutoff would drop which loses 0, 1, 2 ... of the people. Only large surfaces of people count. Shares are null
+    """Surfaces of people lost and share of the things dropped by its cutoff; and the share of the things that a cutoff
+    would drop which loses 0, 1, 2 ... of the people. Only large surfaces of people count. Shares are null
     without any things.
     """
     found = logits(network, shapes)
     people, things = np.sort(found[shapes.person & shapes.large]), found[~shapes.person]
-    cutoff = math.log(network.thing_below / (1 - network.thing_below))
+    cutoff = math.log(network.cutoff / (1 - network.cutoff))
     return {
         "people": len(people),
         "things": len(things),

@@ -1,0 +1,44 @@
+"""The compiled loops of the shapes of surfaces, beside their NumPy forms: the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.people import surface_shape as module
+from bodyseg_model.segmentation.people.surface_shape import SurfaceShape, surface_shape
+
+
+def both(shape: tuple[int, int], shown: float, middle_m: float, seed: int) -> list[SurfaceShape]:
+    """Shape of a noisy, holey surface by the compiled loops and by NumPy."""
+    draws = np.random.default_rng(seed)
+    frame = draws.normal(middle_m, 0.01, shape).astype(np.float32)
+    pixels = np.flatnonzero(draws.random(shape) < shown)
+    if not len(pixels):
+        pixels = np.array([frame.size // 2])
+    camera = Camera(*shape, 131.0, (shape[1] / 2, shape[0] / 3), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert use_compiled(), "numba is there in tests"
+    found = []
+    for compiled in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
+            found.append(surface_shape(pixels, frame, camera))
+    return found
+
+
+@settings(max_examples=60)
+@given(
+    st.tuples(st.integers(1, 80), st.integers(1, 80)),
+    st.sampled_from([0.02, 0.6, 0.95, 1.0]),
+    st.sampled_from([0.2, 0.6, 1.5, 4.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_compiled_shapes_are_those_of_numpy(shape: tuple[int, int], shown: float, middle_m: float, seed: int) -> None:
+    one, other = both(shape, shown, middle_m, seed)
+    np.testing.assert_array_equal(one.measures, other.measures)
+    np.testing.assert_array_equal(one.cells, other.cells)
+    assert one.cells.dtype == other.cells.dtype and np.isfinite(one.measures).all()
