@@ -76,7 +76,7 @@ THING: Final = 0.1
 HELD_OUT: Final = 5
 """One room in so many is not fitted to, but measured."""
 
-LOST: Final = 0.005
+LOST: Final = 0.01
 """Share of the people's surfaces in the rooms held out that may be below the cutoff. They count if they show at least
 `LEAST_SEEN_M2`.
 """
