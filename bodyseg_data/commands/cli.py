@@ -17,6 +17,7 @@ from typing import Any, Final, Literal, Protocol, get_args
 
 from bodyseg_data.commands.options import command_parser, parse, version_line
 from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.core.system.torch_threads import wait_briefly
 
 Commands = Mapping[str, tuple[str, str]]
 
@@ -61,6 +62,7 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     Returns 0 done, 1 faults found, 2 bad argument or input, 130 interrupted, 141 output closed by its reader, 143
     terminated, 70 a bug in this program.
     """
+    wait_briefly()
     words = list(sys.argv[1:] if arguments is None else arguments)
     name, words = _command_name(commands, words)
     for stream in ("stdout", "stderr"):

@@ -1,8 +1,9 @@
 """`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
 
 The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
-of its loops, with a label on every surface, without pictures, and with the network on OpenVINO. `live` gives the age of
-a live sensor's frames, which come as arrays, when their labels are there. docs/segment.md says how to read the results.
+of its loops, beside a busy program, with a label on every surface, without pictures, and with the network on OpenVINO.
+`live` gives the age of a live sensor's frames, which come as arrays, when their labels are there. docs/segment.md says
+how to read the results.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import contextlib
 import io
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -50,15 +53,20 @@ STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "
 
 @dataclass(frozen=True)
 class Way:
-    """One way to call the command. loops: for BODYSEG_KERNELS. options: of the command, besides its frames."""
+    """One way to call the command. loops: for BODYSEG_KERNELS. options: of the command, besides its frames. busy:
+    another program computes all the time, in one thread.
+    """
 
     loops: str = "auto"
     options: dict[str, Any] = field(default_factory=dict)
+    busy: bool = False
 
 
 WAYS: Final = {
     "default": Way(),
     "NumPy": Way(loops="numpy"),
+    "beside a busy program": Way(busy=True),
+    "beside it, one thread": Way(options={"threads": 1}, busy=True),
     "things labelled, too": Way(options={"keep_things": True}),
     "no pictures": Way(options={"no_overlay": True}),
     "ahead, one thread": Way(options={"ahead": True, "threads": 1}),
@@ -163,7 +171,8 @@ def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence
     """Times of every stage, frames a second, and accuracy of one call of the command."""
     options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
     threads = torch.get_num_threads()
-    with _loops(way.loops), contextlib.redirect_stderr(io.StringIO()):
+    beside = _busy_program() if way.busy else contextlib.nullcontext()
+    with _loops(way.loops), beside, contextlib.redirect_stderr(io.StringIO()):
         segment.run(options)
     torch.set_num_threads(threads)
     summary = json.loads((out / "summary.json").read_text())
@@ -191,6 +200,15 @@ def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
         for count, bodies in zip(counts.values(), (result.bodies, people), strict=True):
             count.add(room, bodies, result.labels, 1 / camera.focal_px)
     return {stage: count.to_json() for stage, count in counts.items()}
+
+
+@contextlib.contextmanager
+def _busy_program() -> Iterator[None]:
+    with subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) as other:
+        try:
+            yield
+        finally:
+            other.kill()
 
 
 @contextlib.contextmanager
