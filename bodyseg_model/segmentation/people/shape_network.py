@@ -113,17 +113,14 @@ def with_curvature(image: Image) -> Image:
     and at most 2 either side, 0 where nothing is measured.
     """
     ranges, known = image[..., 0, :, :], image[..., 1, :, :]
-    total, count = _sum_of_nine(ranges * known), _sum_of_nine(known)
-    bulge = (ranges - total / np.maximum(count, 1)) * known * np.float32(_RANGE_M / _CURVED_M)
-    return np.concatenate([image, np.clip(bulge, -_MOST, _MOST)[..., None, :, :]], axis=-3)
-
-
-def _sum_of_nine(images: Image) -> Image:
-    """Sum of each 3 x 3 cells of images [..., H, W], with zeros around them."""
-    around = np.pad(images, [(0, 0)] * (images.ndim - 2) + [(1, 1), (1, 1)])
+    height, width = known.shape[-2:]
+    around = np.zeros((*image.shape[:-2], height + 2, width + 2), np.float32)  # both channels at once
+    around[..., 1:-1, 1:-1] = image * known[..., None, :, :]
     rows = around[..., :-2, :] + around[..., 1:-1, :] + around[..., 2:, :]
-    summed: Image = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
-    return summed
+    nine = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
+    mean = nine[..., 0, :, :] / np.maximum(nine[..., 1, :, :], 1)
+    bulge = np.clip((ranges - mean) * known * np.float32(_RANGE_M / _CURVED_M), -_MOST, _MOST)
+    return np.concatenate([image, bulge[..., None, :, :]], axis=-3)
 
 
 def _half(image: Image, weight: Image, bias: Image) -> Image:
