@@ -1,10 +1,12 @@
-"""ROS 2 node that labels the parts of people in range images.
+r"""ROS 2 node that labels the parts of people in range images.
 
 Run it with topics of your own:
 
-    python label_node.py --ros-args -r depth:=/camera/depth/image_rect_raw -r camera_info:=/camera/depth/camera_info
+    GOMP_SPINCOUNT=10000 python label_node.py --ros-args \
+        -r depth:=/camera/depth/image_rect_raw -r camera_info:=/camera/depth/camera_info
 
-It publishes mono8 images on `labels`: part 0 to 32, 255 elsewhere, with the header of their range image.
+The variable keeps PyTorch's threads from taking the processors of other nodes (docs/segment.md, Speed). The node
+publishes mono8 images on `labels`: part 0 to 32, 255 elsewhere, with the header of their range image.
 """
 
 import rclpy
