@@ -5,10 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
-
-_WAITING: Final = {"GOMP_SPINCOUNT": "10000"}
-_CHOSEN_BY: Final = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
 
 
 def wait_briefly() -> None:
@@ -19,8 +15,8 @@ def wait_briefly() -> None:
     instead of 0.04 (docs/segment.md, Speed). GNU's OpenMP reads the variable when it is loaded, so this comes before
     `import torch`.
     """
-    if not any(name in os.environ for name in _CHOSEN_BY):
-        os.environ.update(_WAITING)
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 
 @contextmanager

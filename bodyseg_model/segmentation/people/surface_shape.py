@@ -7,6 +7,7 @@ which is estimated from the pixels, is allowed for.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
@@ -72,12 +73,13 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     camera: the frame's.
     """
     form = _loops() if use_compiled() else _NumpyForm
-    cell_px = max(2, round(CELL_M / _pixel_m(pixels, range_m, camera)))
+    flat = range_m.ravel()
+    cell_px = max(2, round(CELL_M / _pixel_m(pixels, flat, camera)))
     step = max(1, cell_px // _PIXELS_A_CELL)
     side = -(-cell_px // step)
     most = len(pixels)
     rows, columns, z = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    count = form.list_every(pixels, range_m.ravel(), camera.columns, step, rows, columns, z)
+    count = form.list_every(pixels, flat, camera.columns, step, rows, columns, z)
     if not count:  # a surface narrower than the step
         return SurfaceShape(np.zeros(len(MEASURES)), np.full((1, 1), np.nan))
     rows, columns, z = rows[:count], columns[:count], z[:count]
@@ -111,6 +113,7 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     return SurfaceShape(measures, cells.means)
 
 
+@cache
 def _loops() -> Any:
     """The compiled loops, in a module that needs numba."""
     return import_module("bodyseg_model.segmentation.people.shape_loops")
@@ -147,9 +150,9 @@ class _NumpyForm:
         return float(at.min()), float(at.max())
 
 
-def _pixel_m(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
-    """Side of a pixel at the surface's median range, metres."""
-    some = range_m.ravel()[pixels[:: max(1, len(pixels) // _FEW)]]
+def _pixel_m(pixels: NDArray[np.intp], flat: NDArray[np.float32], camera: Camera) -> float:
+    """Side of a pixel at the surface's median range, metres. flat: the frame, [H * W]."""
+    some = flat[pixels[:: max(1, len(pixels) // _FEW)]]
     return _value_at(some, 0.5) / camera.focal_px
 
 
