@@ -7,7 +7,7 @@ import errno
 import gzip
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,32 +16,46 @@ from bodyseg_data.core.errors import BadConfig
 _CHUNK_BYTES: Final = 1 << 20
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut."""
-    write_chunks_atomically(path, (data,))
+def write_atomically(path: Path, data: bytes, flushed: bool = True) -> None:
+    """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut.
+
+    flushed: False does not wait for the disk, which may take longer than all else; until `flush` is called, a power cut
+    may then leave an empty file.
+    """
+    write_chunks_atomically(path, (data,), flushed)
 
 
-def write_chunks_atomically(path: Path, chunks: Iterable[bytes]) -> None:
+def write_chunks_atomically(path: Path, chunks: Iterable[bytes], flushed: bool = True) -> None:
     """Write chunks of bytes one after the other, as `write_atomically`; an error of their iterator leaves no file."""
     aside = path.with_name(f".{path.name}.part")
     try:
         with aside.open("wb") as file:
             for chunk in chunks:
                 file.write(chunk)
-            file.flush()
-            os.fsync(file.fileno())
+            if flushed:
+                file.flush()
+                os.fsync(file.fileno())
         aside.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             aside.unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    if flushed:
+        sync(path.parent)
 
 
-def write_result(path: Path, data: bytes) -> None:
-    """Write a file that a user requested, atomically. Raises BadConfig, naming it, if it cannot be written."""
+def flush(paths: Sequence[Path]) -> None:
+    """Wait until the disk holds these files, written before, and their folders' entries. Raises OSError."""
+    for path in (*paths, *dict.fromkeys(path.parent for path in paths)):
+        sync(path)
+
+
+def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
+    """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it, if it cannot be
+    written.
+    """
     try:
-        write_atomically(path, data)
+        write_atomically(path, data, flushed)
     except OSError as error:
         raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -54,9 +68,9 @@ def make_folder(path: Path) -> None:
         raise BadConfig(f"cannot make the folder {path}: {error.strerror or error}") from error
 
 
-def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to disk, so that renames within it survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Flush a file, or a folder's entries, so that renames within it survive a power cut, to disk."""
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import IO, Final
 
 from bodyseg_data.core.errors import BadSample, BadShard, one_line
-from bodyseg_data.core.files import sync_folder
+from bodyseg_data.core.files import sync
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample, SampleInfo, check_key
 from bodyseg_data.core.splits import Split
@@ -84,7 +84,7 @@ class ShardWriter:
                 os.fsync(self._file.fileno())
                 self._file.close()
                 self._aside.replace(self._path)
-                sync_folder(self._path.parent)
+                sync(self._path.parent)
                 self.record = ShardRecord(
                     name=self._path.name,
                     split=self._split,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.core.files import sync_folder, write_atomically
+from bodyseg_data.core.files import sync, write_atomically
 from bodyseg_data.shards.stores.remote import RemoteFolder
 from bodyseg_data.shards.stores.store import READ_ATTEMPTS, LocalFolder, Store
 from bodyseg_data.transfer.bundle import SharedFile, sha256_of
@@ -88,7 +88,7 @@ class LocalTarget:
             held.flush()
             os.fsync(held.fileno())
             part.replace(self._folder / file.name)
-        sync_folder(self._folder)
+        sync(self._folder)
 
     def write(self, name: str, data: bytes) -> None:
         """See `Target.write`."""

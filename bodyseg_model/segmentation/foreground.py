@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.people.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
 from bodyseg_model.segmentation.people.surface_table import REACH_M, Surfaces
-from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M
+from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, loops
 
 BackgroundMode = Literal["people", "limits", "keep"]
 
@@ -78,10 +79,18 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     """
     if background.mode == "keep":
         return _all_of(range_m > 0)
-    within = (range_m >= background.near_m) & (range_m <= background.far_m)
-    if background.mode == "limits":
-        return _all_of(within & (range_m > 0))
-    return _people(np.where(within, range_m, np.float32(0)), camera)
+    kept = _within_limits(range_m, background)
+    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera)
+
+
+def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
+    """A copy of the frame with 0 where range is not within the limits."""
+    near, far = np.float32(background.near_m), np.float32(background.far_m)
+    if not use_compiled():
+        return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+    kept = np.empty(range_m.shape, np.float32)
+    loops().keep_within(np.ascontiguousarray(range_m).ravel(), near, far, kept.ravel())
+    return kept
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:
@@ -113,6 +122,7 @@ def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
 
 
 def _has_body_size(surfaces: Surfaces, number: int) -> bool:
+    if surfaces.area_m2[number] > BODY_AREA_M2[1]:
+        return False
     width, height, depth = surfaces.extents_m(number)
-    large = surfaces.area_m2[number] > BODY_AREA_M2[1] or max(width, height, depth) > BODY_EXTENT_M
-    return not large and height >= BODY_HEIGHT_M
+    return max(width, height, depth) <= BODY_EXTENT_M and height >= BODY_HEIGHT_M

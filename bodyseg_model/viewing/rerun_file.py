@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.files import sync_folder
+from bodyseg_data.core.files import sync
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.progress import ProgressCallback
 from bodyseg_data.drawing.contact_sheet import span_of
@@ -69,7 +69,7 @@ class RerunFile:
             if kind is None:
                 with self._told():
                     self._part.replace(self.path)
-                    sync_folder(self.path.parent)
+                    sync(self.path.parent)
         finally:
             self._part.unlink(missing_ok=True)
 

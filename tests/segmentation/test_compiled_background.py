@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation import foreground
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people import room_planes, surface_table, surfaces
 from bodyseg_model.segmentation.people.room_planes import on_largest_plane
@@ -28,7 +29,7 @@ def both(function: Callable[[], Any]) -> tuple[Any, Any]:
     found = []
     for compiled in (True, False):
         with pytest.MonkeyPatch.context() as patch:
-            for module in (room_planes, surface_table, surfaces):
+            for module in (foreground, room_planes, surface_table, surfaces):
                 patch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
             found.append(function())
     return found[0], found[1]
@@ -101,6 +102,17 @@ def test_bodies_are_the_same(seed: int) -> None:
     assert len(compiled) == len(plain) > 0
     for one, other in zip(compiled, plain, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_limits_are_the_same_and_belong_to_what_is_kept() -> None:
+    near, far = np.float32(0.7), np.float32(3.3)  # neither is the number of 64 bits that is written so
+    image = np.zeros((LENS.rows, LENS.columns), np.float32)
+    image[20:80, 30:60], image[20:80, 70:100] = near, far
+    image[20:80, 60:63], image[20:80, 100:103] = np.nextafter(near, np.float32(0)), np.nextafter(far, np.float32(9))
+    compiled, plain = both(lambda: find_bodies(image, LENS, Background("limits", 0.7, 3.3)))
+    expected = np.flatnonzero((image == near) | (image == far))
+    for (found,) in (compiled, plain):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_an_empty_frame_has_no_surfaces() -> None:

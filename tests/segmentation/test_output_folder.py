@@ -44,6 +44,12 @@ def filled(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2], done
         place.finish({"each": [{"name": frame.name, "file": frame.where} for frame in frames]})
 
 
+def write_images(place: OutputFolder) -> None:
+    for folder in place.folders:
+        for name in ("1", "2"):
+            place.write(folder, name, f"{folder} {name}".encode())
+
+
 def files(out: Path) -> list[str]:
     return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
 
@@ -63,6 +69,7 @@ def test_nothing_is_made_before_it_begins(recording: Path, tmp_path: Path) -> No
     assert not (tmp_path / "new").exists()
     out.begin()
     assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "unfinished.json"]
+    write_images(out)
     out.finish({"each": [{"people": 1}, {"people": 0}]})
     each = json.loads((out.path / "summary.json").read_text())["each"]
     assert [(frame["name"], frame["people"]) for frame in each] == [("1", 1), ("2", 0)]
@@ -188,6 +195,7 @@ def test_an_out_that_cannot_be_made_is_named(recording: Path, tmp_path: Path, mo
         opened(tmp_path / "old", recording).begin()
     place = opened(tmp_path / "out", recording)
     place.begin()
+    write_images(place)
 
     def refuse(path: Path, missing_ok: bool = False) -> None:
         raise PermissionError(13, os.strerror(13), str(path))
@@ -195,3 +203,35 @@ def test_an_out_that_cannot_be_made_is_named(recording: Path, tmp_path: Path, mo
     monkeypatch.setattr(Path, "unlink", refuse)
     with pytest.raises(BadConfig, match=r"cannot write .*out: Permission denied"):
         place.finish({"each": [{}, {}]})
+
+
+def test_the_summary_is_written_after_the_disk_holds_all_images(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, flushed = tmp_path / "out", []
+    real = os.fsync
+
+    def recorded_fsync(handle: int) -> None:
+        flushed.append(Path(f"/proc/self/fd/{handle}").readlink())
+        real(handle)
+
+    place = opened(out, recording)
+    place.begin()
+    monkeypatch.setattr(os, "fsync", recorded_fsync)
+    write_images(place)
+    assert not flushed, "nobody waits for the disk at every frame"
+    place.finish({"each": [{"name": name} for name in ("1", "2")]})
+    images = {out / folder / f"{name}.png" for folder in IMAGES[:2] for name in ("1", "2")}
+    before = flushed.index(out / ".summary.json.part")
+    assert images | {path.parent for path in images} <= set(flushed[:before])
+    assert {path.read_text() for path in images} == {f"{folder} {name}" for folder in IMAGES[:2] for name in ("1", "2")}
+
+
+def test_an_image_that_vanished_leaves_no_summary(recording: Path, tmp_path: Path) -> None:
+    place = opened(tmp_path / "out", recording)
+    place.begin()
+    write_images(place)
+    place.image("labels", "2").unlink()
+    with pytest.raises(BadConfig, match=r"^cannot write .*out: No such file or directory$"):
+        place.finish({"each": [{"name": name} for name in ("1", "2")]})
+    assert not (tmp_path / "out" / "summary.json").exists()

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.recordings.recording import Frame
@@ -70,7 +69,7 @@ class FrameResults:
             if _UNDISTORTED in self._out.folders:
                 images[_UNDISTORTED] = frame.stored
             for folder, image in images.items():
-                write_result(self._out.image(folder, frame.file.name), encode_picture(image))
+                self._out.write(folder, frame.file.name, encode_picture(image))
         times = {**frame.milliseconds, **result.milliseconds, **watch.milliseconds}
         file = frame.file
         self.summary.add(file.name, file.where, frame.range_m, result, times, file.sequence, frame.camera)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import flush, write_result
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.recordings.recording import Frame
 
@@ -80,16 +81,23 @@ class OutputFolder:
         """Path of a frame's image in one of `IMAGES`."""
         return self.path / folder / f"{name}.png"
 
-    def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary: `each` has an entry for every frame, in order, but those of the names in `skipped`.
+    def write(self, folder: str, name: str, image: bytes) -> None:
+        """Write a frame's image in one of `IMAGES`, whole or not at all. Raises BadConfig, naming it.
 
-        Raises BadConfig.
+        The disk is waited for at the end, in `finish`: four times a frame would keep a slow one from real time.
+        """
+        write_result(self.image(folder, name), image, flushed=False)
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary once the disk holds all images: `each` has an entry for every frame, in order, but those of
+        the names in `skipped`. Raises BadConfig.
         """
         skipped = {frame["name"] for frame in summary.get("skipped", ())}
         frames = [frame for frame in self._frames if frame["name"] not in skipped]
         each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]
-        write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
         try:
+            flush([self.image(folder, frame["name"]) for folder in self.folders for frame in frames])
+            write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
             (self.path / UNFINISHED).unlink(missing_ok=True)
         except OSError as error:
             raise BadConfig(f"cannot write {self.path}: {error.strerror or error}") from error

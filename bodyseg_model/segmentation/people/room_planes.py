@@ -7,8 +7,9 @@ far.
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Final
+from functools import cache, lru_cache
+from importlib import import_module
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import pixel_draws, stream
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.people.surfaces import loops
 
 LEAST_AREA_M2: Final = 1.0
 """Least visible area of a floor or wall, square metres: no body has so large a flat surface."""
@@ -52,6 +52,12 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
     return near if seen_area_m2(cubes, plane, camera) >= LEAST_AREA_M2 else np.zeros(len(pixels), np.bool_)
 
 
+@cache
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.people.plane_loops")
+
+
 def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> float:
     """Area of a plane (a, b, c), 1 / m, visible in some pixels, square metres. cubes: sum of their ranges cubed, m³.
 
@@ -68,10 +74,19 @@ def _draws() -> NDArray[np.uint32]:
 
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
     """x, y and inverse range of pixels, [N, 3]."""
+    if use_compiled():
+        points, lens = np.empty((len(pixels), 3)), _lens(camera)
+        _loops().place_points(range_m.ravel(), pixels, range_m.shape[1], lens, points)
+        return points
     rows, columns = np.divmod(pixels, range_m.shape[1])
     x = (columns + 0.5 - camera.centre_px[0]) / camera.focal_px
     y = (rows + 0.5 - camera.centre_px[1]) / camera.focal_px
     return np.stack([x, y, 1 / range_m.ravel()[pixels].astype(np.float64)], axis=1)
+
+
+def _lens(camera: Camera) -> NDArray[np.float64]:
+    """Principal point and focal length, pixels, [3]."""
+    return np.array([*camera.centre_px, camera.focal_px])
 
 
 def _misfit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,9 +100,9 @@ def _near_plane(
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     if use_compiled():
-        near, lens = np.empty(len(pixels), np.bool_), np.array([*camera.centre_px, camera.focal_px])
+        near, lens = np.empty(len(pixels), np.bool_), _lens(camera)
         flat, columns = range_m.ravel(), range_m.shape[1]
-        return near, float(loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
+        return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
     near = np.abs(_misfit(_points(range_m, pixels, camera), plane)) <= TOLERANCE_PER_M
     z = range_m.ravel()[pixels[near]].astype(np.float64)
     return near, _sum_in_order(z * z * z)
@@ -104,7 +119,7 @@ def _moments(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sums of xx, xy, x, yy, y, 1, x / Z, y / Z and 1 / Z over the points [N, 3] near a plane, [9]."""
     if use_compiled():
         sums = np.zeros(9)
-        loops().moments(points, plane, TOLERANCE_PER_M, sums)
+        _loops().moments(points, plane, TOLERANCE_PER_M, sums)
         return sums
     x, y, inverse = points[np.abs(_misfit(points, plane)) <= TOLERANCE_PER_M].T
     terms = (x * x, x * y, x, y * y, y, np.ones(len(x)), x * inverse, y * inverse, inverse)
@@ -121,14 +136,16 @@ def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.
 
     judges: points [M, 3] that stand for that surface. None if no candidate explains any of them.
     """
-    a, b, c = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
-    offsets = a * corners[:, 0, 0] + b * corners[:, 0, 1] + c * corners[:, 0, 2]
     surface = np.zeros(len(corners))
     # Three points on a line have a zero normal, which explains no point.
     if use_compiled():
-        weighed = np.vstack([judges.T, np.square(1 / judges[:, 2])])
-        loops().explained(weighed, np.stack([a, b, c]), offsets, TOLERANCE_PER_M, surface)
+        normals, offsets = np.empty((3, len(corners))), np.empty(len(corners))
+        _loops().span_planes(corners, normals, offsets)
+        a, b, c = normals
+        _loops().explained(judges, normals, offsets, TOLERANCE_PER_M, surface)
     else:
+        a, b, c = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
+        offsets = a * corners[:, 0, 0] + b * corners[:, 0, 1] + c * corners[:, 0, 2]
         for x, y, inverse in judges:
             away = x * a + y * b + inverse * c - offsets
             surface += np.where(np.abs(away) < TOLERANCE_PER_M * np.abs(c), np.square(1 / inverse), 0.0)

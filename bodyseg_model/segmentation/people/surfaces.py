@@ -21,6 +21,9 @@ JUMP_M: Final = 0.1
 JUMP_SHARE: Final = 0.04
 """The same beyond 2.5 m, as a share of the range, about: sensors are coarser at a distance."""
 
+LIMIT_M: Final = JUMP_M / JUMP_SHARE
+"""Range from which on `JUMP_SHARE` counts, metres."""
+
 SHADOW_M: Final = 0.15
 """Widest shadow that does not divide a surface, metres: pixels of a row are also neighbours if nothing was measured
 between them and they are no farther apart than this at the nearer one's range. An arm's shadow falls on the trunk."""
@@ -48,8 +51,8 @@ def connected_surfaces(range_m: NDArray[np.float32], focal_px: float) -> NDArray
 
 @cache
 def loops() -> Any:
-    """The compiled loops of this folder, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.people.loops")
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.people.surface_loops")
 
 
 def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -60,18 +63,23 @@ def jumps(range_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     rows, columns = range_m.shape
     level: Floats = np.full((GAP_PIXELS + rows, GAP_PIXELS + columns + GAP_PIXELS - 1), np.inf, np.float32)
-    limit = JUMP_M / JUMP_SHARE
-    some, beyond = np.empty((_ROWS, columns), np.float32), np.empty((_ROWS, columns), np.bool_)
+    form, beyond = loops() if use_compiled() else _NumpyForm, np.empty((_ROWS, columns), np.float32)
     for first in range(0, rows, _ROWS):  # few rows at a time, which stay in a processor's cache
-        ranges, inner = range_m[first : first + _ROWS], within(level)[first : first + _ROWS]
-        far, value = beyond[: len(ranges)], some[: len(ranges)]
-        np.divide(ranges, JUMP_M, out=inner)
-        if np.greater(ranges, limit, out=far).any():
-            np.divide(np.maximum(ranges, limit, out=value), limit, out=value)
-            np.divide(np.add(np.log(value, out=value), 1, out=value), JUMP_SHARE, out=value)
-            np.copyto(inner, value, where=far)
-        np.copyto(inner, np.inf, where=np.less_equal(ranges, 0, out=far))
+        ranges = range_m[first : first + _ROWS]
+        logs = np.maximum(ranges, LIMIT_M, out=beyond[: len(ranges)])
+        np.log(np.divide(logs, LIMIT_M, out=logs), out=logs)
+        form.write_levels(ranges, logs, first, level)
     return level
+
+
+class _NumpyForm:
+    """A function of `surface_loops`, with the same bits."""
+
+    @staticmethod
+    def write_levels(ranges: Floats, logs: Floats, first: int, level: Floats) -> None:
+        far = np.divide(np.add(logs, 1, out=logs), JUMP_SHARE, out=logs)
+        levels = np.where(ranges > LIMIT_M, far, ranges / JUMP_M)
+        within(level)[first : first + len(ranges)] = np.where(ranges > 0, levels, np.inf)
 
 
 def within(framed: Floats) -> Floats:

@@ -1,6 +1,4 @@
-"""Surfaces and planes of a range image, compiled; `surfaces.py`, `surface_table.py` and `room_planes.py` have the NumPy
-forms of the same bits.
-"""
+"""Surfaces of a range image, compiled; `surfaces.py` and `surface_table.py` have the NumPy forms of the same bits."""
 
 from __future__ import annotations
 
@@ -10,11 +8,36 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_model.segmentation.people.surfaces import JUMP_M, JUMP_SHARE, LIMIT_M
 
+_JUMP: Final = np.float32(JUMP_M)
+_SHARE: Final = np.float32(JUMP_SHARE)
+_LIMIT: Final = np.float32(LIMIT_M)
 _ONE: Final = np.float32(1)
 _NOTHING: Final = np.float32(0)
 _UNMEASURED: Final = np.float32(np.inf)
 _kernel = partial(compiled, feature="the compiled form of the background's removal")
+
+
+@_kernel
+def keep_within(flat: Any, near_m: Any, far_m: Any, kept: Any) -> None:
+    """Write ranges from `near_m` to `far_m` into `kept`, 0 for others. All float32; flat, kept: [N]."""
+    for i in range(np.uint64(flat.size)):
+        value = flat[i]
+        kept[i] = value if (value >= near_m) & (value <= far_m) else _NOTHING
+
+
+@_kernel
+def write_levels(ranges: Any, logs: Any, first: Any, level: Any) -> None:
+    """Write the levels of rows, from the `first` on, into a framed image, as `surfaces.jumps` describes them.
+
+    ranges: float32 [N, W], metres. logs: of range over `LIMIT_M`, or of 1 where range is less, float32 [N, W].
+    """
+    for row in range(ranges.shape[0]):
+        some, log, into = ranges[row], logs[row], level[first + row + 3, 3:]
+        for i in range(np.uint64(some.size)):
+            value = (log[i] + _ONE) / _SHARE if some[i] > _LIMIT else some[i] / _JUMP
+            into[i] = value if some[i] > _NOTHING else _UNMEASURED
 
 
 @_kernel
@@ -28,6 +51,8 @@ def _root(parent: Any, number: Any) -> Any:
 
 @_kernel
 def _join(parent: Any, one: Any, other: Any) -> None:
+    if parent[one] == parent[other]:  # the usual case, found without a search
+        return
     a, b = _root(parent, one), _root(parent, other)
     if a < b:
         parent[b] = a
@@ -111,10 +136,11 @@ def find_segments(
                         _join(parent, numbers[(row + 3 - shift) & 3, column], count)
                 if not mark & 2:
                     continue
+                some, of_segment = range_m[row, start : column + 1], number[start : column + 1]
+                of_segment[:] = count
                 total = 0.0
-                for i in range(start, column + 1):
-                    number[i] = count
-                    side = np.float64(range_m[row, i]) / focal_px
+                for i in range(some.size):
+                    side = np.float64(some[i]) / focal_px
                     total += side * side
                 area_m2[count] = total
                 segments[0, count], segments[1, count] = row * columns + start, row * columns + column + 1
@@ -222,64 +248,3 @@ def extents(flat: Any, columns: Any, centre: Any, pixels: Any) -> Any:
         top, bottom = min(top, y), max(bottom, y)
         near, far = min(near, z), max(far, z)
     return right - left, bottom - top, far - near
-
-
-@_kernel
-def explained(judges: Any, normals: Any, offsets: Any, tolerance: Any, surface: Any) -> None:
-    """Add the weight of every judge that a candidate plane explains to that candidate's `surface`, float64 [N].
-
-    judges: float64 [4, M], x, y, inverse range and weight. normals: float64 [3, N]. offsets: float64 [N].
-    """
-    a, b, c = normals[0], normals[1], normals[2]
-    for judge in range(judges.shape[1]):
-        x, y, z, weight = judges[0, judge], judges[1, judge], judges[2, judge], judges[3, judge]
-        for i in range(surface.size):
-            away = x * a[i] + y * b[i] + z * c[i] - offsets[i]
-            surface[i] += weight if abs(away) < tolerance * abs(c[i]) else 0.0
-
-
-@_kernel
-def moments(points: Any, plane: Any, tolerance: Any, sums: Any) -> None:
-    """Add up the moments of points near a plane: of x, y, 1 and inverse range, in the order of `room_planes._moments`.
-
-    points: float64 [N, 3]. plane: float64 [3]. sums: float64 [9].
-    """
-    a, b, c = plane[0], plane[1], plane[2]
-    for i in range(points.shape[0]):
-        x, y, inverse = points[i, 0], points[i, 1], points[i, 2]
-        if abs(x * a + y * b + c - inverse) <= tolerance:
-            sums[0] += x * x
-            sums[1] += x * y
-            sums[2] += x
-            sums[3] += y * y
-            sums[4] += y
-            sums[5] += 1.0
-            sums[6] += x * inverse
-            sums[7] += y * inverse
-            sums[8] += inverse
-
-
-@_kernel
-def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any) -> Any:
-    """Mark those of ascending pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
-
-    flat: float32 ranges. lens: float64 [3], principal point and focal length, pixels.
-    """
-    a, b, c = plane[0], plane[1], plane[2]
-    across, down, focal_px = lens[0], lens[1], lens[2]
-    total, first = 0.0, 0
-    while first < pixels.size:
-        row = pixels[first] // columns
-        start = row * columns
-        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
-        y = (np.float64(row) + 0.5 - down) / focal_px * b
-        of_row, marks = pixels[first:end], near[first:end]
-        for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
-            x = (np.float64(of_row[i] - start) + 0.5 - across) / focal_px
-            marks[i] = abs(x * a + y + c - 1.0 / np.float64(flat[np.uint64(of_row[i])])) <= tolerance
-        for i in range(of_row.size):
-            if marks[i]:
-                z = np.float64(flat[np.uint64(of_row[i])])
-                total += z * z * z
-        first = end
-    return total
