@@ -17,6 +17,7 @@ import pytest
 import shared_anny  # noqa: F401  # before anything imports what loads the body model
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
+from kernel_forms import FORMS, computed_by
 from small_rig import SMALL
 
 from bodyseg_data.bodies.sources import SOURCES
@@ -121,6 +122,13 @@ def pytest_collection() -> Generator[None, Any, Any]:
         gc.collect()
         gc.freeze()
         gc.enable()
+
+
+@pytest.fixture(params=FORMS)
+def either_form(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The test is run once by the compiled loops, and once by NumPy's forms of them."""
+    with computed_by(request.param):
+        yield
 
 
 @pytest.fixture(scope="session")

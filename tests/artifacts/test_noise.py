@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from bodyseg_data.artifacts import variants
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
 from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
@@ -118,12 +117,9 @@ def test_noise_at_the_ends_of_16_bits_stays_within(start: int) -> None:
 
 
 @pytest.mark.parametrize("step_mm", [0.1, 0.5, 1.0, 4.0])
-@pytest.mark.parametrize("compiled", [True, False])
-def test_sigma_is_in_millimetres_whatever_the_step(
-    step_mm: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("either_form")
+def test_sigma_is_in_millimetres_whatever_the_step(step_mm: float) -> None:
     """Rounding adds a uniform error: its variance is a twelfth of the step's square."""
-    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
     sigma_mm, at = 40.0, round(2500 / step_mm)
     wall_in_steps, full = np.full((SIDE, SIDE), at, np.uint16), np.ones((SIDE, SIDE), np.bool_)
     sample = Sample("a", wall_in_steps, wall_in_steps, np.zeros((SIDE, SIDE), np.uint8), full, INFO)

@@ -6,11 +6,13 @@ import json
 import textwrap
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
 import numpy as np
 import pytest
+from kernel_forms import by_both
 
 from bodyseg_data import RangeImages, SensorModel, load_sensor_model, loader
 from bodyseg_data.artifacts import ARTIFACTS
@@ -22,7 +24,6 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.sensor_model import sensor_model_names
 from bodyseg_data.commands.inspect import summarise
-from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import Draws, Stream
@@ -130,25 +131,16 @@ def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch:
     assert lost > 50
 
 
-def in_both_forms(
-    images: RangeImages, count: int, monkeypatch: pytest.MonkeyPatch
-) -> list[tuple[RangeImage, RangeImage]]:
+def in_both_forms(images: RangeImages, count: int) -> list[tuple[RangeImage, RangeImage]]:
     """The first images, each with compiled loops and in NumPy."""
-    compiled = [images.image(index) for index in range(count)]
-    monkeypatch.setenv(kernels.VARIABLE, "numpy")
-    kernels.use_compiled.cache_clear()
-    try:
-        plain = [images.image(index) for index in range(count)]
-    finally:
-        kernels.use_compiled.cache_clear()
-    return list(zip(compiled, plain, strict=True))
+    return [by_both(partial(images.image, index)) for index in range(count)]
 
 
 def test_without_compiled_loops_a_new_artifact_gives_the_same_bits(
     figures_set: Path, dots: SensorModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images = RangeImages(figures_set, "all", sensor=PAPER.with_artifacts(*dots, Losses(0.3)))
-    for ours, theirs in in_both_forms(images, 6, monkeypatch):
+    for ours, theirs in in_both_forms(images, 6):
         assert ours.drawn == theirs.drawn
         np.testing.assert_array_equal(ours.range, theirs.range)
         np.testing.assert_array_equal(ours.labels, theirs.labels)
@@ -164,7 +156,7 @@ def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
     else:
         sensor = load_sensor_model(name)
     images = RangeImages(figures_set, "all", sensor=sensor, seed=3)
-    for ours, theirs in in_both_forms(images, 8, monkeypatch):
+    for ours, theirs in in_both_forms(images, 8):
         np.testing.assert_array_equal(ours.range, theirs.range)
         np.testing.assert_array_equal(ours.labels, theirs.labels)
 

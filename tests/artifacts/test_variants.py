@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kernel_forms import by_both
 from numpy.typing import NDArray
 from strategies import keys
 
-from bodyseg_data.artifacts import variants
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.losses import Losses
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -98,16 +98,17 @@ def same_bits(a: RangeImage, b: RangeImage) -> bool:
 
 def in_both_forms(augmentation: Augmentation, sample: Sample, epoch: int = 0) -> RangeImage:
     """What the plain form makes, after comparing with the compiled one."""
-    images = []
-    for compiled in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(variants, "use_compiled", lambda compiled=compiled: compiled)
-            dirty = np.full(sample.range.shape, 12_345, np.uint16), np.full(sample.range.shape, 77, np.uint8)
-            images.append(augmentation.into(sample, epoch, *dirty))
-            assert images[-1].range is dirty[0] and images[-1].labels is dirty[1]
-            assert same_bits(images[-1], augmentation(sample, epoch))
-    assert same_bits(*images)
-    return images[1]
+
+    def image() -> RangeImage:
+        dirty = np.full(sample.range.shape, 12_345, np.uint16), np.full(sample.range.shape, 77, np.uint8)
+        made = augmentation.into(sample, epoch, *dirty)
+        assert made.range is dirty[0] and made.labels is dirty[1]
+        assert same_bits(made, augmentation(sample, epoch))
+        return made
+
+    compiled, plain = by_both(image)
+    assert same_bits(compiled, plain)
+    return plain
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -190,12 +191,9 @@ def test_arrays_that_nothing_may_write_to_or_that_are_parts_of_others_are_read()
     assert not constant.flags.writeable and sample.range.flags.writeable and sample.labels.flags.writeable
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.usefixtures("either_form")
 @pytest.mark.parametrize("name", VARIANTS)
-def test_a_sample_may_be_altered_in_place(
-    name: VariantName, compiled: bool, clean: list[Sample], figures_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+def test_a_sample_may_be_altered_in_place(name: VariantName, clean: list[Sample], figures_set: Path) -> None:
     images = RangeImages(figures_set, name)
     image, labels = np.empty_like(clean[0].range), np.empty_like(clean[0].labels)
     for index, sample in enumerate(clean):
@@ -206,12 +204,9 @@ def test_a_sample_may_be_altered_in_place(
         assert same_bits(replace(expected, range=image, labels=labels), expected)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.usefixtures("either_form")
 @pytest.mark.parametrize("name", VARIANTS)
-def test_arrays_that_do_not_fit_the_sample_are_refused(
-    name: VariantName, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+def test_arrays_that_do_not_fit_the_sample_are_refused(name: VariantName) -> None:
     rig, sample = _synthetic()
     augmentation = Augmentation(rig, name)
     image, labels = np.zeros((24, 20), np.uint16), np.zeros((24, 20), np.uint8)
@@ -234,12 +229,9 @@ def test_arrays_that_do_not_fit_the_sample_are_refused(
         assert same_bits(augmentation(replace(sample, projector_range=None)), augmentation(sample))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.usefixtures("either_form")
 @pytest.mark.parametrize("name", VARIANTS)
-def test_a_sample_without_a_label_for_every_range_is_refused(
-    name: VariantName, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(variants, "use_compiled", lambda: compiled)
+def test_a_sample_without_a_label_for_every_range_is_refused(name: VariantName) -> None:
     rig, sample = _synthetic()
     augmentation = Augmentation(rig, name)
     for wrong in (sample.labels[:1, :1], sample.labels[1:], sample.labels.astype(np.uint16)):

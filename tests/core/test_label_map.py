@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.labels import label_map as module
 from bodyseg_data.core.labels.colours import luma
 from bodyseg_data.core.labels.label_map import (
     PARTS33,
@@ -54,11 +52,8 @@ def test_a_table_gives_every_part_its_class_and_all_else_the_background() -> Non
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (16, 8), (13, 29)])
 @pytest.mark.parametrize("label_map", [load_label_map("limbs14"), ARMS])
-@pytest.mark.parametrize("kernels", ["numpy", "auto"])
-def test_classes_are_written_in_place(
-    label_map: LabelMap, shape: tuple[int, int], kernels: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "use_compiled", lambda: kernels == "auto" and use_compiled())
+@pytest.mark.usefixtures("either_form")
+def test_classes_are_written_in_place(label_map: LabelMap, shape: tuple[int, int]) -> None:
     random = np.random.default_rng(0)
     for share in (0.0, 0.3, 1.0):
         batch = np.full((3, *shape), 7, np.uint8)  # images within a batch begin at any byte

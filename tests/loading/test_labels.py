@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from kernel_forms import by_both
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.labels import label_map as module
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.loading.transforms import CameraImage
@@ -36,17 +36,14 @@ class Upside(Transform):
 
 @pytest.mark.parametrize("variant", ["none", "all"])
 @pytest.mark.parametrize("label_map", [LIMBS, FEET])
-def test_classes_are_those_of_the_parts(
-    figures_set: Path, variant: str, label_map: LabelMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_classes_are_those_of_the_parts(figures_set: Path, variant: str, label_map: LabelMap) -> None:
     parts, classes = RangeImages(figures_set, variant), RangeImages(figures_set, variant, labels=label_map)
-    for compiled in (use_compiled(), False):
-        monkeypatch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
-        for index in (0, 7, 20):
-            one, other = parts[index], classes[index]
+    for index in (0, 7, 20):
+        one = parts[index]
+        for other in by_both(partial(classes.__getitem__, index)):
             assert torch.equal(one["range"], other["range"])
             np.testing.assert_array_equal(other["labels"].numpy(), label_map.table[one["labels"].numpy()])
-            assert (classes.clean(index).labels == parts.clean(index).labels).all(), "as stored"
+        assert (classes.clean(index).labels == parts.clean(index).labels).all(), "as stored"
     if label_map is FEET:
         assert set(np.unique(other["labels"].numpy())) <= {0, BACKGROUND}
 

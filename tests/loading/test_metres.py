@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kernel_forms import FORMS, computed_by
 
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.loading import image_set
 from bodyseg_data.loading.image_set import metres
 
 STEPS = np.arange(65536, dtype=np.uint16).reshape(64, 1024)
 
 
 @pytest.mark.parametrize("step_m", [1e-4, 1e-3, 0.0007])
-def test_both_forms_give_the_same_bits(step_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_forms_give_the_same_bits(step_m: float) -> None:
     expected = STEPS.astype(np.float32) * np.float32(step_m)
-    for compiled in (use_compiled(), False):
-        monkeypatch.setattr(image_set, "use_compiled", lambda compiled=compiled: compiled)
+    for form in FORMS:
         out = np.full(STEPS.shape, np.nan, np.float32)
-        assert metres(STEPS, step_m, out) is out
+        with computed_by(form):
+            assert metres(STEPS, step_m, out) is out
         np.testing.assert_array_equal(out.view(np.uint32), expected.view(np.uint32))
     np.testing.assert_array_equal(metres(STEPS, step_m), expected)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
+from kernel_forms import computed_by
 from numpy.typing import NDArray
 from toy_network import Toy
 
-from bodyseg_data.core import kernels
 from bodyseg_model.networks.labelling import _LEAST_PIXELS, label_pixels, powers_of_two
 from bodyseg_model.networks.registry import predict
 
@@ -30,11 +30,8 @@ def frame(rows: int, columns: int) -> NDArray[np.float32]:
 
 def labelled(form: str, scores: NDArray[np.float32], range_m: NDArray[np.float32], stride: int, threads: int) -> Answer:
     labels, confidence = np.full(range_m.shape, 255, np.uint8), np.zeros(range_m.shape, np.float32)
-    kernels.use_compiled.cache_clear()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(kernels.VARIABLE, form)
+    with computed_by(form):
         label_pixels(scores, range_m, stride, labels, confidence, threads)
-    kernels.use_compiled.cache_clear()
     return labels, confidence
 
 

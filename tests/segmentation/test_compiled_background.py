@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kernel_forms import by_both
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation import foreground
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.people import room_planes, surface_table, surfaces
 from bodyseg_model.segmentation.people.room_planes import on_largest_plane
 from bodyseg_model.segmentation.people.surface_table import Surfaces
 from bodyseg_model.segmentation.people.surfaces import connected_surfaces
 
 LENS = Camera(120, 160, 131.0, (81.0, 57.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def both(function: Callable[[], Any]) -> tuple[Any, Any]:
-    """What a function returns by the compiled loops and by NumPy."""
-    assert use_compiled(), "numba is there in tests"
-    found = []
-    for compiled in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            for module in (foreground, room_planes, surface_table, surfaces):
-                patch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
-            found.append(function())
-    return found[0], found[1]
 
 
 def room(seed: int) -> NDArray[np.float32]:
@@ -66,7 +51,7 @@ def test_surfaces_are_the_same(
     draws = np.random.default_rng(seed)
     ranges = np.where(draws.random(shape) < missing, 0, 2.45 + spread * draws.normal(0, 0.3, shape))
     image = np.maximum(ranges, 0).astype(np.float32)
-    np.testing.assert_array_equal(*both(lambda: connected_surfaces(image, focal_px)))
+    np.testing.assert_array_equal(*by_both(lambda: connected_surfaces(image, focal_px)))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -82,7 +67,7 @@ def test_tables_of_surfaces_are_the_same_also_after_a_removal(seed: int) -> None
             table.remove(pixels[:1], [np.arange(len(pixels[0])) % 7 > 2])
         return found
 
-    compiled, plain = both(table)
+    compiled, plain = by_both(table)
     assert len(compiled) == len(plain) > 12
     for one, other in zip(compiled, plain, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -91,14 +76,14 @@ def test_tables_of_surfaces_are_the_same_also_after_a_removal(seed: int) -> None
 @pytest.mark.parametrize("seed", range(3))
 def test_planes_are_the_same(seed: int) -> None:
     image = room(seed)
-    compiled, plain = both(lambda: on_largest_plane(image, np.flatnonzero(image), LENS))
+    compiled, plain = by_both(lambda: on_largest_plane(image, np.flatnonzero(image), LENS))
     np.testing.assert_array_equal(compiled, plain)
     assert 0.2 < compiled.mean() < 0.9
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_bodies_are_the_same(seed: int) -> None:
-    compiled, plain = both(lambda: find_bodies(room(seed), LENS, Background()))
+    compiled, plain = by_both(lambda: find_bodies(room(seed), LENS, Background()))
     assert len(compiled) == len(plain) > 0
     for one, other in zip(compiled, plain, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -109,7 +94,7 @@ def test_limits_are_the_same_and_belong_to_what_is_kept() -> None:
     image = np.zeros((LENS.rows, LENS.columns), np.float32)
     image[20:80, 30:60], image[20:80, 70:100] = near, far
     image[20:80, 60:63], image[20:80, 100:103] = np.nextafter(near, np.float32(0)), np.nextafter(far, np.float32(9))
-    compiled, plain = both(lambda: find_bodies(image, LENS, Background("limits", 0.7, 3.3)))
+    compiled, plain = by_both(lambda: find_bodies(image, LENS, Background("limits", 0.7, 3.3)))
     expected = np.flatnonzero((image == near) | (image == far))
     for (found,) in (compiled, plain):
         np.testing.assert_array_equal(found, expected)
@@ -120,4 +105,4 @@ def test_an_empty_frame_has_no_surfaces() -> None:
         table = Surfaces(np.zeros((4, 5), np.float32), LENS)
         return len(table.area_m2), table.bounding_boxes().lowest.shape, repr(table)
 
-    assert both(empty) == ((0, (3, 0), "Surfaces(0 of 4 x 5 pixels)"),) * 2
+    assert by_both(empty) == ((0, (3, 0), "Surfaces(0 of 4 x 5 pixels)"),) * 2

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kernel_forms import by_both
 
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.people import surface_shape as module
 from bodyseg_model.segmentation.people.surface_shape import SurfaceShape, surface_shape
 
 
-def both(shape: tuple[int, int], shown: float, middle_m: float, seed: int) -> list[SurfaceShape]:
+def both(shape: tuple[int, int], shown: float, middle_m: float, seed: int) -> tuple[SurfaceShape, SurfaceShape]:
     """Shape of a noisy, holey surface by the compiled loops and by NumPy."""
     draws = np.random.default_rng(seed)
     frame = draws.normal(middle_m, 0.01, shape).astype(np.float32)
@@ -21,13 +19,7 @@ def both(shape: tuple[int, int], shown: float, middle_m: float, seed: int) -> li
     if not len(pixels):
         pixels = np.array([frame.size // 2])
     camera = Camera(*shape, 131.0, (shape[1] / 2, shape[0] / 3), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    assert use_compiled(), "numba is there in tests"
-    found = []
-    for compiled in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "use_compiled", lambda compiled=compiled: compiled)
-            found.append(surface_shape(pixels, frame, camera))
-    return found
+    return by_both(lambda: surface_shape(pixels, frame, camera))
 
 
 @settings(max_examples=60)

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kernel_forms import by_both
 from numpy.typing import NDArray
 from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.segmentation import resampling
 from bodyseg_model.segmentation.resampling import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views, view_body
 
 PAPER = load_rig()
@@ -193,12 +192,7 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
 def test_compiled_loops_and_numpy_give_the_same_bits(case: tuple[int, int, float, float, float, int, bool]) -> None:
     *shape, mirrored = case
     image, lens = body_and_lens(*shape)
-    assert use_compiled(), "numba is there in tests"
-    views = []
-    for compiled in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(resampling, "use_compiled", lambda compiled=compiled: compiled)
-            views.append(view_body(image, np.flatnonzero(image), lens, PAPER, mirrored))
+    views = by_both(lambda: view_body(image, np.flatnonzero(image), lens, PAPER, mirrored))
     np.testing.assert_array_equal(views[0].range_m, views[1].range_m)
     np.testing.assert_array_equal(views[0].view_pixels, views[1].view_pixels)
     assert [(view.corner, view.turn_rad, view.median_range_m, view.scale) for view in views[:1]] == [

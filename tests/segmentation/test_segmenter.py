@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from kernel_forms import by_both
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import load_label_map
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
@@ -24,7 +24,6 @@ from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.pictures import overlay
 from bodyseg_model.segmentation.pictures.overlay import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
 from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
@@ -316,15 +315,12 @@ def test_an_overlay_shows_parts_unknown_and_room() -> None:
     assert unknown[0] > 130 > 100 > room[0] > empty.max()
 
 
-def test_overlays_have_the_same_bits_compiled_and_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overlays_have_the_same_bits_compiled_and_by_numpy() -> None:
     draws = np.random.default_rng(6)
     frame = np.where(draws.random((50, 70)) < 0.9, draws.uniform(0.5, 5, (50, 70)), 0).astype(np.float32)
     labels = draws.integers(0, 40, frame.shape).astype(np.uint8)  # some are of no class
     bodies = np.array_split(np.flatnonzero((frame > 0) & (frame < 3)), 2)
-    assert use_compiled(), "numba is there in tests"
-    compiled = draw_overlay(frame, labels, bodies)
-    monkeypatch.setattr(overlay, "use_compiled", lambda: False)
-    np.testing.assert_array_equal(draw_overlay(frame, labels, bodies), compiled)
+    np.testing.assert_array_equal(*by_both(lambda: draw_overlay(frame, labels, bodies)))
 
 
 def test_an_overlay_of_nothing() -> None:

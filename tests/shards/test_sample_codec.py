@@ -5,7 +5,7 @@ import io
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -16,12 +16,12 @@ import zstandard
 from folders import GOLDEN
 from hypothesis import given
 from hypothesis import strategies as st
+from kernel_forms import FORMS, computed_by
 from numpy.typing import NDArray
 from PIL import Image
 from pngs import chunk
 from strategies import same, samples
 
-from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.core.sample import Sample, SampleInfo
 from bodyseg_data.core.system import deflate
@@ -33,19 +33,6 @@ from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
 from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
 
 INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
-KERNELS = ("numpy", "compiled")
-
-
-@contextlib.contextmanager
-def computed_by(choice: str) -> Iterator[None]:
-    """By NumPy or by compiled loops, whatever the environment says."""
-    if choice == "compiled":
-        pytest.importorskip("numba")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(kernels.VARIABLE, choice)
-        kernels.use_compiled.cache_clear()
-        yield
-    kernels.use_compiled.cache_clear()
 
 
 def ramp_sample() -> Sample:
@@ -69,7 +56,7 @@ def figure_images() -> tuple[Any, Any, Any]:
     return ranges, labels, occluder
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 @pytest.mark.parametrize("codec", CODECS)
 def test_every_value_of_16_bits_survives(codec: CodecName, choice: str) -> None:
     sample = ramp_sample()
@@ -82,7 +69,7 @@ def test_every_value_of_16_bits_survives(codec: CodecName, choice: str) -> None:
 def test_any_sample_survives(sample: Sample, codec: CodecName) -> None:
     sample.check()
     members = encode_sample(sample, codec)
-    for choice in KERNELS:
+    for choice in FORMS:
         with computed_by(choice):
             assert same(decode_sample(sample.key, members), sample)
 
@@ -91,7 +78,7 @@ def test_any_sample_survives(sample: Sample, codec: CodecName) -> None:
 def test_any_sample_of_two_projectors_survives(sample: Sample, codec: CodecName, into: bool, projector: bool) -> None:
     sample.check()
     members = encode_sample(sample, codec)
-    for choice in KERNELS:
+    for choice in FORMS:
         out = (np.full(sample.range.shape, 3, np.uint16), np.full(sample.range.shape, 5, np.uint8)) if into else None
         with computed_by(choice):
             decoded = decode_sample(sample.key, members, projector, out, projectors=2)
@@ -125,7 +112,7 @@ def test_every_label_byte_is_one_label_and_two_bits() -> None:
 
 
 @pytest.mark.parametrize("codec", CODECS)
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 def test_the_projectors_range_is_read_only_if_it_is_wanted(codec: CodecName, choice: str) -> None:
     sample = ramp_sample()
     with computed_by(choice):
@@ -143,7 +130,7 @@ def test_labels_that_contradict_the_range_cannot_be_stored() -> None:
         encode_sample(sample)
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 def test_the_stored_bytes_are_pinned(choice: str) -> None:
     """A change of these bytes is a change of format and needs another magic."""
     ranges, labels, occluder = figure_images()
@@ -261,7 +248,7 @@ def test_the_hand_made_file_is_sound() -> None:
     assert occluder is not None and occluder.shape == (3, 2) and not occluder.any()
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -331,7 +318,7 @@ def test_whatever_the_bytes_both_decoders_agree_or_refuse() -> None:
             for place in generator.integers(0, len(edited), 3):
                 edited[place] = generator.choice((0, 1, 254, 255, int(generator.integers(256))))
             given = _reframed(data, bytes(edited), frame)
-        answers = [_answer(given, choice) for choice in KERNELS]
+        answers = [_answer(given, choice) for choice in FORMS]
         assert answers[0] == answers[1]
         read += isinstance(answers[0], list)
     assert 20 < read < 380
@@ -523,7 +510,7 @@ def test_unknown_codecs_are_refused() -> None:
         check_codec("jpg")
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 @given(first=samples(), second=samples())
 def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_anything(
     choice: str, first: Sample, second: Sample
@@ -548,7 +535,7 @@ def test_decoding_into_arrays_gives_the_same_images_and_says_where_they_hold_any
                 assert np.array_equal(np.concatenate([*held, np.zeros(0, int)]), np.flatnonzero(sample.range))
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 def test_damaged_samples_leave_nothing_behind_in_the_next_one(choice: str) -> None:
     """A thread keeps its occluder range: texels of a sample that was refused half-way must not stay."""
     generator = np.random.default_rng(1)
@@ -576,7 +563,7 @@ def test_damaged_samples_leave_nothing_behind_in_the_next_one(choice: str) -> No
     assert 10 < refused < 60
 
 
-@pytest.mark.parametrize("choice", KERNELS)
+@pytest.mark.parametrize("choice", FORMS)
 def test_a_threads_occluder_range_cannot_be_written_to(choice: str) -> None:
     """What was written would show in samples that follow."""
     ranges, labels, occluder = figure_images()
