@@ -64,8 +64,8 @@ def scale_of(values: Iterable[float], axis: Axis) -> Scale:
 
 
 def thousands(value: float, decimals: int = 0) -> str:
-    """A number with so many decimals and a blank between thousands."""
-    return f"{value:,.{decimals}f}".replace(",", " ")
+    """A number with so many decimals, a blank between thousands and a minus sign; never a negative zero."""
+    return f"{value:z,.{decimals}f}".replace(",", " ").replace("-", "−")
 
 
 def shown(value: float) -> str:

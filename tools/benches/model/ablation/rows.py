@@ -238,7 +238,7 @@ def _accuracy(value: Tree) -> str:
 
 def _points(value: Tree) -> str:
     spread = "" if value["sd"] is None else f" ± {value['sd']:.1f}"
-    return f"{value['points']:+.1f}{spread}".replace("-", "−")
+    return f"{value['points']:+z.1f}{spread}".replace("-", "−")
 
 
 def _verdict_text(row: Tree, titles: Mapping[str, str]) -> str:
