@@ -152,7 +152,7 @@ class _Pose:
 
 @dataclass(frozen=True)
 class _Footprint:
-    """Where a solid that is turned by `angle_rad` stands: middle on the floor, its lowest point, and radius, metres."""
+    """Place of a solid that is turned by `angle_rad`: its middle on the floor, its lowest point, and radius, metres."""
 
     angle_rad: float
     middle: tuple[float, float]

@@ -85,7 +85,7 @@ def _incidence(image: Any, rows: Any, columns: Any, focal: Any, x: Any, y: Any, 
 
 @_kernel
 def _apart(here: Any, beside: Any, jump: Any) -> Any:
-    """Whether two neighbours differ by more than a jump, or one of them is background."""
+    """True if two neighbours differ by more than a jump, or if one of them is background."""
     return (abs(np.int32(here) - np.int32(beside)) > jump) | ((here == 0) != (beside == 0))
 
 

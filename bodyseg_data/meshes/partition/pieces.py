@@ -20,7 +20,7 @@ from bodyseg_data.meshes.mesh import Mesh
 
 @dataclass(frozen=True)
 class Piece:
-    """A connected piece of a mesh that lies over the body. vertex: index of one of its vertices, whichever.
+    """A connected piece of a mesh that lies over the body. vertex: index of any of its vertices.
 
     parts: labels, 0 to 32, of which each of its points gets the nearest; none for a thing, whose label is 255. Raises
     BadLandmarks for other labels.

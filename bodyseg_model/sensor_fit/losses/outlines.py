@@ -211,7 +211,7 @@ def _empty_bands(body: Mask, full: Mask | None = None) -> list[tuple[int, int]]:
 
 
 def _alike(bands: list[tuple[int, int]], top: int, bottom: int) -> bool:
-    """Whether bands are of one width, as stripes are; one at an end of the body, from `top` to `bottom`, may be cut."""
+    """True if bands are of one width, as stripes are; one at an end of the body, from `top` to `bottom`, may be cut."""
     widths = np.array([end - start for start, end in bands])
     cut = np.array([start == top or end == bottom for start, end in bands], np.bool_)
     inner = np.count_nonzero(~cut)
