@@ -61,14 +61,14 @@ def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -
     graph = everything()
     names = [name for name, step in graph.steps.items() if step.kind == "training"]
     assert sum(name.startswith("runs/variants/") for name in names) == 15
-    for folder in ("runs/variants", "runs/networks", "runs/alexnet", "runs/wide"):
+    for folder in ("runs/variants", "runs/networks", "runs/alexnet"):
         of_folder = [name.rpartition("-")[0] for name in names if name.startswith(f"{folder}/")]
         assert {of_folder.count(name) for name in of_folder} == {SEEDS}
 
 
 def test_steps_read_what_their_commands_name() -> None:
     graph = everything()
-    assert graph.inputs(graph.steps["failures_wide"]) == ("sets/open18", "runs/wide/wide-0", "sets/hard18")
+    assert graph.inputs(graph.steps["failures_open"]) == ("sets/open18", "runs/variants/all-0", "sets/hard18")
     assert graph.external(graph.steps["people"]) == ("data/faust", "shipped")
     assert graph.external(graph.steps["stability_networks"]) == ("shipped",)
     architectures = graph.inputs(graph.steps["architectures"])

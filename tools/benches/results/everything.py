@@ -21,7 +21,6 @@ from benches.results.trainings import (
     REFERENCE_RUNS,
     SMALLER_LINKS,
     VARIANT_RUNS,
-    WIDE_RUNS,
     Links,
     seeds,
     sets,
@@ -95,9 +94,8 @@ def _trained() -> Iterator[Step]:
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", links=COMPACT_LINKS, alone=True)
     smaller = ("--data", OPEN, "--runs", "runs/smaller", "--images", "200", "--forest", "0")
     yield _bench("architectures", *smaller, to="smaller", links=SMALLER_LINKS, alone=True)
-    for to, run in (("open", "runs/variants/all-0"), ("wide", "runs/wide/wide-0")):
-        named = ("--data", OPEN, "--runs", run, "--hard", HARD)
-        yield _bench("failures", *named, "--images", "500", to=f"failures_{to}")
+    named = ("--data", OPEN, "--runs", "runs/variants/all-0", "--hard", HARD)
+    yield _bench("failures", *named, "--images", "500", to="failures_open")
     sets_read = ("--data", OPEN, "--hard", HARD, "--clothes", DRESSED, BARE)
     rows = ("--runs", "runs/ablation", "--images", "40")
     yield _bench("ablation", *sets_read, *rows, drawn=True, links=ABLATION_LINKS, alone=True)
@@ -109,7 +107,7 @@ def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
     yield _stability_of("stability", VARIANT_RUNS)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
-    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS, *WIDE_RUNS), BOX_LINKS)
+    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS), BOX_LINKS)
     yield _stability_of("stability_architectures", NETWORK_RUNS, COMPACT_LINKS)
     yield _stability_of("stability_motion", VARIANT_RUNS, parts=_MOTION)
     yield _stability_of("stability_fcn_alexnet_motion", ALEXNET_RUNS, parts=_MOTION)

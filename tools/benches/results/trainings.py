@@ -18,12 +18,10 @@ OPEN: Final = "sets/open18"
 HARD: Final = "sets/hard18"
 DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
-WIDE: Final = "sets/wide18"
 
 SETS: Final = {
     OPEN: ("open",),
     HARD: ("hard",),
-    WIDE: ("wide",),
     DRESSED: ("open", "--meshes", "233"),
     BARE: ("bare", "--meshes", "233"),
 }
@@ -42,10 +40,8 @@ NETWORKS: Final = {
     "compact_fine": ("--settings", '{"patch":8,"widths":[48,96,128,144],"blocks":[1,2,2,1]}'),
     "compact_large": ("--settings", '{"widths":[160,208,240],"blocks":[3,3,2]}'),
     "deeplab_half": ("--network", "deeplab", "--recipe", "compact", "--settings", '{"shrink":2}'),
-    "segformer_half": ("--network", "segformer", "--recipe", "compact", "--settings", '{"size":0,"shrink":2}'),
     "fcn_alexnet_8th": (*_ALEXNET, "--settings", '{"width":0.125}'),
     "fcn_alexnet_4th": (*_ALEXNET, "--settings", '{"width":0.25}'),
-    "fcn_alexnet_half": (*_ALEXNET, "--settings", '{"width":0.5}'),
 }
 """Row of the table of networks, which `compact` heads -> options of its trainings."""
 
@@ -75,13 +71,11 @@ VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/variants/{variant}") 
 REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
 """The networks that mCE compares with."""
 
-ALEXNET_RUNS: Final = (
-    *(run for variant in VARIANTS if variant != "all" for run in seeds(f"runs/alexnet/fcn_alexnet_8th_{variant}")),
-    *seeds("runs/networks/fcn_alexnet_8th"),
-)
+ALEXNET_RUNS: Final = (*REFERENCE_RUNS, *seeds("runs/networks/fcn_alexnet_8th"))
+"""The paper's network, an eighth of its width, on `none` and on `all`."""
+
 NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for name in ("compact", *NETWORKS))))
 LOSSES_RUNS: Final = seeds("runs/ablation/losses")
-WIDE_RUNS: Final = seeds("runs/wide/wide")
 
 SMALLER_LINKS: Final[Links] = (
     *zip(seeds("runs/smaller/compact"), seeds("runs/variants/all"), strict=True),
@@ -116,12 +110,8 @@ def trainings() -> Iterator[Step]:
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
         links = BOX_LINKS if BOX in options else ()
         yield replace(_training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed), links=links)
-    for variant, seed in itertools.product(VARIANTS, range(SEEDS)):
-        if variant != "all":
-            options = ("--variant", variant, *NETWORKS["fcn_alexnet_8th"])
-            yield _training(f"runs/alexnet/fcn_alexnet_8th_{variant}-{seed}", OPEN, *options, seed=seed)
-    for seed in range(SEEDS):
-        yield _training(f"runs/wide/wide-{seed}", WIDE, seed=seed)
+    for seed, run in enumerate(REFERENCE_RUNS):
+        yield _training(run, OPEN, "--variant", "none", *NETWORKS["fcn_alexnet_8th"], seed=seed)
     sensors = {artifact.name for artifact in ADDED.values()}
     for row in ROWS:
         if row.arguments is None or row.name in _ROWS_OF_NETWORKS:
