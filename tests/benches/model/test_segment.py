@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.model.segment import bench
-from benches.model.segment.bench import DROPPING, LIVE, ROUNDS, STAGES, WAYS, accuracy, bench_segment, cameras
+from benches.model.segment.bench import (
+    DROPPING,
+    LIVE,
+    ROUNDS,
+    STAGES,
+    WAYS,
+    accuracy,
+    bench_segment,
+    by_people,
+    cameras,
+)
 from benches.model.segment.figure import draw_segment
 from benches.model.segment.live import Sensor
 from label_networks import Places
@@ -70,6 +80,15 @@ def test_a_sensor_gives_the_newest_frame_and_none_twice() -> None:
     assert seen == [0, 1, 2, 0]
     steps = np.rint(np.diff(sensor.came) * 100)
     assert (steps >= 1).all() and steps[1] >= 4
+
+
+def test_times_by_people_are_without_the_first_frame_and_without_writing() -> None:
+    times = [(1, 900.0, 1.0), (2, 20.0, 5.0), (1, 10.0, 5.0), (2, 31.0, 5.0)]
+    each = [{"people": people, "ms": {"read": 1.0, "network": ms, "write": write}} for people, ms, write in times]
+    assert by_people(each) == {
+        "1": {"frames": 1, "mean": 11.0, "greatest": 11.0},
+        "2": {"frames": 2, "mean": 26.5, "greatest": 32.0},
+    }
 
 
 def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
