@@ -28,6 +28,7 @@ from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, shipped_network
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
+    FLIP_HELP,
     PRECISION_HELP,
     BackendName,
     backend_of,
@@ -52,6 +53,7 @@ class Options:
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(PRECISION_HELP, None)
+    flip_average: bool = option(FLIP_HELP, False)
     checkpoint: CheckpointName | None = option(
         "of a run: its best or last one (default: what the training ended with)", None
     )
@@ -82,7 +84,7 @@ def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
     trained = shipped_network() if options.run is None else load_run(options.run, options.checkpoint)
-    trained = put_on_backend(trained, options.backend, options.precision)
+    trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
     _say_step(trained)
     to_device(trained.network, options.device)
     label_map = trained.label_map if options.labels is None else load_label_map(options.labels)

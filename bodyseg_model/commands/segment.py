@@ -30,6 +30,7 @@ from bodyseg_model.recordings.recording import Frame, Pixels, Stamp
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
+    FLIP_HELP,
     PRECISION_HELP,
     BackendName,
     backend_of,
@@ -70,6 +71,7 @@ class Options:
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(PRECISION_HELP, None)
+    flip_average: bool = option(FLIP_HELP, False)
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
@@ -100,7 +102,7 @@ def run(options: Options) -> int:
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     trained = shipped_network() if options.run is None else load_run(options.run)
-    trained = put_on_backend(trained, options.backend, options.precision)
+    trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
     label_map = trained.label_map
     preview = None if options.no_overlay else Preview(options.fps, label_map)
     to_device(trained.network, options.device)

@@ -188,6 +188,7 @@ def test_the_command_writes_a_file_that_segment_and_evaluate_take(
         "file": ["--run", str(out)],
         "runtime": ["--run", str(run), "--backend", "onnxruntime"],
         "int8": ["--run", str(int8)],
+        "both": ["--run", str(run), "--flip-average"],
     }.items():
         assert main(["evaluate", *options, *words, str(tmp_path / f"{name}.json")]) == 0
         found[name] = json.loads((tmp_path / f"{name}.json").read_text())
@@ -196,7 +197,10 @@ def test_the_command_writes_a_file_that_segment_and_evaluate_take(
         "file": ("onnxruntime", "float32"),
         "runtime": ("onnxruntime", "float32"),
         "int8": ("onnxruntime", "int8"),
+        "both": ("torch", "float32"),
     }
+    assert [name for name, each in found.items() if each["runtime"].get("flip_average")] == ["both"]
+    assert found["both"]["pixel_accuracy"] != found["torch"]["pixel_accuracy"]
     assert found["int8"]["runtime"]["calibration"]["images"] == 3
     accuracies = {name: each["pixel_accuracy"] for name, each in found.items()}
     assert accuracies["torch"] == pytest.approx(accuracies["file"], abs=1e-3)

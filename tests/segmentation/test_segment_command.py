@@ -23,7 +23,7 @@ from pngs import pixels, png
 from small_rig import SMALL
 
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
+from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks.checkpoints import Trained, save_network
@@ -200,6 +200,23 @@ def test_confidence_limits_and_mirrors_are_options(recording: Path, tmp_path: Pa
     assert report(tmp_path / "wall")["background"] == {"mode": "limits", "near_m": 3.0, "far_m": 4.0}
     assert run(frame, *options, "--mirrored", "--out", tmp_path / "mirrored") == 0
     assert report(tmp_path / "mirrored")["camera"]["mirrored"]
+
+
+def test_the_mirror_image_may_be_labelled_too(recording: Path, tmp_path: Path, network: Places) -> None:
+    frame, options = recording / "7.png", ("--focal", "100")
+    assert run(frame, *options, "--out", tmp_path / "one") == 0
+    network.seen.clear()
+    assert run(frame, *options, "--flip-average", "--out", tmp_path / "both") == 0
+    view, mirrored = network.seen[-1]
+    assert torch.equal(view, mirrored.flip(2)) and (view > 0).any()
+    assert (
+        report(tmp_path / "both")["runtime"]["flip_average"]
+        and "flip_average" not in report(tmp_path / "one")["runtime"]
+    )
+    one, both = (pixels(tmp_path / name / "labels" / "7.png") for name in ("one", "both"))
+    # Labels of this network do not depend on the side, so left and right parts of a row get half each.
+    np.testing.assert_array_equal(np.minimum(one, MIRRORED_LABELS[one]), both)
+    assert report(tmp_path / "both")["mean_confidence"] < report(tmp_path / "one")["mean_confidence"]
 
 
 def test_frames_of_a_camera_with_lens_distortion_are_undistorted(recording: Path, tmp_path: Path) -> None:

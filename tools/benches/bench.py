@@ -79,7 +79,11 @@ BENCHES: Final = {
         "model.segment.windows", "windows_figure", "made rooms, 120", required=("data",), optional=("runs", "images")
     ),
     "people": Bench(
-        "model.people.bench", None, "views of each body, 6", required=("data",), optional=("runs", "poses", "alone")
+        "model.people.bench",
+        None,
+        "views of each body, 6",
+        required=("data",),
+        optional=("runs", "poses", "alone", "flip_average"),
     ),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
     "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
@@ -93,7 +97,7 @@ BENCHES: Final = {
     "ablation": Bench(
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
-    "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs",)),
+    "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
@@ -165,6 +169,7 @@ class Options:
         "alone, no landmarks",
         False,
     )
+    flip_average: bool = option("for people and real: average the answers to images and mirror images", False)
     scores: tuple[Path, ...] | None = option(
         "for network: JSON files of `bodyseg evaluate` on `all`, for the accuracies", None
     )

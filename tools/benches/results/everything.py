@@ -54,6 +54,12 @@ def _bench(name: str, *words: str, to: str = "", drawn: bool = False, more: tupl
     return Step(to, "results", ("tools/bench", name, *words, *targets), results, **facts)
 
 
+def _evaluation(name: str, data: str, *words: str, more: Links = ()) -> Step:
+    """A step of `bodyseg evaluate` on the network that ships; it writes NAME.json. more: what else it makes."""
+    command = ("bodyseg", "evaluate", "--data", data, "--json", f"results/{name}.json", *words)
+    return Step(name, "results", command, ((f"results/{name}.json", f"{name}.json"), *more), reads=(SHIPPED,))
+
+
 def _landmarks() -> Iterator[Step]:
     """Landmarks, labels and bodies, before any network."""
     yield _bench("proposal", "--mit", MIT)
@@ -69,13 +75,15 @@ def _landmarks() -> Iterator[Step]:
 def _shipped() -> Iterator[Step]:
     """The network that ships."""
     shipped = (SHIPPED,)
-    for to, data, more in (("compact", OPEN, ("--images", "4000")), ("compact_hard", HARD, ())):
-        drawn = ("--figures", "results/compact") if to == "compact" else ()
-        words = ("bodyseg", "evaluate", "--data", data, "--json", f"results/{to}.json", *more, *drawn)
-        results = ((f"results/{to}.json", f"{to}.json"), *((("results/compact", "compact"),) if drawn else ()))
-        yield Step(to, "results", words, results, reads=shipped)
+    figures, most, flip = ("--figures", "results/compact"), ("--images", "4000"), "--flip-average"
+    yield _evaluation("compact", OPEN, *most, *figures, more=(("results/compact", "compact"),))
+    yield _evaluation("compact_hard", HARD)
+    yield _evaluation("compact_flip_average", OPEN, *most, flip)
+    yield _evaluation("compact_hard_flip_average", HARD, flip)
     yield _bench("people", "--data", FAUST, "--alone", reads=shipped)
+    yield _bench("people", "--data", FAUST, "--alone", flip, to="people_flip_average", reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
+    yield _bench("real", "--data", KINECT, "--views", "24", flip, to="real_flip_average", reads=shipped)
     yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("shapes", "--views", "20000")

@@ -18,6 +18,7 @@ from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network
+from bodyseg_model.networks.flip_average import FlipAverage
 
 _POSES: Final = 10
 
@@ -28,22 +29,26 @@ def bench_people(
     runs: Sequence[Path] = (),
     poses: int = _POSES,
     alone: bool = False,
+    flip_average: bool = False,
     progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Measure proposed landmarks against annotated ones, and a network on views of the same bodies.
 
     data: folder of meshes with landmarks, see `annotated_bodies`. views: of each body, all round at the paper's
     distances. runs: the network is in the first of them; without, it is the one that ships. poses: meshes of each
-    person. alone: the network's scores alone. Raises BadConfig, BadMesh or BadLandmarks for a folder without annotated
-    bodies or with one that cannot be read; otherwise as `fit_body` and `pack`.
+    person. alone: the network's scores alone. flip_average: the network as `FlipAverage`. Raises BadConfig, BadMesh or
+    BadLandmarks for a folder without annotated bodies or with one that cannot be read; otherwise as `fit_body` and
+    `pack`.
     """
     check_int("the number of views", views, 1)
     network = load_network(runs[0] if runs else SHIPPED).network
+    if flip_average:
+        network = FlipAverage(network)
     bodies = annotated_bodies(Path(data), poses)
     images = len(VARIANTS) * views * len(bodies)
     steps = images + (0 if alone else len(bodies))
     results: dict[str, Any] = {
-        "network": runs[0].name if runs else "shipped",
+        "network": (runs[0].name if runs else "shipped") + (", flip average" if flip_average else ""),
         "bodies": len(bodies),
         "people": len({body.person for body in bodies}),
         "views": views,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
 from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
+from bodyseg_model.networks.flip_average import FlipAverage
 from bodyseg_model.recordings.cameras import FrameCamera, assumed_sensors
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
@@ -68,16 +69,22 @@ class Results(dict[str, Any]):
 
 
 def bench_real(
-    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: ProgressCallback = silent
+    data: str,
+    views: int = _FRAMES,
+    runs: Sequence[Path] = (),
+    flip_average: bool = False,
+    progress: ProgressCallback = silent,
 ) -> Results:
     """Score a network on a recording of one still person, by labels of the surface that its frames show together.
 
     data: folder of frames with cameras, see `read_recording`. views: frames to use, evenly over the recording. runs:
-    the network is in the first of them; without, it is the one that ships. Raises BadConfig or BadLandmarks for a
-    recording or landmarks that cannot be used; otherwise as `load_network`.
+    the network is in the first of them; without, it is the one that ships. flip_average: as `FlipAverage`. Raises
+    BadConfig or BadLandmarks for a recording or landmarks that cannot be used; otherwise as `load_network`.
     """
     check_int("the number of frames", views, 1)
     trained = load_network(runs[0] if runs else SHIPPED)
+    if flip_average:
+        trained = replace(trained, network=FlipAverage(trained.network))
     placements = load_placements(Path(data))
     stored = read_recording(Path(data), views)
     shadow, mirrored = settled(stored)
@@ -103,7 +110,7 @@ def bench_real(
         {
             "recording": Path(data).name,
             "frames": len(frames),
-            "network": runs[0].name if runs else "shipped",
+            "network": (runs[0].name if runs else "shipped") + (", flip average" if flip_average else ""),
             "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
             "fusion": {
                 "voxel_mm": 1000 * VOXEL_M,
