@@ -69,7 +69,7 @@ def make_folder(path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Flush a file, or a folder's entries, so that renames within it survive a power cut, to disk."""
+    """Wait until the disk holds a file, or a folder's entries, so that renames within it survive a power cut."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
