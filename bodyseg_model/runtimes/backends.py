@@ -33,7 +33,7 @@ BACKEND_HELP: Final = (
     "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"
 )
 FLIP_HELP: Final = (
-    "label the mirror image, too, and average: 0.9 points more on real people, nearly twice the network's time"
+    "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
 )
 PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
 
