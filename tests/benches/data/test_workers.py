@@ -47,8 +47,10 @@ def test_every_kind_of_workers_is_measured(figures: dict[str, Any]) -> None:
     ]
     for row in rows:
         assert len(row["rounds_of"]) == 2 and min(row["rounds_of"]) > 0
-        assert row["processor_ms_per_sample"] > 0 and row["peak_mb"] > 50
+        assert row["processor_ms_per_sample"] >= 0 and row["peak_mb"] > 50
         assert row["opening_ms"] > 0 and row["first_batch_ms"] > 0
+    # The system counts processor time in hundredths of a second: of so few samples, one row may have none.
+    assert sum(row["processor_ms_per_sample"] for row in rows) > 0
     assert figures["thread_over_process"]["all"]["1"] > 0
     assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 2)
 
