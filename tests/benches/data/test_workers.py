@@ -30,7 +30,7 @@ def figures(small_set: Path) -> dict[str, Any]:
             small_set,
             (1,),
             batch=3,
-            rounds=2,
+            rounds=8,  # the system counts processor time in hundredths of a second: fewer rounds may take none
             trainings=0,
             progress=lambda done, total: ticks.append((done, total)),
         )
@@ -46,13 +46,11 @@ def test_every_kind_of_workers_is_measured(figures: dict[str, Any]) -> None:
         ("forkserver", 1),
     ]
     for row in rows:
-        assert len(row["rounds_of"]) == 2 and min(row["rounds_of"]) > 0
-        assert row["processor_ms_per_sample"] >= 0 and row["peak_mb"] > 50
+        assert len(row["rounds_of"]) == 8 and min(row["rounds_of"]) > 0
+        assert row["processor_ms_per_sample"] > 0 and row["peak_mb"] > 50
         assert row["opening_ms"] > 0 and row["first_batch_ms"] > 0
-    # The system counts processor time in hundredths of a second: of so few samples, one row may have none.
-    assert sum(row["processor_ms_per_sample"] for row in rows) > 0
     assert figures["thread_over_process"]["all"]["1"] > 0
-    assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 2)
+    assert (figures["samples"], figures["batch"], figures["rounds"]) == (24, 3, 8)
 
 
 def test_the_figure_shows_it(figures: dict[str, Any], tmp_path: Path) -> None:
