@@ -135,8 +135,8 @@ def metres_a_step(unit: str) -> float:
 
 def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
     """Convert to metres, float32 [H, W]; 0 (nothing measured) where the frame is 0 or 65535 (saturated)."""
-    ranges = np.multiply(frame, np.float32(step_m), dtype=np.float32)
-    np.copyto(ranges, 0, where=frame == _SATURATED)
+    ranges = frame.astype(np.float32) * np.float32(step_m)
+    ranges[frame == _SATURATED] = 0
     return ranges
 
 
