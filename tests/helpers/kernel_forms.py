@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from typing import Final, TypeVar
 
 import pytest
-
-from bodyseg_data.core.kernels import VARIABLE, use_compiled
+from benches import environment
 
 FORMS: Final = ("compiled", "numpy")
 
@@ -20,13 +19,8 @@ def computed_by(form: str) -> Iterator[None]:
     """Compute by one of `FORMS`, whatever the environment says."""
     if form == "compiled":
         pytest.importorskip("numba")
-    try:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv(VARIABLE, form)
-            use_compiled.cache_clear()
-            yield
-    finally:
-        use_compiled.cache_clear()
+    with environment.computed_by(form):
+        yield
 
 
 def by_both(function: Callable[[], Answer]) -> tuple[Answer, Answer]:

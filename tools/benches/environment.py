@@ -1,12 +1,15 @@
-"""The environment of programs that benches start."""
+"""The environment of benches, and of programs that they start."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import benches
 import bodyseg_data
+from bodyseg_data.core.kernels import VARIABLE, use_compiled
 
 
 def child_environment() -> dict[str, str]:
@@ -14,3 +17,18 @@ def child_environment() -> dict[str, str]:
     homes = [str(Path(package.__path__[0]).parent) for package in (benches, bodyseg_data)]
     before = os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": os.pathsep.join([*homes, *([before] if before else [])])}
+
+
+@contextmanager
+def computed_by(choice: str) -> Iterator[None]:
+    """Compute loops as `VARIABLE` may say, auto, numpy or compiled, while the context lasts."""
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = choice
+    use_compiled.cache_clear()
+    try:
+        yield
+    finally:
+        del os.environ[VARIABLE]
+        if before is not None:
+            os.environ[VARIABLE] = before
+        use_compiled.cache_clear()

@@ -5,10 +5,9 @@ All times are of the processor, the best of several rounds in which the codecs t
 
 from __future__ import annotations
 
-import os
 import statistics
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 
 from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
+from benches.environment import computed_by
 from benches.measuring import least_time, mixed
 from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core import kernels
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.sample import Sample, steps
@@ -80,7 +79,7 @@ def bench_codec(views: int = 60, progress: ProgressCallback = silent) -> dict[st
             baseline = others[(turn + done) % len(others)]
             _measure(baseline, images, costs[baseline.name])
         for name, kinds in ours.items():
-            with _computed_by("compiled" if name == DEFAULT else "numpy"):
+            with computed_by("compiled" if name == DEFAULT else "numpy"):
                 _measure_ours(images, kinds)
         sizes.add(sample)
         rounding.add(sample, *exact)
@@ -119,20 +118,6 @@ def _samples(count: int) -> Iterator[tuple[Sample, tuple[Any, ...]]]:
                     ),
                 )
                 yield sample, exact
-
-
-@contextmanager
-def _computed_by(choice: str) -> Iterator[None]:
-    former = os.environ.get(kernels.VARIABLE)
-    os.environ[kernels.VARIABLE] = choice
-    kernels.use_compiled.cache_clear()
-    try:
-        yield
-    finally:
-        del os.environ[kernels.VARIABLE]
-        if former is not None:
-            os.environ[kernels.VARIABLE] = former
-        kernels.use_compiled.cache_clear()
 
 
 def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -25,9 +24,9 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
+from benches.environment import computed_by
 from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.kernels import VARIABLE, use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_data.core.system.machine import hardware
@@ -174,7 +173,7 @@ def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence
     options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
     threads = torch.get_num_threads()
     beside = _busy_program() if way.busy else contextlib.nullcontext()
-    with _loops(way.loops), beside, contextlib.redirect_stderr(io.StringIO()):
+    with computed_by(way.loops), beside, contextlib.redirect_stderr(io.StringIO()):
         segment.run(options)
     torch.set_num_threads(threads)
     summary = json.loads((out / "summary.json").read_text())
@@ -226,20 +225,6 @@ def _busy_program() -> Iterator[None]:
             yield
         finally:
             other.kill()
-
-
-@contextlib.contextmanager
-def _loops(choice: str) -> Iterator[None]:
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = choice
-    use_compiled.cache_clear()
-    try:
-        yield
-    finally:
-        os.environ.pop(VARIABLE)
-        if before is not None:
-            os.environ[VARIABLE] = before
-        use_compiled.cache_clear()
 
 
 def accuracy(rooms: Sequence[Room], labels: Sequence[NDArray[np.uint8]], pixel_m: float) -> dict[str, Any]:
