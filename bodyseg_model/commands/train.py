@@ -28,9 +28,9 @@ from bodyseg_model.commands.train_reports import reporting, silent
 from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
+from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
 from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import joined_process_group, use_threads
-from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.metrics import Report
 from bodyseg_model.training.objective.distillation import Teacher

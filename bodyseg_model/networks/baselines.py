@@ -16,8 +16,8 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.networks.input.relief import check_range_images, relief_of, shrunk
 from bodyseg_model.networks.network import Network, check_classes
-from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
 
 _INPUTS: Final = 2
 

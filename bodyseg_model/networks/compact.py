@@ -19,8 +19,9 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.networks.input.patches import patches_of
+from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.range_input import check_range_images, relief_of, shrunk
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ class CompactSettings:
 class Compact(Network):
     """Range images -> scores of the classes, for images of any size.
 
-    The input has two channels (`range_input.relief_of`): each pixel's range less the mean over the body, and whether it
-    was measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
+    The input has two channels (`relief.relief_of`): each pixel's range less the mean over the body, and whether it was
+    measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
     """
 
     output_stride: int = 4
@@ -101,16 +102,14 @@ class Compact(Network):
         """Compute scores of every fourth pixel each way; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        relief = F.pad(relief_of(range_m), (0, -columns % self._cell, 0, -rows % self._cell))
-        if self._shrink > 1:
-            relief = shrunk(relief, self._shrink)
-        x = self.embed(_patches(_as_layers_compute(relief), self._patch))
+        values, measured = patches_of(range_m, self._patch, self._shrink)
+        x = self.embed(values)
         seen = []
         for stage in self.down:
             x = stage(x)
             seen.append(x)
         if self.context is not None:
-            x = x + self.context(_mean_over_body(x, relief[:, 1:], self._patch << (len(seen) - 1)))
+            x = x + self.context(_mean_over_body(x, measured, 1 << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = _spread(self.head(x), self._fine)
@@ -118,21 +117,6 @@ class Compact(Network):
         if self._cell < stride:
             x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
         return x[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]
-
-
-def _as_layers_compute(x: torch.Tensor) -> torch.Tensor:
-    """Convert to the type that convolutions compute in: they would convert after copies of twice the size."""
-    kind = x.device.type
-    return x.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else x
-
-
-def _patches(x: torch.Tensor, side: int) -> torch.Tensor:
-    """`F.pixel_unshuffle`, [B, C, H, W] -> [B, C side^2, H / side, W / side]: one copy, laid out as layers want it."""
-    if torch.onnx.is_in_onnx_export():  # graphs have one operation for it
-        return F.pixel_unshuffle(x, side)
-    batch, channels, rows, columns = x.shape
-    parts = x.reshape(batch, channels, rows // side, side, columns // side, side).permute(0, 2, 4, 1, 3, 5)
-    return parts.reshape(batch, rows // side, columns // side, channels * side**2).permute(0, 3, 1, 2)
 
 
 def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
@@ -149,7 +133,8 @@ def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
 
 def _mean_over_body(x: torch.Tensor, measured: torch.Tensor, cell: int) -> torch.Tensor:
     """Mean of [B, C, h, w] over its cells, [B, C, 1, 1], weighted by the share of each cell that was measured, so that
-    empty space around a body does not change it. measured: [B, 1, H, W]; cell: pixels along one side of a cell.
+    empty space around a body does not change it. measured: [B, 1, H, W], share of each patch; cell: patches along one
+    side of a cell.
     """
     weight = F.avg_pool2d(measured, cell, ceil_mode=True, count_include_pad=False)
     return (x * weight).sum((2, 3), keepdim=True) / weight.sum((2, 3), keepdim=True).clamp(min=1e-6)

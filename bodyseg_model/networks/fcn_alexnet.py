@@ -19,9 +19,9 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.pretrained import import_alexnet
-from bodyseg_model.networks.range_input import check_range_images
 
 STRIDE: Final = 32
 _PADDING: Final = 100

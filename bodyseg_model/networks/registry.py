@@ -15,9 +15,9 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
+from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.labelling import label_pixels
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.range_input import check_range_images
 
 
 class Prediction(NamedTuple):

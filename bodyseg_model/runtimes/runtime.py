@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.range_input import check_range_images
 from bodyseg_model.runtimes.onnx_files import OnnxModel, Precision
 
 

@@ -25,9 +25,9 @@ from bodyseg_data.core.system.signals import signals_held
 from bodyseg_data.loading.image_set import Batch, ImageSet
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
-from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.training.augmentation.mirror import mirror, mirror_draws
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
 from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report

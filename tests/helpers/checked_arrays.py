@@ -41,7 +41,7 @@ class Promise:
 
     def check(self, what: str, array: Any, known: dict[str, int]) -> None:
         """Compare an array with the promise; known: the lengths seen so far, which this one's are added to."""
-        kind, shape = str(array.dtype).removeprefix("torch."), tuple(array.shape)
+        kind, shape = str(array.dtype).removeprefix("torch."), tuple(int(size) for size in array.shape)
         fits = kind in self.kind.split(" or ") and len(shape) == len(self.lengths)
         if fits:
             for length, found in zip(self.lengths, shape, strict=True):

@@ -12,10 +12,10 @@ import torch
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.batch_transforms import mirror
 from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, predict
+from bodyseg_model.training.augmentation.mirror import mirror
 from bodyseg_model.training.objective.loss import NetworkWithLoss, part_weights
 
 SMALL: dict[str, dict[str, Any]] = {

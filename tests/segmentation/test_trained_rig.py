@@ -22,8 +22,8 @@ from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.resampling import STEP
 from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.recipes import recipe_for
 from bodyseg_model.training.run_folder import RunFolder

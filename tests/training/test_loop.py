@@ -18,8 +18,8 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.geometric_augmentation import GeometricAugmentation
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.metrics import Metrics
 from bodyseg_model.training.objective.loss import class_pixels

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from importlib import import_module
+from typing import Any, Final, Self
 
 import torch
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
+
+_LOOPED: Final = (torch.float32, torch.bfloat16)
+"""Types of scores that the compiled loops know."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +49,51 @@ class SelectedPixels:
         rows, columns = scores.shape[2:]
         top, bottom, down = _neighbours(self.row, step, rows)
         left, right, across = _neighbours(self.column, step, columns)
-        above, below = (self.image * rows + top) * columns, (self.image * rows + bottom) * columns
-        places = torch.stack([above + left, above + right, below + left, below + right])
         shares = torch.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
+        places = [(row, column) for row in (top, bottom) for column in (left, right)]
+        if scores.device.type == "cpu" and scores.dtype in _LOOPED and use_compiled():
+            interpolated: torch.Tensor = _Interpolated.apply(  # type: ignore[no-untyped-call]
+                scores, self.image, places, shares
+            )
+            return interpolated
         # Rows of one table, not four selections: the gradient of each would fill a tensor of all scores.
         table = scores.permute(0, 2, 3, 1).flatten(0, 2)
-        corners = table.index_select(0, places.flatten()).reshape(*places.shape, scores.shape[1])
+        cells = torch.stack([(self.image * rows + row) * columns + column for row, column in places])
+        corners = table.index_select(0, cells.flatten()).reshape(*cells.shape, scores.shape[1])
         found: torch.Tensor = (corners * shares[..., None]).sum(0)
         return found
+
+
+class _Interpolated(torch.autograd.Function):
+    """The same bits, and bits of gradients, by compiled loops: PyTorch passes over four points' scores a pixel."""
+
+    @staticmethod
+    def forward(
+        context: Any, scores: torch.Tensor, image: torch.Tensor, places: list[tuple[Any, Any]], shares: torch.Tensor
+    ) -> torch.Tensor:
+        if scores.stride(1) != 1:
+            scores = scores.contiguous(memory_format=torch.channels_last)
+        by_image, _, by_row, by_column = scores.stride()
+        starts = torch.stack([image * by_image + row * by_row + column * by_column for row, column in places])
+        reach = 1 + sum((size - 1) * stride for size, stride in zip(scores.shape, scores.stride(), strict=True))
+        table = scores.as_strided((reach,), (1,))
+        bits = table.view(torch.uint16) if scores.dtype == torch.bfloat16 else table
+        found = torch.empty(len(image), scores.shape[1])
+        loops = import_module("bodyseg_model.training.objective.interpolation_loops")
+        loops.interpolate(bits.numpy(), starts.numpy(), shares.numpy(), found.numpy())
+        context.save_for_backward(starts, shares)
+        context.table = reach, scores.shape, scores.stride(), scores.dtype
+        return found
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
+        starts, shares = context.saved_tensors
+        reach, shape, strides, dtype = context.table
+        total = torch.zeros(reach)
+        loops = import_module("bodyseg_model.training.objective.interpolation_loops")
+        rounded = dtype == torch.bfloat16
+        loops.add_gradient(gradients[0].contiguous().numpy(), starts.numpy(), shares.numpy(), rounded, total.numpy())
+        return total.to(dtype).as_strided(shape, strides), None, None, None
 
 
 def _neighbours(pixel: torch.Tensor, step: int, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

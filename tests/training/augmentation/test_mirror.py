@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import torch
+from kernel_forms import by_both
 
-from bodyseg_model.networks.batch_transforms import mirror, mirror_draws
+from bodyseg_model.training.augmentation.mirror import mirror, mirror_draws
 
 
 def test_chosen_images_are_mirrored() -> None:
@@ -26,3 +27,13 @@ def test_draws_belong_to_samples() -> None:
     assert 150 < int(drawn.sum()) < 250
     for other in (mirror_draws(4, first, keys), mirror_draws(3, second, keys)):
         assert 120 < int((other != drawn).sum()) < 280
+
+
+def test_both_forms_have_the_same_bits() -> None:
+    draw = torch.Generator().manual_seed(6)
+    range_m = torch.rand(5, 1, 13, 8, generator=draw)
+    labels = torch.randint(0, 34, (5, 13, 8), generator=draw).to(torch.uint8)
+    labels[labels == 33] = 255
+    chosen = torch.tensor([True, False, True, True, False])
+    loops, plain = by_both(lambda: mirror(range_m, labels, chosen))
+    assert torch.equal(loops[0], plain[0]) and torch.equal(loops[1], plain[1])

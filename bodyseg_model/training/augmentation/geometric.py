@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib import import_module
 
 import torch
 
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance
+from bodyseg_model.training.augmentation.mirror import in_loops
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,7 @@ class GeometricAugmentation:
             maps.append(_source_map(angle, down, across, rows, columns))
             cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < self.cut else None)
         sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
-        # A processor's caches hold the positions of one image's pixels; a GPU takes all images together.
-        several = 1 if range_m.device.type == "cpu" else len(keys)
-        parts = [
-            _moved(range_m[first : first + several], labels[first : first + several], sources[first : first + several])
-            for first in range(0, len(keys), several)
-        ]
-        moved, named = (torch.cat(images) for images in zip(*parts, strict=True))
+        moved, named = _moved(range_m, labels, sources)
         for image, place in enumerate(cuts):
             if place is not None:
                 moved[image, 0][place] = 0
@@ -72,16 +68,22 @@ def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> t
     """Images and labels with each pixel taken from the one nearest to where its `_source_map`, [B, 2, 2], points."""
     images, _, rows, columns = range_m.shape
     x, y = ((2 * torch.arange(side, device=maps.device) + 1) / side - 1 for side in (columns, rows))
-    row, column = (
-        (maps[:, axis, 0, None] * x * half)[:, None, :] + ((maps[:, axis, 1, None] * y + 1) * half - 0.5)[:, :, None]
+    down, across = (  # the place in the source is the sum of what a pixel's column gives and what its row gives
+        (maps[:, axis, 0, None] * x * half, (maps[:, axis, 1, None] * y + 1) * half - 0.5)
         for axis, half in ((1, rows / 2), (0, columns / 2))
     )
-    row, column = row.round_(), column.round_()
+    if in_loops(range_m):
+        moved, named = torch.empty_like(range_m), torch.empty_like(labels)
+        places = (tuple(each.numpy() for each in pair) for pair in (down, across))
+        loops = import_module("bodyseg_model.training.augmentation.loops")
+        loops.move_images(range_m[:, 0].numpy(), labels.numpy(), *places, moved[:, 0].numpy(), named.numpy())
+        return moved, named
+    row, column = ((by_column[:, None, :] + by_row[:, :, None]).round_() for by_column, by_row in (down, across))
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     place = torch.where(inside, row.mul_(columns).add_(column), 0).int()
     place += torch.arange(images, dtype=torch.int32, device=maps.device)[:, None, None] * (rows * columns)
-    ranges, named = (each.reshape(-1).index_select(0, place.view(-1)).view_as(inside) for each in (range_m, labels))
-    return torch.where(inside, ranges, 0)[:, None], torch.where(inside, named, BACKGROUND)
+    ranges, parts = (each.reshape(-1).index_select(0, place.view(-1)).view_as(inside) for each in (range_m, labels))
+    return torch.where(inside, ranges, 0)[:, None], torch.where(inside, parts, BACKGROUND)
 
 
 def _source_map(angle: float, down: float, across: float, rows: int, columns: int) -> list[list[float]]:

@@ -7,9 +7,10 @@ import math
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
+from kernel_forms import by_both
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.training.geometric_augmentation import GeometricAugmentation, _moved, _source_map
+from bodyseg_model.training.augmentation.geometric import GeometricAugmentation, _moved, _source_map
 
 KEYS = [f"body-{number}" for number in range(60)]
 EPOCHS = [0] * len(KEYS)
@@ -100,7 +101,7 @@ def test_bad_strengths_are_refused(name: str, value: float) -> None:
 
 
 def test_pixels_are_taken_from_where_torchs_sampler_takes_them() -> None:
-    """But for positions halfway between two pixels; images together, as on a GPU, are moved as each alone."""
+    """But for positions halfway between two pixels."""
     draw = torch.Generator().manual_seed(4)
     range_m = torch.rand(3, 1, 61, 47, generator=draw)
     labels = torch.randint(0, 33, (3, 61, 47), generator=draw).to(torch.uint8)
@@ -117,6 +118,10 @@ def test_pixels_are_taken_from_where_torchs_sampler_takes_them() -> None:
     assert clear.float().mean() > 0.9
     assert torch.equal(seen[:, 0][clear], expected[:, 0][clear])
     assert torch.equal(named[clear], torch.where(expected[:, 1] == 0, 255, expected[:, 1] - 1).to(torch.uint8)[clear])
-    for image in range(3):
-        alone = _moved(*(each[image : image + 1] for each in (range_m, labels, maps)))
-        assert torch.equal(alone[0][0], seen[image]) and torch.equal(alone[1][0], named[image])
+
+
+def test_both_forms_have_the_same_bits() -> None:
+    range_m, labels = bodies(61, 47)
+    move = GeometricAugmentation(roll_deg=40, zoom=0.3, stretch=0.2, cut=0.3)
+    loops, plain = by_both(lambda: move(range_m, labels, 7, EPOCHS, KEYS))
+    assert torch.equal(loops[0], plain[0]) and torch.equal(loops[1], plain[1])

@@ -1,4 +1,4 @@
-"""Input of the networks: range images in metres, checked, centred and averaged."""
+"""Range images as networks see them: in metres, checked, centred and averaged."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 
 from bodyseg_data.core.errors import BadConfig
 
-_RELIEF: Final = 2.0  # centred ranges are a few decimetres, and layers learn best from numbers near one
+RELIEF: Final = 2.0
+"""Factor of centred ranges: they are a few decimetres, and layers learn best from numbers near one."""
 
 
 def check_range_images(range_m: torch.Tensor) -> None:
@@ -25,9 +26,16 @@ def relief_of(range_m: torch.Tensor) -> torch.Tensor:
     of a body are too many for float16.
     """
     metres, measured = range_m.float(), (range_m > 0).float()
-    count = measured.sum((1, 2, 3), keepdim=True).clamp(min=1)
-    mean = metres.sum((1, 2, 3), keepdim=True) / count
-    return torch.cat([(metres - mean) * measured * _RELIEF, measured], 1).to(range_m.dtype)
+    mean = body_mean(metres, measured.sum((1, 2, 3), keepdim=True))
+    return torch.cat([(metres - mean) * measured * RELIEF, measured], 1).to(range_m.dtype)
+
+
+def body_mean(metres: torch.Tensor, count: torch.Tensor) -> torch.Tensor:
+    """Mean of what was measured in each image, float32 [B, 1, 1, 1], metres; 0 where nothing was.
+
+    metres: float32 [B, 1, H, W], 0 = nothing measured. count: float32 [B, 1, 1, 1], measured pixels.
+    """
+    return metres.sum((1, 2, 3), keepdim=True) / count.clamp(min=1)
 
 
 def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import torch
 
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.randomness import chance
 
@@ -16,12 +19,23 @@ def mirror(
     A mirrored person's left hand is a right hand, so labels change sides as `label_map` says. Shadows change sides,
     too: such an image is that of a rig whose projector is on the camera's other side.
     """
+    if in_loops(range_m):
+        moved, named = torch.empty_like(range_m), torch.empty_like(labels)
+        arrays = (each.numpy() for each in (range_m[:, 0], labels, chosen))
+        loops = import_module("bodyseg_model.training.augmentation.loops")
+        loops.mirror_images(*arrays, label_map.mirrored, moved[:, 0].numpy(), named.numpy())
+        return moved, named
     picked = chosen.nonzero()[:, 0]
     range_m, labels = range_m.clone(), labels.clone()
     range_m[picked] = range_m[picked].flip(-1)
     table = torch.from_numpy(label_map.mirrored).to(labels.device)
     labels[picked] = table[labels[picked].flip(-1).int()]
     return range_m, labels
+
+
+def in_loops(range_m: torch.Tensor) -> bool:
+    """Whether compiled loops move these images: on a processor, where numba is installed; they give the same bits."""
+    return range_m.device.type == "cpu" and use_compiled()
 
 
 def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:

@@ -1,0 +1,1 @@
+"""Augmentation of the batches of a training: images mirrored, rotated, zoomed and cut."""
