@@ -99,6 +99,7 @@ BENCHES: Final = {
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs",)),
+    "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
 }
@@ -142,7 +143,8 @@ class Options:
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
     steps: int | None = option(
-        "steps of each training, for variants (default: that of the runs that exist, else the recipe's) and gpu (80)",
+        "steps of each training, for variants (default: that of the runs that exist, else the recipe's), training (60) "
+        "and gpu (80)",
         None,
     )
     images: int | None = option(

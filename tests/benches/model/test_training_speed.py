@@ -1,0 +1,42 @@
+"""`bench training` on a small set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from benches.model import training_speed
+from benches.model.training_speed import Way, bench_training, summary
+
+from bodyseg_data.core.errors import BadConfig
+
+
+def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training_speed, "ROUNDS", 1)
+    monkeypatch.setattr(training_speed, "_BATCH", 2)
+    monkeypatch.setattr(training_speed, "ways", lambda cores: {"default": Way(1, 1), "a process each": Way(2, 1)})
+    done: list[tuple[int, int]] = []
+    found = bench_training(str(small_set), 4, lambda *numbers: done.append(numbers))
+    assert done == [(1, 2), (2, 2)]
+    assert [(way["processes"], way["threads"]) for way in found["ways"].values()] == [(1, 1), (2, 1)]
+    for way in found["ways"].values():
+        assert way["images_per_second"] > 0 and 0 <= way["data_wait"] < 1
+
+
+def test_ways_are_compared_by_their_medians() -> None:
+    named = {"default": Way(1, 2), "one thread": Way(1, 1)}
+    runs = {
+        "default": [{"images_per_second": rate, "data_wait": 0.1} for rate in (50.0, 80.0, 60.0)],
+        "one thread": [{"images_per_second": rate, "data_wait": 0.0} for rate in (45.0, 10.0, 46.0)],
+    }
+    found = summary(named, runs)["ways"]
+    assert found["default"]["images_per_second"] == 60 and found["default"]["times_as_fast"] == 1
+    assert found["one thread"]["images_per_second"] == 45 and found["one thread"]["times_as_fast"] == 0.75
+    assert found["one thread"]["all"] == [45, 10, 46]
+
+
+def test_what_a_training_says_is_passed_on(tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match=r"a training failed: .*nowhere"):
+        bench_training(str(tmp_path / "nowhere"), 4)
+    with pytest.raises(BadConfig, match="the steps of a training"):
+        bench_training(str(tmp_path), 3)
