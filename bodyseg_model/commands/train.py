@@ -6,12 +6,9 @@ import contextlib
 import hashlib
 import json
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
-
-import torch
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts.artifact import Artifact
@@ -208,7 +205,7 @@ def _network(options: Options, label_map: LabelMap) -> Network:
 def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
     """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file.
 
-    Raises BadConfig for a trained one of another network, other classes or settings that shape other weights.
+    Raises BadConfig for a trained one of another network, other classes or other settings.
     """
     if not path.is_dir() and path.suffix != ".safetensors":
         network.load_pretrained(path)
@@ -220,11 +217,9 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     if ours.classes != theirs.classes:
         found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
         raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
-    weights = trained.network.state_dict()
-    if _shapes(weights) != _shapes(network.state_dict()):  # settings like `sparse` of `compact` shape none
-        for name in sorted(network.settings.keys() | trained.network.settings.keys()):
-            _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
-    network.load_state_dict(weights)
+    for name in sorted(network.settings.keys() | trained.network.settings.keys()):
+        _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
+    network.load_state_dict(trained.network.state_dict())
     return _entry(path, trained.card[WEIGHTS_SHA256])
 
 
@@ -237,10 +232,6 @@ def _teacher(options: Options) -> Teacher | None:
     trained = load_network(options.teacher)
     share = {} if options.teacher_share is None else {"share": options.teacher_share}
     return Teacher(trained.network, trained.label_map, _entry(options.teacher, trained.card[WEIGHTS_SHA256]), **share)
-
-
-def _shapes(weights: Mapping[str, torch.Tensor]) -> dict[str, tuple[int, ...]]:
-    return {name: tuple(weight.shape) for name, weight in weights.items()}
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:

@@ -30,10 +30,8 @@ class CompactSettings:
 
     patch: pixels along one side of a patch of the first layer, 2, 4, 8 or 16. widths: channels at 1 / patch,
     1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every cell also gets the mean
-    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. sparse:
-    whether cells in which nothing was measured stay 0 in all layers, so that scores depend on the body alone and not on
-    how much empty space the image shows around it (submanifold convolutions: Graham and van der Maaten, "Submanifold
-    sparse convolutional networks", 2017). classes: see `Network`.
+    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. classes: see
+    `Network`.
     """
 
     patch: int = 16
@@ -41,7 +39,6 @@ class CompactSettings:
     blocks: tuple[int, ...] = (2, 2, 1)
     context: bool = True
     shrink: int = 1
-    sparse: bool = False
     classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
@@ -70,8 +67,7 @@ class Compact(Network):
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()
         plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
-        left_out = {"classes"} | (set() if shape.sparse else {"sparse"})
-        super().__init__({name: value for name, value in plain.items() if name not in left_out}, shape.classes)
+        super().__init__({name: value for name, value in plain.items() if name != "classes"}, shape.classes)
         patch, widths, blocks = shape.patch, shape.widths, shape.blocks
         self.embed = _layer(2 * patch * patch, widths[0], 1)
         self.down = nn.ModuleList(
@@ -86,7 +82,6 @@ class Compact(Network):
         self.narrow = nn.ModuleList(_layer(deep, shallow, 1) for shallow, deep in pairs)
         self.fuse = nn.ModuleList(_layer(shallow, shallow, 3) for shallow, _ in pairs)
         self._patch, self._shrink, self._cell = patch, shape.shrink, patch * shape.shrink
-        self._sparse = shape.sparse
         self._fine = max(1, self._cell // self.output_stride)
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
         # As the values between layers are laid out: else each convolution lays its weights out anew.
@@ -108,39 +103,20 @@ class Compact(Network):
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
         values, measured = patches_of(range_m, self._patch, self._shrink)
-        kept = self._kept(measured.to(values.dtype))
-        x = _within(self.embed(values), kept[0])
+        x = self.embed(values)
         seen = []
-        for stage, cells in zip(self.down, kept, strict=True):
-            for layer in stage:  # type: ignore[attr-defined]  # a Sequential
-                x = layer(x, cells) if isinstance(layer, _Block) else _within(layer(x), cells)
+        for stage in self.down:
+            x = stage(x)
             seen.append(x)
         if self.context is not None:
             x = x + self.context(_mean_over_body(x, measured, 1 << (len(seen) - 1)))
-        for narrow, fuse, level, cells in reversed(list(zip(self.narrow, self.fuse, seen, kept, strict=False))):
-            x = fuse(_within(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"), cells))
+        for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
+            x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
         x = _spread(self.head(x), self._fine)
         stride = self.output_stride
         if self._cell < stride:
             x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
         return x[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]
-
-    def _kept(self, measured: torch.Tensor) -> list[torch.Tensor | None]:
-        """Which cells of each level show a body, 1 or 0, [B, 1, h, w]; None for a network that computes all alike.
-
-        measured: [B, 1, h, w], share of each patch.
-        """
-        if not self._sparse:
-            return [None] * len(self.down)
-        kept = [(measured > 0).to(measured.dtype)]
-        for _ in range(len(self.down) - 1):
-            kept.append(F.max_pool2d(kept[-1], 2, ceil_mode=True))
-        return [*kept]
-
-
-def _within(x: torch.Tensor, cells: torch.Tensor | None) -> torch.Tensor:
-    """Features [B, C, h, w] of the cells that are kept, 0 elsewhere; see `Compact._kept`."""
-    return x if cells is None else x * cells
 
 
 def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
@@ -181,5 +157,5 @@ class _Block(nn.Module):
         self.first = _layer(width, width, 3)
         self.second = _convolution(width, width, 3)
 
-    def forward(self, x: torch.Tensor, cells: torch.Tensor | None) -> torch.Tensor:
-        return _within(F.relu(x + self.second(_within(self.first(x), cells))), cells)
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return F.relu(x + self.second(self.first(x)))

@@ -129,13 +129,6 @@ def test_a_training_starts_from_the_weights_of_another(
     assert (parameters(other)["head.weight"] - before["head.weight"]).abs().max() > 0.01
 
 
-def test_settings_that_shape_no_weights_may_differ(small_set: Path, tmp_path: Path, earlier: Path) -> None:
-    settings = json.dumps(load_network(earlier).network.settings | {"sparse": True})
-    words = ["--steps", "1", "--settings", settings, "--pretrained", str(earlier)]
-    assert main(command(small_set, tmp_path / "run", *words)) == 0
-    assert load_network(tmp_path / "run").network.settings["sparse"] is True
-
-
 def test_published_weights_are_named_with_their_digest(
     small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
