@@ -230,6 +230,19 @@ def test_steps_run_side_by_side_but_for_those_that_take_times(shop: Workshop, ca
     assert shop.run(jobs=2) == 0, capsys.readouterr().err
 
 
+def test_of_several_at_a_time_the_longest_begins_first(shop: Workshop, capsys: Capture) -> None:
+    shop.run()
+    records = shop.home / "work" / "steps.json"
+    content = json.loads(records.read_text())
+    for name, seconds in (("runs/x-0", 10), ("runs/y-0", 20)):
+        content["steps"][name]["seconds"] = seconds
+        shop.code[f"code.of.{name}"] = "edited"
+    records.write_text(json.dumps(content))
+    capsys.readouterr()
+    assert shop.run(jobs=2) == 0
+    assert ended(capsys, "begun") == ["runs/y-0", "runs/x-0"]
+
+
 def test_trainings_can_have_a_second_name(shop: Workshop) -> None:
     links = (("runs/other/z-0", "runs/x-0"), ("runs/box", "shipped"))
     script = (

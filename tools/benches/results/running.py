@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
@@ -94,7 +95,7 @@ class Runner:
         return found - self.failed - self.made
 
     def _start(self, wanted: set[str], statuses: dict[str, Status]) -> None:
-        for step in self._graph.steps.values():
+        for step in self._in_turn(statuses):
             busy = {each.step.name for each in self._running}
             if step.name not in wanted or step.name in busy:
                 continue
@@ -110,6 +111,16 @@ class Runner:
                     self._begin(step, inputs)
                 except BadConfig as error:
                     self._fail(step, str(error))
+
+    def _in_turn(self, statuses: dict[str, Status]) -> list[Step]:
+        """All steps in the graph's order; of several at a time, those first whose last run took longest, or that have no
+        record, so that none is left alone at the end.
+        """
+        steps = [*self._graph.steps.values()]
+        if self._jobs == 1:
+            return steps
+        taken = {name: math.inf if status.seconds is None else status.seconds for name, status in statuses.items()}
+        return sorted(steps, key=lambda step: -taken[step.name])
 
     def _more(self, wanted: set[str], statuses: dict[str, Status]) -> bool:
         """True if one of these steps can still run."""
