@@ -98,7 +98,7 @@ BENCHES: Final = {
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
-    "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs",)),
+    "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
@@ -171,7 +171,7 @@ class Options:
         "alone, no landmarks",
         False,
     )
-    flip_average: bool = option("for people and real: average the answers to images and mirror images", False)
+    flip_average: bool = option("for people, real and steady: average the answers to images and mirror images", False)
     scores: tuple[Path, ...] | None = option(
         "for network: JSON files of `bodyseg evaluate` on `all`, for the accuracies", None
     )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from benches.model.failures import bench
+from benches.model import chosen
 from benches.model.failures.bench import bench_failures
 from benches.model.failures.causes import (
     ADJOINING,
@@ -280,7 +280,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Every part a band of rows; and one thread, as pictures are many and small."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    monkeypatch.setattr(bench, "load_network", lambda path: Trained(Places(0, 20), {}))
+    monkeypatch.setattr(chosen, "load_network", lambda path: Trained(Places(0, 20), {}))
     yield
     torch.set_num_threads(before)
 

@@ -14,7 +14,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from benches.model.people import bench, landmarks  # noqa: E402
+from benches.model import chosen  # noqa: E402
+from benches.model.people import landmarks  # noqa: E402
 from benches.model.people.bench import bench_people  # noqa: E402
 from benches.model.people.bodies import annotated_bodies  # noqa: E402
 from benches.model.people.intervals import interval, summed  # noqa: E402
@@ -146,7 +147,7 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
         fits[name] = fit
         write(tmp_path, name, Mesh(name, vertices, body.mesh.faces), vertices[true])
     monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fits[mesh.name], 0.06))
-    monkeypatch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(0, 10)))
+    monkeypatch.setattr(chosen, "load_network", lambda path: SimpleNamespace(network=Places(0, 10)))
     monkeypatch.setattr(landmarks, "partition", partial(partition, method="edges"))  # six times, of 13 718 vertices
     steps: list[tuple[int, int]] = []
     figures = bench_people(str(tmp_path), views=1, poses=1, progress=lambda done, total: steps.append((done, total)))
@@ -166,6 +167,9 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
         assert better["wrong_surface"] < 0.5 * shipped["wrong_surface"]
         assert better["landmarks"]["Rt. Acromion"]["mean_mm"] < 8
     assert set(shipped["people"]) == {"person 0", "person 1"} and set(shipped["meshes"]) == {"one", "two"}
+    of_fits = {way: labels["accuracy"] for way, labels in figures["labels_of_fits"].items()}
+    assert 0.9 < of_fits["shipped"] < min(of_fits["all_people"], of_fits["other_people"]) <= 1
+    assert figures["labels_of_fits"]["shipped"]["images"] == 2
     for variant in ("all", "none"):
         scores = figures["scores"][variant]
         assert scores["images"] == 2 and 0 < scores["accuracy"] < 0.5

@@ -18,6 +18,7 @@ pytest.importorskip("skimage")
 pytest.importorskip("embreex")
 pytest.importorskip("pygeodesic")
 
+from benches.model import chosen  # noqa: E402
 from benches.model.real import bench, steady  # noqa: E402
 from benches.model.real import labels as surface_labelling  # noqa: E402
 from benches.model.real.agreement import agreement  # noqa: E402
@@ -259,7 +260,7 @@ def coarse() -> Iterator[pytest.MonkeyPatch]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "fuse", partial(fuse, voxel_m=VOXEL_M))
         patch.setattr(surface_labelling, "nearest_sources", along_edges)
-        patch.setattr(bench, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
+        patch.setattr(chosen, "load_network", lambda path: SimpleNamespace(network=Places(1, 12), rig=load_rig()))
         yield patch
 
 

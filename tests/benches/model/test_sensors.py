@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model import chosen
 from benches.model.networks import sensors as bench
 from benches.model.networks.sensors import METHODS, Scene, all_scenes, bench_sensors
 from benches.model.networks.sensors_figure import draw_sensors
@@ -40,7 +41,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(bench, "all_scenes", lambda: scenes[:4])
     monkeypatch.setattr(bench, "AZIMUTHS_DEG", (180,))
     monkeypatch.setattr(bench, "open_source", lambda name: Figures())
-    monkeypatch.setattr(bench, "load_network", lambda path: Trained(Places(0, 20), {}))
+    monkeypatch.setattr(chosen, "load_network", lambda path: Trained(Places(0, 20), {}))
     done: list[tuple[int, int]] = []
     answer = bench_sensors(5, (Path("some/run"),), lambda *numbers: done.append(numbers))
     assert done == [(1, 2), (2, 2)], "figures have two bodies to test on"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.model import chosen
 from benches.model.real import steady
 from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Frame
@@ -104,7 +105,7 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
         facts = {"shots": [], "frames": 16, "window": 8, "points": 5}
         return facts | {"networks": {name: {"none": SCORES, "none, carried": SCORES} for name in networks}}
 
-    monkeypatch.setattr(steady, "load_network", lambda path: SimpleNamespace(network=None))
+    monkeypatch.setattr(chosen, "load_network", lambda path: SimpleNamespace(network=None))
     monkeypatch.setattr(steady, "still_person", still_person)
     monkeypatch.setattr(steady, "temporal", temporal)
     found = steady.bench_steady("folder/made", 5, progress=lambda *numbers: done.append(numbers))

@@ -113,8 +113,8 @@ class Runner:
                     self._fail(step, str(error))
 
     def _in_turn(self, statuses: dict[str, Status]) -> list[Step]:
-        """All steps in the graph's order; of several at a time, those first whose last run took longest, or that have no
-        record, so that none is left alone at the end.
+        """All steps in the graph's order; of several at a time, first those without a record, then those that took
+        longest, so that none is left alone at the end.
         """
         steps = [*self._graph.steps.values()]
         if self._jobs == 1:

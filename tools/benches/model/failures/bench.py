@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benches.model.chosen import chosen_network
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
@@ -20,7 +21,6 @@ from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 
 Tree = dict[str, Any]
 
@@ -51,7 +51,7 @@ def bench_failures(
     network, MissingLibrary without scikit-image; otherwise as `RangeImages`.
     """
     wanted = check_int("the number of images", images, 1)
-    network = load_network(runs[0] if runs else SHIPPED).network
+    network_name, trained = chosen_network(runs)
     sets = {"test": (open_images(data), wanted)}
     if hard is not None:
         harder = open_images(hard)
@@ -68,13 +68,13 @@ def bench_failures(
         def show(done: int, _: int, before: int = before) -> None:
             progress(before + done, total)
 
-        evaluate(network, chosen, count, extras=(), progress=show, watch=counts.watch)
+        evaluate(trained.network, chosen, count, extras=(), progress=show, watch=counts.watch)
         before += counts.images
         results[name] = counts.results(names)
         pictures[name] = [failure.picture for failure in counts.worst]
     return Failures(
         {
-            "network": runs[0].name if runs else "shipped",
+            "network": network_name,
             "variant": "all",
             "training_bodies": len(trained_on) or None,
             "training_pose_kinds": dict(Counter(kind_of_pose(name) for name in names).most_common()),

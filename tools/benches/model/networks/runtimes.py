@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from benches.model.chosen import chosen_network
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from benches.model.networks.network_times import warm_up
 from bodyseg_data.core.errors import MissingLibrary, check_int
@@ -25,7 +26,6 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.runtimes.backends import TORCH, on_backend
@@ -72,7 +72,7 @@ def bench_runtimes(
     out. Raises BadConfig for wrong numbers or no network, MissingLibrary without Anny or onnxruntime.
     """
     check_int("the number of test images", images, 1)
-    trained = load_network(runs[0] if runs else SHIPPED)
+    network_name, trained = chosen_network(runs)
     networks, left_out = _networks(trained.network), list[str]()
     model = calibrated(export_trained(trained), RangeImages(data, "all", "train"), IMAGES)
     int8 = RuntimeNetwork(model, "onnxruntime", OnnxRuntime, "int8")
@@ -114,7 +114,7 @@ def bench_runtimes(
         "left_out": left_out,
         "calibration": model.facts.calibration,
         "test_images": min(images, len(test_images)),
-        "network": runs[0].name if runs else "shipped",
+        "network": network_name,
         "rows": largest.shape[0],
         "columns": largest.shape[1],
         "torch": torch.__version__,

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
+from benches.model.chosen import chosen_network
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
@@ -27,7 +28,7 @@ from bodyseg_data.packing.sampler import surface_points
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
+from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.recordings.cameras import other_sensors
 from bodyseg_model.segmentation.resampling import view_body
@@ -82,7 +83,7 @@ def bench_sensors(
     BadConfig for no body or no network, MissingLibrary without Anny.
     """
     count = check_int("the number of bodies", views, 1)
-    trained = load_network(runs[0] if runs else SHIPPED)
+    network_name, trained = chosen_network(runs)
     scenes = all_scenes()
     tallies = [{method: ConfusionMatrix() for method in METHODS} for _ in scenes]
     in_view: list[list[float]] = [[] for _ in scenes]
@@ -101,7 +102,7 @@ def bench_sensors(
         renderer.close()
         progress(done, len(bodies))
     return {
-        "network": runs[0].name if runs else "shipped",
+        "network": network_name,
         "bodies": len(bodies),
         "azimuths_deg": list(AZIMUTHS_DEG),
         "scenes": [

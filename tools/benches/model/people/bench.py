@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
-from benches.model.people.landmarks import fitted_to, measured
-from benches.model.people.scores import VARIANTS, packed_views, scored
+from benches.model.people.landmarks import fitted_to, measured, proposed, ways_to_place
+from benches.model.people.scores import VARIANTS, agreement, packed_views, scored
 from bodyseg_data.bodies.landmark_fitting.template import fitting_body
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
-from bodyseg_model.networks.flip_average import FlipAverage
 
 _POSES: Final = 10
 
@@ -41,14 +40,12 @@ def bench_people(
     `pack`.
     """
     check_int("the number of views", views, 1)
-    network = load_network(runs[0] if runs else SHIPPED).network
-    if flip_average:
-        network = FlipAverage(network)
+    network_name, trained = chosen_network(runs, flip_average)
     bodies = annotated_bodies(Path(data), poses)
     images = len(VARIANTS) * views * len(bodies)
     steps = images + (0 if alone else len(bodies))
     results: dict[str, Any] = {
-        "network": (runs[0].name if runs else "shipped") + (", flip average" if flip_average else ""),
+        "network": network_name,
         "bodies": len(bodies),
         "people": len({body.person for body in bodies}),
         "views": views,
@@ -60,8 +57,16 @@ def bench_people(
             for number, body in enumerate(bodies, start=1):
                 fits.append(fitted_to(open_body, body))
                 progress(number, steps)
-            results["landmarks"] = measured(fits, open_body)
+            ways = ways_to_place(fits, open_body)
+            results["landmarks"] = measured(fits, ways)
     with tempfile.TemporaryDirectory() as folder:
-        keys = packed_views(bodies, views, Path(folder))
-        results["scores"] = scored(network, Path(folder), keys, lambda done, _: progress(steps - images + done, steps))
+        home = Path(folder)
+        keys = packed_views(bodies, views, home)
+        if not alone:
+            results["labels_of_fits"] = {}
+            for way, pairs in ways.items():
+                by_name = proposed(pairs)
+                packed_views([by_name[body.name] for body in bodies], views, home / way)
+                results["labels_of_fits"][way] = agreement(home, home / way, keys)
+        results["scores"] = scored(trained.network, home, keys, lambda done, _: progress(steps - images + done, steps))
     return results

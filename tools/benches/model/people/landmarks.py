@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -75,16 +75,36 @@ def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
     return vertices
 
 
-def measured(bodies: Sequence[Fitted], body: FittingBody) -> dict[str, Any]:
-    """All figures: of each way to place landmarks, and of each fit."""
+Ways = dict[str, list[tuple[NDArray[np.int64], list[Fitted]]]]
+"""Name -> the landmarks placed on the open body, vertices int64 [33], and the bodies for which they are used."""
+
+
+def ways_to_place(bodies: Sequence[Fitted], body: FittingBody) -> Ways:
+    """The ways that the head of this module names; without other people, the first and the last."""
     people = list(dict.fromkeys(one.of.person for one in bodies))
-    all_people = placed(bodies)
-    ways = {"shipped": [(body.landmark_vertices, list(bodies))], "all_people": [(all_people, list(bodies))]}
+    ways = {"shipped": [(body.landmark_vertices, list(bodies))], "all_people": [(placed(bodies), list(bodies))]}
     if len(people) > 1:
         ways["other_people"] = [
             (placed([one for one in bodies if one.of.person != who]), [one for one in bodies if one.of.person == who])
             for who in people
         ]
+    return ways
+
+
+def proposed(way: Sequence[tuple[NDArray[np.int64], Sequence[Fitted]]]) -> dict[str, Annotated]:
+    """The bodies by name, with proposed landmarks in the place of annotated ones."""
+    return {
+        one.of.name: replace(
+            one.of, points=one.of.mesh.vertices[one.fitted.proposal(vertices).landmarks.for_mesh(one.of.mesh)]
+        )
+        for vertices, several in way
+        for one in several
+    }
+
+
+def measured(bodies: Sequence[Fitted], ways: Ways) -> dict[str, Any]:
+    """All figures: of each way to place landmarks, and of each fit."""
+    ((all_people, _),) = ways["all_people"]
     seconds = [one.seconds for one in bodies]
     return {
         "seconds": {"mean": round(float(np.mean(seconds)), 1), "most": round(max(seconds), 1)},

@@ -89,6 +89,17 @@ def scored(
     return results
 
 
+def agreement(true: Path, other: Path, bodies: dict[str, Annotated]) -> dict[str, Any]:
+    """Scores of the labels of one folder's views by those of another's, which show the same pixels (`packed_views`)."""
+    truth, found = (open_images(str(folder / "set"), "none") for folder in (true, other))
+    counts: dict[Key, Counts] = {}
+    for index, key in enumerate(truth.keys):
+        body = bodies[split_key(key)[0]]
+        labels, others = (images.clean(index).labels for images in (truth, found))
+        counts[body.person, body.pose, key] = count_pairs(pairs_of(labels, others))
+    return by_groups(counts)
+
+
 def by_groups(counts: dict[Key, Counts]) -> dict[str, Any]:
     """Average per-class accuracy of all images, of each person and of each pose, with intervals, and of each body.
 

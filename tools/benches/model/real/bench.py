@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
+from benches.model.chosen import chosen_network
 from benches.model.real.agreement import agreement
 from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, residuals_m
 from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
@@ -28,8 +29,7 @@ from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.mistakes import count_kinds
 from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
-from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
-from bodyseg_model.networks.flip_average import FlipAverage
+from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.recordings.cameras import FrameCamera, assumed_sensors
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
@@ -82,9 +82,7 @@ def bench_real(
     BadConfig or BadLandmarks for a recording or landmarks that cannot be used; otherwise as `load_network`.
     """
     check_int("the number of frames", views, 1)
-    trained = load_network(runs[0] if runs else SHIPPED)
-    if flip_average:
-        trained = replace(trained, network=FlipAverage(trained.network))
+    network_name, trained = chosen_network(runs, flip_average)
     placements = load_placements(Path(data))
     stored = read_recording(Path(data), views)
     shadow, mirrored = settled(stored)
@@ -110,7 +108,7 @@ def bench_real(
         {
             "recording": Path(data).name,
             "frames": len(frames),
-            "network": (runs[0].name if runs else "shipped") + (", flip average" if flip_average else ""),
+            "network": network_name,
             "mirrored": {"frames": mirrored, **_shadow_json(shadow)},
             "fusion": {
                 "voxel_mm": 1000 * VOXEL_M,

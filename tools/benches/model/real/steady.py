@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.chosen import chosen_network
 from benches.model.real.bench import Answer, scored, settled, true_labels
 from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
@@ -23,7 +24,7 @@ from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
+from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
 from bodyseg_model.stability.temporal import CARRIED, temporal
@@ -55,16 +56,21 @@ Labels = NDArray[np.uint8]
 
 
 def bench_steady(
-    data: str, views: int = _FRAMES, runs: Sequence[Path] = (), progress: ProgressCallback = silent
+    data: str,
+    views: int = _FRAMES,
+    runs: Sequence[Path] = (),
+    flip_average: bool = False,
+    progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
     """Measure labels of a still person and of moving bodies, with and without the evidence of earlier frames.
 
     data: folder of frames of one still person, in order, with cameras (`read_recording`). views: frames to use, evenly
-    over the recording. runs: the network is in the first of them; without, it is the one that ships. Raises BadConfig
-    or BadLandmarks for a recording or landmarks that cannot be used; MissingLibrary; otherwise as `load_network`.
+    over the recording. runs: the network is in the first of them; without, it is the one that ships. flip_average: as
+    `FlipAverage`. Raises BadConfig or BadLandmarks for a recording or landmarks that cannot be used; MissingLibrary;
+    otherwise as `load_network`.
     """
     check_int("the number of frames", views, 2)
-    trained = load_network(runs[0] if runs else SHIPPED)
+    network_name, trained = chosen_network(runs, flip_average)
 
     def half(number: int) -> ProgressCallback:
         """Progress of the first or the second half, in steps of a thousandth."""
@@ -74,7 +80,7 @@ def bench_steady(
     moving = temporal({"network": trained.network}, progress=half(1))
     by_way = moving["networks"]["network"]
     return {
-        "network": runs[0].name if runs else "shipped",
+        "network": network_name,
         "carrying": Carrying().to_json(),
         "still": still,
         "moving": {name: moving[name] for name in ("shots", "frames", "window", "points")}

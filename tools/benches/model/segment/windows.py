@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from benches.model.chosen import chosen_network
 from benches.model.segment.bench import cameras, made_rooms
 from bodyseg_data.core.errors import check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -90,7 +90,7 @@ def bench_windows(
     views: made rooms of 640 x 480, seed and bodies of `bench segment`. runs: the network is in the first of them;
     without, it is the one that ships. One thread computes, one image at a time. Raises BadConfig as `RangeImages`.
     """
-    trained = load_network(runs[0] if runs else SHIPPED)
+    network_name, trained = chosen_network(runs)
     chosen = RangeImages(data, "all", split="test")
     count = min(check_int("the number of images", images, 1), len(chosen))
     advance = counter(progress, count + check_int("the number of rooms", views, 1))
@@ -115,7 +115,7 @@ def bench_windows(
 
     with torch_threads(1):
         return {
-            "network": runs[0].name if runs else "shipped",
+            "network": network_name,
             "sets": {"set": _measured(trained.network, from_set()), "rooms": _measured(trained.network, from_rooms())},
         }
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benches.model.chosen import chosen_network
 from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.stability.people_and_things import people_and_things
 
@@ -20,8 +20,8 @@ def bench_things(views: int = 240, runs: Sequence[Path] = (), progress: Progress
 
     runs: the network is in the first of them; without, it is the one that ships.
     """
-    network = load_network(runs[0] if runs else SHIPPED).network
+    network_name, trained = chosen_network(runs)
     return {
-        "network": runs[0].name if runs else "shipped",
-        **people_and_things(network, shipped_score(), views, progress),
+        "network": network_name,
+        **people_and_things(trained.network, shipped_score(), views, progress),
     }
