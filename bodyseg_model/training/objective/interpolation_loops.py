@@ -1,7 +1,7 @@
 """Scores interpolated at selected pixels, and the gradient of that, compiled: the bits of PyTorch's operations.
 
-table: scores in a row, float32, or bfloat16 as the 16 bits of each. places: int64 [4, N], where in it the scores of the
-classes at the four points around each pixel begin; shares: float32 [4, N], weight of each.
+table: scores in a row, the 32 bits of each float32 or the 16 of each bfloat16. places: int64 [4, N], where in it the
+scores of the classes at the four points around each pixel begin; shares: float32 [4, N], weight of each.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def interpolate(table: Any, places: Any, shares: Any, found: Any) -> None:
                     bits[k] = np.uint32(table[start + k]) << _BFLOAT16
             else:
                 for k in range(classes):
-                    corner[k] = table[start + k]
+                    bits[k] = table[start + k]
             if point == 0:
                 for k in range(classes):
                     found[pixel, k] = corner[k] * share
@@ -41,23 +41,36 @@ def interpolate(table: Any, places: Any, shares: Any, found: Any) -> None:
 
 
 @_kernel
-def add_gradient(gradient: Any, places: Any, shares: Any, rounded: Any, total: Any) -> None:
-    """Add the gradient by the scores, from the one by the interpolated scores, both float32.
+def add_gradient(gradient: Any, places: Any, shares: Any, ends: Any, table: Any) -> None:
+    """Write the gradient by the scores, from the one by the interpolated scores, float32 [N, C].
 
-    gradient: [N, C]. rounded: whether each pixel's gradient by a point is rounded to bfloat16 first. total: in a row,
-    as the table.
+    Pixels are in the order of their images. ends: int64 [B], the number of pixels of each image and those before it.
+    table: of B equal parts, one for each image. A pixel's gradient by a point has the type of the scores; sums are in
+    float32, point by point and pixel by pixel.
     """
-    count, classes = gradient.shape
-    corner = np.empty(classes, np.float32)
-    bits = corner.view(np.uint32)
-    for point in range(4):
-        for pixel in range(count):
-            start, share = places[point, pixel], shares[point, pixel]
-            for k in range(classes):
-                corner[k] = gradient[pixel, k] * share
-            if rounded:
+    classes, rounded = gradient.shape[1], table.itemsize == 2
+    size = table.size // ends.size
+    total, corner = np.empty(size, np.float32), np.empty(classes, np.float32)
+    bits, sums = corner.view(np.uint32), total.view(np.uint32)
+    first = 0
+    for image in range(ends.size):
+        total[:] = np.float32(0)
+        for point in range(4):
+            for pixel in range(first, ends[image]):
+                start, share = places[point, pixel] - image * size, shares[point, pixel]
                 for k in range(classes):
-                    even = (bits[k] + _HALF_LESS_ONE + ((bits[k] >> _BFLOAT16) & _LAST)) >> _BFLOAT16
-                    bits[k] = even << _BFLOAT16
-            for k in range(classes):
-                total[start + k] += corner[k]
+                    corner[k] = gradient[pixel, k] * share
+                if rounded:
+                    for k in range(classes):
+                        even = (bits[k] + _HALF_LESS_ONE + ((bits[k] >> _BFLOAT16) & _LAST)) >> _BFLOAT16
+                        bits[k] = even << _BFLOAT16
+                for k in range(classes):
+                    total[start + k] += corner[k]
+        part = table[image * size : (image + 1) * size]
+        if rounded:
+            for k in range(size):
+                part[k] = (sums[k] + _HALF_LESS_ONE + ((sums[k] >> _BFLOAT16) & _LAST)) >> _BFLOAT16
+        else:
+            for k in range(size):
+                part[k] = sums[k]
+        first = ends[image]

@@ -11,8 +11,8 @@ import torch
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 
-_LOOPED: Final = (torch.float32, torch.bfloat16)
-"""Types of scores that the compiled loops know."""
+_BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
+"""Types of scores that the compiled loops know, and of their bits."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class SelectedPixels:
         left, right, across = _neighbours(self.column, step, columns)
         shares = torch.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
         places = [(row, column) for row in (top, bottom) for column in (left, right)]
-        if scores.device.type == "cpu" and scores.dtype in _LOOPED and use_compiled():
+        if scores.device.type == "cpu" and scores.dtype in _BITS and use_compiled():
             interpolated: torch.Tensor = _Interpolated.apply(  # type: ignore[no-untyped-call]
                 scores, self.image, places, shares
             )
@@ -76,24 +76,23 @@ class _Interpolated(torch.autograd.Function):
         by_image, _, by_row, by_column = scores.stride()
         starts = torch.stack([image * by_image + row * by_row + column * by_column for row, column in places])
         reach = 1 + sum((size - 1) * stride for size, stride in zip(scores.shape, scores.stride(), strict=True))
-        table = scores.as_strided((reach,), (1,))
-        bits = table.view(torch.uint16) if scores.dtype == torch.bfloat16 else table
+        table = scores.as_strided((reach,), (1,)).view(_BITS[scores.dtype])
         found = torch.empty(len(image), scores.shape[1])
         loops = import_module("bodyseg_model.training.objective.interpolation_loops")
-        loops.interpolate(bits.numpy(), starts.numpy(), shares.numpy(), found.numpy())
-        context.save_for_backward(starts, shares)
-        context.table = reach, scores.shape, scores.stride(), scores.dtype
+        loops.interpolate(table.numpy(), starts.numpy(), shares.numpy(), found.numpy())
+        context.save_for_backward(starts, shares, torch.bincount(image, minlength=len(scores)).cumsum(0))
+        context.scores = reach, scores.shape, scores.stride(), scores.dtype
         return found
 
     @staticmethod
     def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
-        starts, shares = context.saved_tensors
-        reach, shape, strides, dtype = context.table
-        total = torch.zeros(reach)
+        starts, shares, ends = context.saved_tensors
+        reach, shape, strides, dtype = context.scores
+        found = torch.empty(shape[0] * strides[0] if shape[0] > 1 else reach, dtype=dtype)
+        arrays = (each.numpy() for each in (gradients[0].contiguous(), starts, shares, ends))
         loops = import_module("bodyseg_model.training.objective.interpolation_loops")
-        rounded = dtype == torch.bfloat16
-        loops.add_gradient(gradients[0].contiguous().numpy(), starts.numpy(), shares.numpy(), rounded, total.numpy())
-        return total.to(dtype).as_strided(shape, strides), None, None, None
+        loops.add_gradient(*arrays, found.view(_BITS[dtype]).numpy())
+        return found.as_strided(shape, strides), None, None, None
 
 
 def _neighbours(pixel: torch.Tensor, step: int, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
