@@ -1,7 +1,8 @@
 """Patches of `relief.relief_of`, which the first layer of `compact` reads: compiled where that is possible.
 
 In PyTorch's operations every step, from centring to laying out, passes over all pixels of all images. The compiled form
-passes over them twice, image by image, to the same bits: a fifteenth of the time of a network in bfloat16.
+passes over them twice, image by image, to the same bits: 0.4 instead of 1.1 ms an image of 640 x 329 pixels, of some 7
+that a network in bfloat16 takes.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def patches_of(range_m: torch.Tensor, side: int, shrink: int = 1) -> Patches:
 
 
 def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:
-    """Whether numbers, not a graph or gradients, are asked for, of types and on a device that the loops know."""
+    """True if numbers are asked for, not a graph or gradients, of types and on a device that the loops know."""
     if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() or range_m.requires_grad:
         return False
     known = range_m.device.type == "cpu" and range_m.dtype == torch.float32

@@ -34,7 +34,7 @@ def mirror(
 
 
 def in_loops(range_m: torch.Tensor) -> bool:
-    """Whether compiled loops move these images: on a processor, where numba is installed; they give the same bits."""
+    """True if compiled loops move these images: on a processor, where numba is installed; they give the same bits."""
     return range_m.device.type == "cpu" and use_compiled()
 
 
