@@ -30,7 +30,7 @@ POWER: Final = tuple(np.float32(c) for c in (1.3333558e-3, 9.6181291e-3, 5.55041
 """Coefficients of 2^x for x from -1/2 to 1/2, highest power first: Taylor's series, within 4e-6 of the value."""
 
 _CHUNK: Final = 1024
-_LEAST_PIXELS: Final = 1 << 15  # measured, of a thread: to start and await one takes as long as labelling some thousand
+_LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
 
 Axis = tuple[NDArray[np.int64], NDArray[np.float32]]
 """Of every pixel along an axis, the index of the score before it, from -1, and the weight of the score after it."""

@@ -46,16 +46,18 @@ def _label_rows(
         for square_column in range(width + 1):
             column_start = max((stride * (2 * square_column - 1)) // 2, 0)
             column_end = min((stride * (2 * square_column + 1)) // 2, across.size)
-            count = 0
             seen = False
             for row in range(row_start, row_end):
                 for column in range(column_start, column_end):
                     seen |= range_m[row, column] > 0
+            if not seen:
+                continue
+            count = 0
+            for row in range(row_start, row_end):
+                for column in range(column_start, column_end):
                     lower_weight[count] = down[row]
                     right_weight[count] = across[column]
                     count += 1
-            if not seen:
-                continue
             left, right = max(square_column - 1, 0), min(square_column, width - 1)
             a, b = scores[top, left], scores[top, right]
             c, d = scores[bottom, left], scores[bottom, right]
