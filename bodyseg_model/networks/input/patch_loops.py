@@ -13,8 +13,6 @@ from bodyseg_model.networks.input.relief import RELIEF
 _SCALE = np.float32(RELIEF)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _BFLOAT16, _HALF_LESS_ONE, _LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
-
-
 _kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
 
 

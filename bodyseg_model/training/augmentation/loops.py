@@ -1,4 +1,4 @@
-"""Images moved and mirrored, compiled: the bits of `mirror.mirror` and `geometric.moved` in PyTorch's operations.
+"""Images moved and mirrored, compiled: the bits of `mirror.mirror` and `geometric._moved` in PyTorch's operations.
 
 range_m: float32 [B, H, W]; labels: uint8 [B, H, W]; moved, named: of the same shapes, written.
 """
