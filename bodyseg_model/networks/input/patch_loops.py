@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_model.networks.input.bfloat16 import nearest
 from bodyseg_model.networks.input.relief import RELIEF
 
 _SCALE = np.float32(RELIEF)
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_BFLOAT16, _HALF_LESS_ONE, _LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
 _kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
 
 
@@ -56,9 +56,7 @@ def cut_patches(range_m: Any, mean: Any, side: Any, values: Any, measured: Any) 
                 if values.itemsize == 2:
                     for channel in range(2):
                         for column in range(columns):
-                            exact = bits[channel, column]
-                            rounded = exact + _HALF_LESS_ONE + ((exact >> _BFLOAT16) & _LAST)
-                            out[channel, column] = rounded >> _BFLOAT16
+                            out[channel, column] = nearest(bits[channel, column])
                 else:
                     for channel in range(2):
                         for column in range(columns):

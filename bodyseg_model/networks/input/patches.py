@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 
-from bodyseg_data.core.kernels import use_compiled
+from bodyseg_model.networks.input.looped import in_loops
 from bodyseg_model.networks.input.relief import body_mean, relief_of, shrunk
 
 
@@ -47,8 +47,7 @@ def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:
     """True if numbers are asked for, not a graph or gradients, of types and on a device that the loops know."""
     if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() or range_m.requires_grad:
         return False
-    known = range_m.device.type == "cpu" and range_m.dtype == torch.float32
-    return known and layers in (torch.float32, torch.bfloat16) and use_compiled()
+    return range_m.dtype == torch.float32 and layers in (torch.float32, torch.bfloat16) and in_loops(range_m)
 
 
 def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype) -> Patches:

@@ -11,7 +11,7 @@ import torch
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance
-from bodyseg_model.training.augmentation.mirror import in_loops
+from bodyseg_model.networks.input.looped import in_loops
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from importlib import import_module
 
 import torch
 
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.randomness import chance
+from bodyseg_model.networks.input.looped import in_loops
 
 
 def mirror(
@@ -31,11 +31,6 @@ def mirror(
     table = torch.from_numpy(label_map.mirrored).to(labels.device)
     labels[picked] = table[labels[picked].flip(-1).int()]
     return range_m, labels
-
-
-def in_loops(range_m: torch.Tensor) -> bool:
-    """True if compiled loops move these images: on a processor, where numba is installed; they give the same bits."""
-    return range_m.device.type == "cpu" and use_compiled()
 
 
 def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:

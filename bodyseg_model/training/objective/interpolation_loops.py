@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
+from bodyseg_model.networks.input.bfloat16 import BITS, nearest
 
-_BFLOAT16, _HALF_LESS_ONE, _LAST = np.uint32(16), np.uint32(0x7FFF), np.uint32(1)
 _kernel = partial(compiled, feature="interpolation of scores in compiled loops")
 
 
@@ -28,7 +28,7 @@ def interpolate(table: Any, places: Any, shares: Any, found: Any) -> None:
             start, share = places[point, pixel], shares[point, pixel]
             if table.itemsize == 2:
                 for k in range(classes):
-                    bits[k] = np.uint32(table[start + k]) << _BFLOAT16
+                    bits[k] = np.uint32(table[start + k]) << BITS
             else:
                 for k in range(classes):
                     bits[k] = table[start + k]
@@ -62,14 +62,13 @@ def add_gradient(gradient: Any, places: Any, shares: Any, ends: Any, table: Any)
                     corner[k] = gradient[pixel, k] * share
                 if rounded:
                     for k in range(classes):
-                        even = (bits[k] + _HALF_LESS_ONE + ((bits[k] >> _BFLOAT16) & _LAST)) >> _BFLOAT16
-                        bits[k] = even << _BFLOAT16
+                        bits[k] = nearest(bits[k]) << BITS
                 for k in range(classes):
                     total[start + k] += corner[k]
         part = table[image * size : (image + 1) * size]
         if rounded:
             for k in range(size):
-                part[k] = (sums[k] + _HALF_LESS_ONE + ((sums[k] >> _BFLOAT16) & _LAST)) >> _BFLOAT16
+                part[k] = nearest(sums[k])
         else:
             for k in range(size):
                 part[k] = sums[k]

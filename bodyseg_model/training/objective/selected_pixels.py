@@ -8,8 +8,8 @@ from typing import Any, Final, Self
 
 import torch
 
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_model.networks.input.looped import in_loops
 
 _BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
 """Types of scores that the compiled loops know, and of their bits."""
@@ -51,7 +51,7 @@ class SelectedPixels:
         left, right, across = _neighbours(self.column, step, columns)
         shares = torch.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
         places = [(row, column) for row in (top, bottom) for column in (left, right)]
-        if scores.device.type == "cpu" and scores.dtype in _BITS and use_compiled():
+        if scores.dtype in _BITS and in_loops(scores):
             interpolated: torch.Tensor = _Interpolated.apply(  # type: ignore[no-untyped-call]
                 scores, self.image, places, shares
             )
