@@ -8,8 +8,6 @@ change a confidence by less than 2e-4 (of the network that ships, by 4e-5 at mos
 
 from __future__ import annotations
 
-import itertools
-import threading
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, Final
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.system.divided_work import in_threads, pieces
 
 REACH: Final = np.float32(12.0)
 """A class whose score is less than another's by as much has at most exp(-12), 6e-6, of its probability."""
@@ -57,23 +56,12 @@ def label_pixels(
         return
     loops = import_module("bodyseg_model.networks.labelling_compiled")
     measured = int(np.count_nonzero(range_m > 0))
-    starts = _pieces(scores.shape[0] + 1, min(threads, max(1, measured // _LEAST_PIXELS)))
     weights = down[1], across[1]
 
     def work(first: int, last: int) -> None:
         loops.label_rows(scores, range_m, stride, *weights, first, last, labels, confidence)
 
-    others = [threading.Thread(target=work, args=piece) for piece in starts[1:]]
-    for thread in others:
-        thread.start()
-    work(*starts[0])
-    for thread in others:
-        thread.join()
-
-
-def _pieces(count: int, parts: int) -> list[tuple[int, int]]:
-    """Divide 0 .. count into `parts` runs of nearly equal length, each (first, behind the last)."""
-    return list(itertools.pairwise(count * part // parts for part in range(parts + 1)))
+    in_threads(work, pieces(scores.shape[0] + 1, min(threads, max(1, measured // _LEAST_PIXELS))))
 
 
 @lru_cache(maxsize=64)

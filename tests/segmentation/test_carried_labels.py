@@ -13,24 +13,29 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.torch_threads import torch_threads
+from bodyseg_model.segmentation.temporal import carried_labels
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
 from bodyseg_model.segmentation.temporal.cell_loops import Lens
 from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT, nearest, nearest_first
 from bodyseg_model.segmentation.temporal.motion import still
-from bodyseg_model.segmentation.temporal.part_loops import match_parts, peak
+from bodyseg_model.segmentation.temporal.part_loops import count_matches, match_parts, peak
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 OTHER = Camera(120, 160, 190.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 Image = NDArray[np.float32]
 Labels = NDArray[np.uint8]
 
 
-def pillar(x_m: float = 0.0, z_m: float = 2.0, turn: float = 0.0, arm: float | None = None) -> tuple[Image, Labels]:
+def pillar(
+    x_m: float = 0.0, z_m: float = 2.0, turn: float = 0.0, arm: float | None = None, camera: Camera = LENS
+) -> tuple[Image, Labels]:
     """An oval pillar 0.8 m high, half axes 0.25 and 0.12 m, before the camera, with labels 0 to 7 by the angle round
     its axis; turn: radians. arm: height of a bar, label 20, that stands out to the right, metres; None for no bar.
     """
-    rays = LENS.pixel_rays()
+    rays = camera.pixel_rays()
     across, down = rays[..., 0], rays[..., 1]
     cosine, sine = np.cos(turn), np.sin(turn)
     # In the pillar's own frame a ray is origin + range * way; the oval is (u / 0.25)^2 + (w / 0.12)^2 = 1.
@@ -130,6 +135,19 @@ def test_evidence_starts_anew_for_restarts_cameras_and_bodies() -> None:
         shown = call(carried, frame, answer, 0.1, OTHER if change == "camera" else LENS)
         np.testing.assert_array_equal(shown, labels if change == "none" else answer, change)
     assert (other[range_m > 0] == 9).all()
+
+
+def test_labels_do_not_depend_on_the_number_of_threads() -> None:
+    shown = []
+    for threads in (1, 2, 3):
+        carried = CarriedLabels()
+        with torch_threads(threads):
+            for frame in range(4):
+                range_m, labels = pillar(camera=FINE, arm=-0.2 + 0.1 * frame, turn=0.03 * frame)
+                shown.append(call(carried, range_m, repeated(labels, 0.3, frame), 0.6, FINE))
+    assert np.count_nonzero(range_m) > 3 * carried_labels._LEAST_PIXELS
+    np.testing.assert_array_equal(shown[4:], shown[:4] * 2)
+    assert (shown[3] != repeated(labels, 0.3, 3)).any()
 
 
 def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
@@ -239,7 +257,8 @@ def test_a_part_is_matched_to_where_its_label_was() -> None:
     slots[: 23 * 160, 0] = 1
     shifts, weights = np.zeros((256, 3), np.float32), np.zeros(256, np.float32)
     flat, pixels = range_m.ravel(), np.flatnonzero(range_m)
-    match_parts(flat, pixels, labels.ravel(), still(), shifts, weights, flat, slots, lens, np.float32(0.03), 2, 8000)
+    matches = count_matches(flat, pixels, labels.ravel(), still(), shifts, flat, slots, lens, np.float32(0.03), 2, 1)
+    match_parts(*matches, lens.focal, shifts, weights)
     pixel_m = 2.0 / 200
     np.testing.assert_allclose(shifts[2], [-pixel_m, 2 * pixel_m, 0], atol=0.5 * pixel_m)
     assert (weights[2], weights[3]) == (1, 0) and not shifts[3].any(), "nine pixels are too few to be matched"

@@ -8,20 +8,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.divided_work import in_threads, pieces
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.temporal.cell_loops import Lens
     from bodyseg_model.segmentation.temporal.motion import BodyMotion, BodySurface, MotionModel
 
 Labels = NDArray[np.uint8]
+Body = tuple[NDArray[np.intp], NDArray[np.float32]]
+"""Pixels of a body in a frame and the confidence of each, both [N]."""
 
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
+
+_LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that starting it pays
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,8 @@ class CarriedLabels:
     A label is kept on the point of the surface that it was found on: the body's motion since the last frame says where
     each point was, and where the ranges agree, its evidence is carried along, less by `carrying.keep`, and the new
     frame's confidence is added. Starts anew at `restart`, for frames of another camera, and for a body that was not
-    seen in the last frame. The result is the same on every run. Raises MissingLibrary without numba.
+    seen in the last frame. The result is the same on every run, for any number of torch's threads. Raises
+    MissingLibrary without numba.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
@@ -111,7 +118,7 @@ class CarriedLabels:
         self,
         range_m: NDArray[np.float32],
         labels: Labels,
-        bodies: Sequence[tuple[NDArray[np.intp], NDArray[np.float32]]],
+        bodies: Sequence[Body],
         camera: Camera,
     ) -> Labels:
         """Steady the labels of the next frame; returns the label image, uint8 [H, W], 255 off the bodies.
@@ -131,7 +138,7 @@ class CarriedLabels:
             self._motion.surface_of(self._cells.cells_of(flat, pixels, named, lens, self._motion.JUMP_M))
             for pixels, _ in seen
         ]
-        found = []
+        found, threads = [], torch.get_num_threads()
         for body, surface, old in zip(seen, surfaces, self._pairs(surfaces, last), strict=True):
             written = ranges, slots, steadied.ravel()
             if last is None or old is None:
@@ -142,15 +149,27 @@ class CarriedLabels:
                 noise = float(np.hypot(surface.cells.noise_m, before[0].cells.noise_m))
                 tolerance = np.float32(max(self.carrying.tolerance_m, self.carrying.noises * noise))
                 images = self._motion.Pixels(flat, body[0], named, last.range_m, last.slots)
-                motion = self._motion.motion_back(surface, *before, images, lens, tolerance, self.carrying.motion)
+                rules = lens, tolerance, self.carrying.motion, threads
+                motion = self._motion.motion_back(surface, *before, images, *rules)
                 moved = motion.rigid.astype(np.float32), motion.field, surface.cells.grid, last.range_m, last.slots
                 rule = tolerance, *self._rule(motion.bends)
-                self._evidence.carry(flat, body[0], named, body[1], lens, *moved, *rule, *written)
+                self._carry(flat, body, named, (lens, *moved, *rule, *written), threads)
             found.append((surface, motion))
         if last is not None:
             self._spare = last.range_m, last.slots
         self._last = _LastFrame(camera, lens, found, ranges, slots)
         return steadied
+
+    def _carry(
+        self, flat: NDArray[np.float32], body: Body, named: Labels, arguments: tuple[Any, ...], threads: int
+    ) -> None:
+        """Carry evidence to a body's pixels, which do not depend on each other, in several threads if they are many."""
+        pixels, confidence = body
+
+        def work(first: int, last: int) -> None:
+            self._evidence.carry(flat, pixels[first:last], named, confidence[first:last], *arguments)
+
+        in_threads(work, pieces(len(pixels), min(threads, max(1, len(pixels) // _LEAST_PIXELS))))
 
     def _rule(self, bends: bool) -> tuple[int, float, float, np.uint32, int, float]:
         """Reach, keep, slow, margin, border and its share as the loops take them."""

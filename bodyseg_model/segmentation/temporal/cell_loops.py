@@ -66,7 +66,8 @@ def average_cells(range_m: Any, pixels: Any, labels: Any, lens: Any, jump: Any) 
         column[u] = u // lens.side
     chosen, cell, number = np.empty(len(pixels), np.int64), np.empty(len(pixels), np.int32), 0
     total, many = np.zeros(count, np.float32), np.zeros(count, np.int32)
-    first, beyond, row, used = np.int64(0), np.int64(0), 0, False
+    line = np.empty(len(pixels), np.int32)  # of the pixels chosen: kept, as a division takes longer than all else
+    v, first, beyond, row, used = np.int64(0), np.int64(0), np.int64(0), 0, False
     for i in range(len(pixels)):
         pixel = pixels[i]
         if pixel >= beyond:
@@ -77,7 +78,7 @@ def average_cells(range_m: Any, pixels: Any, labels: Any, lens: Any, jump: Any) 
             c = row + column[np.uint64(pixel - first)]
             total[np.uint64(c)] += range_m[np.uint64(pixel)]
             many[np.uint64(c)] += 1
-            chosen[number], cell[number] = pixel, c
+            chosen[number], cell[number], line[number] = pixel, c, v
             number += 1
     index, mean = np.full(count, -1, np.int32), np.zeros(count, np.float32)
     found = 0
@@ -108,10 +109,9 @@ def average_cells(range_m: Any, pixels: Any, labels: Any, lens: Any, jump: Any) 
         own, pixel = np.uint64(index[np.uint64(cell[k])]), chosen[k]
         z = range_m[np.uint64(pixel)]
         if abs(z - middle[own]) <= reach:
-            v = pixel // lens.columns
             kept[own] += 1
-            points[own, 0] += pixel - v * lens.columns
-            points[own, 1] += v
+            points[own, 0] += pixel - np.int64(line[k]) * lens.columns
+            points[own, 1] += line[k]
             points[own, 2] += z
     for m in range(found):
         z = points[m, 2] / kept[m]

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.system.divided_work import in_threads, pieces
 from bodyseg_model.segmentation.temporal.cell_loops import Cells, Lens
 from bodyseg_model.segmentation.temporal.motion_loops import fit_rigid, misfit, moved, relax
-from bodyseg_model.segmentation.temporal.part_loops import gain_of_shifts, match_parts, part_middles, part_shifts
+from bodyseg_model.segmentation.temporal.part_loops import (
+    count_matches,
+    gain_of_shifts,
+    match_parts,
+    part_middles,
+    part_shifts,
+)
 
 MotionModel = Literal["still", "rigid", "parts"]
 
@@ -30,6 +38,7 @@ _ROUNDS: Final = 3
 _SWEEPS: Final = 4
 _MATCH_REACH: Final = 2  # pixels by which the place of a part is improved
 _MATCH_PIXELS: Final = 3000
+_MATCH_PIECES: Final = 2  # in which matches are counted for any number of threads: sums of ranges depend on it
 _FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
 _MORE: Final = 0.01
 _REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
@@ -106,6 +115,7 @@ def motion_back(
     lens: Lens,
     tolerance: np.float32,
     model: MotionModel,
+    threads: int = 1,
 ) -> BodyMotion:
     """Motion of a body from its new frame to the old one.
 
@@ -113,7 +123,7 @@ def motion_back(
     `before`, whichever fits best. model: "still": no motion at all; "rigid": of the body as a whole; "parts": with the
     displacements, which fit the surface smoothly and, if the body bends, start from the shifts of parts. These are the
     shifts of their middles, improved where their labels match the old frame better. tolerance: ranges that differ by
-    less, metres, can be of one point.
+    less, metres, can be of one point. threads: at most so many compute; the motion does not depend on it.
     """
     if model == "still":
         return unmoved(new)
@@ -130,7 +140,8 @@ def motion_back(
         return BodyMotion(motion, np.zeros_like(new.cells.points))
     least = _LEAST_CELLS * float(new.middle[2]) ** 2
     shifts, weights = part_shifts(motion, new.middles, new.areas, old.middles, old.areas, least, _REACH_M)
-    match_parts(*pixels[:3], motion, shifts, weights, *pixels[3:], lens, tolerance, _MATCH_REACH, _MATCH_PIXELS)
+    matches = _matches(pixels, motion, shifts, lens, tolerance, threads)
+    match_parts(*matches, lens.focal, shifts, weights)
     places = moved(motion, new.cells.points)
     fall_m, more = gain_of_shifts(places, new.cells.labels, shifts, weights, *target, old.cells.labels, lens, gate)
     gain = _REMEMBERED * min(max(before.gain, -_MOST_GAIN), _MOST_GAIN) + fall_m / _FALL_M + more / _MORE
@@ -143,3 +154,28 @@ def motion_back(
         _ROUNDS, _SWEEPS,
     )  # fmt: skip
     return BodyMotion(motion, field, float(gain))
+
+
+def _matches(
+    pixels: Pixels,
+    motion: Motion,
+    shifts: NDArray[np.float32],
+    lens: Lens,
+    tolerance: np.float32,
+    threads: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """The sums over a body's pixels that `match_parts` takes, of about _MATCH_PIXELS of them."""
+    step = max(1, int(math.sqrt(len(pixels.pixels) / _MATCH_PIXELS)))
+    runs = pieces(len(pixels.pixels), _MATCH_PIECES)
+    found: dict[int, Any] = {}
+
+    def count(first: int, last: int) -> None:
+        found[first] = count_matches(
+            pixels.range_m, pixels.pixels[first:last], pixels.labels, motion, shifts,
+            pixels.old_range_m, pixels.old_slots, lens, tolerance, _MATCH_REACH, step,
+        )  # fmt: skip
+
+    for run in range(0, len(runs), threads):
+        in_threads(count, runs[run : run + threads])
+    one, other = (found[first] for first, _ in runs)
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]

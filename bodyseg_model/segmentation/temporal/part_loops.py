@@ -61,21 +61,20 @@ def part_shifts(motion: Any, middles: Any, areas: Any, old_middles: Any, old_are
 
 
 @_kernel
-def match_parts(
-    range_m: Any, pixels: Any, labels: Any, motion: Any, shifts: Any, weights: Any, old_range_m: Any, old_slots: Any,
-    lens: Any, tolerance: Any, reach: Any, most: Any,
-) -> None:  # fmt: skip
-    """Improve the shifts of parts, float32 [256, 3], metres, in place: each part is moved by up to `reach` pixels along
-    rows and columns to where most of its pixels meet their label in the old frame; its weight is then 1.
+def count_matches(
+    range_m: Any, pixels: Any, labels: Any, motion: Any, shifts: Any, old_range_m: Any, old_slots: Any, lens: Any,
+    tolerance: Any, reach: Any, step: Any,
+) -> Any:  # fmt: skip
+    """How well each part's pixels meet their label in the old frame, after the motion and the parts' shifts, up to
+    `reach` pixels from there along rows and columns.
 
     range_m, old_range_m: float32 [H * W], metres; labels: uint8 [H * W]; pixels: int64 [N], ascending; old_slots: as of
     `carry`, the labels shown. A pixel that meets its label, at a range within `tolerance`, metres, counts 1, one that
-    meets another label there -1. Between pixels, a parabola through three counts has the place. About `most` pixels are
-    used, every second, third ... row and column.
+    meets another label there -1. Every `step`-th row and column is used. Returns int64 [256, 2 reach + 1, 2 reach + 1];
+    the pixels that could be counted of every part, int64 [256]; and the sum of their old ranges, float64 [256], metres.
     """
     wide = 2 * reach + 1
     counts, used, depth = np.zeros((_PARTS, wide, wide), np.int64), np.zeros(_PARTS, np.int64), np.zeros(_PARTS)
-    step = max(1, int(math.sqrt(len(pixels) / most)))
     chosen = np.zeros(lens.columns, np.bool_)
     chosen[::step] = True
     v, first, beyond, skipped = np.int64(0), np.int64(0), np.int64(0), False
@@ -105,6 +104,19 @@ def match_parts(
                 old, agrees = old_range_m[corner + j], (old_slots[corner + j, 0] & _LABEL) == part
                 meets = (old > 0) & (abs(old - pz) <= tolerance)
                 counts[part, i, j] += np.int64(meets) * (2 * np.int64(agrees) - 1)
+    return counts, used, depth
+
+
+@_kernel
+def match_parts(counts: Any, used: Any, depth: Any, focal: Any, shifts: Any, weights: Any) -> None:
+    """Improve the shifts of parts, float32 [256, 3], metres, in place: each part is moved to where most of its pixels
+    meet their label in the old frame; its weight is then 1.
+
+    counts, used, depth: of `count_matches`. focal: pixels. Between pixels, a parabola through three counts has the
+    place.
+    """
+    wide = counts.shape[1]
+    reach = wide // 2
     for part in range(_PARTS):
         if used[part] < _LEAST_PIXELS:
             continue
@@ -114,7 +126,7 @@ def match_parts(
             for j in range(wide):
                 if counts[part, i, j] > best:
                     best, down, across = counts[part, i, j], i, j
-        pixel_m = depth[part] / used[part] / lens.focal
+        pixel_m = depth[part] / used[part] / focal
         shifts[part, 0] += (across - reach + peak(counts[part, down], across)) * pixel_m
         shifts[part, 1] += (down - reach + peak(counts[part, :, across], down)) * pixel_m
         weights[part] = 1
