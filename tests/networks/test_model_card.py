@@ -41,7 +41,8 @@ def test_a_page_tells_what_the_card_holds(weights: Path) -> None:
         "Apache-2.0, published by A. Author, 2026-01-31.",
     ):
         assert f"{line}\n" in text
-    assert "| set 2 | weight 1.2, set 8894acc0917506127e10e567828522e9, split train" in text
+    second = card["data"]["mixture"][1]
+    assert f"| set 2 | weight {second['weight']}, set {second['set']}, split train" in text
     assert "confusion" not in text
     assert max(map(len, text.splitlines())) < 700
 
