@@ -65,8 +65,8 @@ def count_matches(
     range_m: Any, pixels: Any, labels: Any, motion: Any, shifts: Any, old_range_m: Any, old_slots: Any, lens: Any,
     tolerance: Any, reach: Any, step: Any,
 ) -> Any:  # fmt: skip
-    """Count the pixels of each part that meet their label in the old frame, at the place where the motion and the part's
-    shift take them, and up to `reach` pixels from there along rows and columns.
+    """Count the pixels of each part that meet their label in the old frame, at the place that the motion and the part's
+    shift give, and up to `reach` pixels from there along rows and columns.
 
     range_m, old_range_m: float32 [H * W], metres; labels: uint8 [H * W]; pixels: int64 [N], ascending; old_slots: as of
     `carry`, the labels shown. A pixel that meets its label, at a range within `tolerance`, metres, counts 1, one that
