@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
+from bodyseg_data.core.system.divided_work import of_each
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
@@ -20,11 +22,12 @@ from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
 from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_model.segmentation.order_statistics import median
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.resampling import BodyView, usual_views, view_body
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.undistortion import Undistortion
+from bodyseg_model.segmentation.views.resampling import BodyView, usual_views, view_body
+from bodyseg_model.segmentation.views.undistortion import Undistortion
 
 _KEPT: Final = 4
 
@@ -178,19 +181,23 @@ class Segmenter:
         watch = Stopwatch(STAGES)
         with watch("background"):
             surfaces = find_bodies(range_m, self.camera, self.background)
-        bodies: list[FoundBody] = []
-        things: list[Thing] = []
-        for pixels in surfaces:
-            person = None
-            if self.people is not None:
-                with watch("shape"):
-                    person = self.people(pixels, range_m, self.camera)
-                if person < self.people.cutoff:
-                    things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), person))
-                    continue
-            with watch("resample"):
-                view = view_body(range_m, pixels, self.camera, self.rig, self.mirrored)
-            bodies.append(FoundBody(pixels, view, person))
+        threads, things = torch.get_num_threads(), []
+        people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
+        if self.people is not None:
+            score = self.people
+            with watch("shape"):
+                scores = of_each(lambda pixels: score(pixels, range_m, self.camera), surfaces, threads)
+                judged = list(zip(surfaces, scores, strict=True))
+                people = [(pixels, person) for pixels, person in judged if person >= score.cutoff]
+                things = [
+                    Thing(pixels, median(range_m.ravel()[pixels]), person)
+                    for pixels, person in judged
+                    if person < score.cutoff
+                ]
+        with watch("resample"):
+            resample = partial(view_body, range_m, camera=self.camera, rig=self.rig, mirrored=self.mirrored)
+            views = of_each(resample, [pixels for pixels, _ in people], threads)
+        bodies = [FoundBody(pixels, view, person) for (pixels, person), view in zip(people, views, strict=True)]
         return FoundSurfaces(range_m, tuple(bodies), tuple(things), watch.milliseconds)
 
     def label(self, found: FoundSurfaces) -> Segmentation:

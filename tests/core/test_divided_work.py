@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from bodyseg_data.core.system.divided_work import in_threads, pieces
+from bodyseg_data.core.system.divided_work import in_threads, of_each, pieces
 
 
 @pytest.mark.parametrize(("count", "parts"), [(0, 1), (1, 3), (10, 3), (7, 7)])
@@ -56,3 +56,30 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     child.start()
     child.join(20)
     assert child.exitcode == 0 and found.get() == 4950
+
+
+@pytest.mark.parametrize("threads", [1, 2, 9])
+def test_results_are_in_the_order_of_the_items(threads: int) -> None:
+    assert of_each(lambda item: 2 * item, range(40), threads) == list(range(0, 80, 2))
+    assert of_each(len, [], threads) == []
+
+
+def test_items_are_worked_on_at_once_each_by_one_thread() -> None:
+    together = threading.Barrier(2, timeout=20)
+
+    def work(item: int) -> tuple[int, int]:
+        together.wait()  # passed by two threads together alone
+        return item, threading.get_ident()
+
+    found = of_each(work, range(6), 2)
+    assert [item for item, _ in found] == list(range(6)) and len({thread for _, thread in found}) == 2
+
+
+def test_an_error_of_an_item_is_raised() -> None:
+    def work(item: int) -> int:
+        if item == 3:
+            raise IndexError("item 3")
+        return item
+
+    with pytest.raises(IndexError, match="item 3"):
+        of_each(work, range(5), 2)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from kernel_forms import by_both
 
 from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.people.shape_network import shape_image, shipped_shape_network
 from bodyseg_model.segmentation.people.surface_shape import SurfaceShape, surface_shape
 
 
@@ -34,3 +35,20 @@ def test_compiled_shapes_are_those_of_numpy(shape: tuple[int, int], shown: float
     np.testing.assert_array_equal(one.measures, other.measures)
     np.testing.assert_array_equal(one.cells, other.cells)
     assert one.cells.dtype == other.cells.dtype and np.isfinite(one.measures).all()
+
+
+@settings(max_examples=40)
+@given(
+    st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    st.sampled_from([0.0, 0.5, 0.9, 1.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_compiled_network_of_shapes_gives_the_odds_of_numpy(
+    shape: tuple[int, int], filled: float, seed: int
+) -> None:
+    draws = np.random.default_rng(seed)
+    cells = np.where(draws.random(shape) < filled, draws.normal(2.5, draws.uniform(0, 0.6), shape), np.nan)
+    measures, network = draws.normal(size=16), shipped_shape_network()
+    np.testing.assert_array_equal(*by_both(lambda: shape_image(cells)))
+    one, other = by_both(lambda: network.logit(shape_image(cells), measures))
+    assert one == other and np.isfinite(one)

@@ -17,7 +17,14 @@ from shapes import figure
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.segmentation.resampling import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views, view_body
+from bodyseg_model.segmentation.views.resampling import (
+    LARGEST_SIDE,
+    STEP,
+    USUAL_PEOPLE,
+    BodyView,
+    usual_views,
+    view_body,
+)
 
 PAPER = load_rig()
 NEAREST_M, FARTHEST_M = PAPER.range_step_m, 65535 * PAPER.range_step_m

@@ -32,8 +32,8 @@ from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.resampling import usual_views
-from bodyseg_model.segmentation.undistortion import Undistortion
+from bodyseg_model.segmentation.views.resampling import usual_views
+from bodyseg_model.segmentation.views.undistortion import Undistortion
 
 Frame = NDArray[np.uint16]
 

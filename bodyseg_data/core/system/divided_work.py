@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:
@@ -22,6 +26,21 @@ def in_threads(work: Callable[[int, int], object], runs: list[tuple[int, int]]) 
     finally:
         for other in others:
             other.result()
+
+
+def of_each(function: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
+    """Call `function` with each item, in at most so many threads, this one among them: each takes the next that is
+    left. Returns the results in the order of the items; raises what `function` does.
+    """
+    left: Iterator[tuple[int, Item]] = iter(list(enumerate(items)))  # one step of it is never taken by two threads
+    found: dict[int, Result] = {}
+
+    def work(_first: int, _behind: int) -> None:
+        for number, item in left:
+            found[number] = function(item)
+
+    in_threads(work, pieces(len(items), max(1, min(threads, len(items)))))
+    return [found[number] for number in range(len(items))]
 
 
 @lru_cache(maxsize=1)

@@ -64,18 +64,21 @@ def moments(points: Any, plane: Any, tolerance: Any, sums: Any) -> None:
     points: float64 [N, 3]. plane: float64 [3]. sums: float64 [9].
     """
     a, b, c = plane[0], plane[1], plane[2]
+    xx = xy = x_sum = yy = y_sum = count = x_inverse = y_inverse = inverse_sum = 0.0
     for i in range(points.shape[0]):
         x, y, inverse = points[i, 0], points[i, 1], points[i, 2]
-        if abs(x * a + y * b + c - inverse) <= tolerance:
-            sums[0] += x * x
-            sums[1] += x * y
-            sums[2] += x
-            sums[3] += y * y
-            sums[4] += y
-            sums[5] += 1.0
-            sums[6] += x * inverse
-            sums[7] += y * inverse
-            sums[8] += inverse
+        near = 1.0 if abs(x * a + y * b + c - inverse) <= tolerance else 0.0  # no branch, which would be guessed wrong
+        xx += near * (x * x)
+        xy += near * (x * y)
+        x_sum += near * x
+        yy += near * (y * y)
+        y_sum += near * y
+        count += near
+        x_inverse += near * (x * inverse)
+        y_inverse += near * (y * inverse)
+        inverse_sum += near * inverse
+    sums[0], sums[1], sums[2], sums[3], sums[4] = xx, xy, x_sum, yy, y_sum
+    sums[5], sums[6], sums[7], sums[8] = count, x_inverse, y_inverse, inverse_sum
 
 
 @_kernel
@@ -84,18 +87,18 @@ def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tole
 
     flat: float32 ranges. lens: float64 [3], principal point and focal length, pixels.
     """
-    a, b, c = plane[0], plane[1], plane[2]
-    across, down, focal_px = lens[0], lens[1], lens[2]
+    across, down = lens[0], lens[1]
+    a, b, c = plane[0] / lens[2], plane[1] / lens[2], plane[2]
     total, first = 0.0, 0
     while first < pixels.size:
         row = pixels[first] // columns
         start = row * columns
         end = first + np.searchsorted(pixels[first : first + columns], start + columns)
-        y = (np.float64(row) + 0.5 - down) / focal_px * b
+        level = (np.float64(row) + 0.5 - down) * b + c
         of_row, marks = pixels[first:end], near[first:end]
         for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
-            x = (np.float64(of_row[i] - start) + 0.5 - across) / focal_px
-            marks[i] = abs(x * a + y + c - 1.0 / np.float64(flat[np.uint64(of_row[i])])) <= tolerance
+            x, z = np.float64(of_row[i] - start) + 0.5 - across, np.float64(flat[np.uint64(of_row[i])])
+            marks[i] = abs((x * a + level) * z - 1.0) <= tolerance * z
         for i in range(of_row.size):
             if marks[i]:
                 z = np.float64(flat[np.uint64(of_row[i])])

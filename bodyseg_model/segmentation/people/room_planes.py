@@ -103,8 +103,12 @@ def _near_plane(
         near, lens = np.empty(len(pixels), np.bool_), _lens(camera)
         flat, columns = range_m.ravel(), range_m.shape[1]
         return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
-    near = np.abs(_misfit(_points(range_m, pixels, camera), plane)) <= TOLERANCE_PER_M
-    z = range_m.ravel()[pixels[near]].astype(np.float64)
+    rows, columns = np.divmod(pixels, range_m.shape[1])
+    z, (across, down) = range_m.ravel()[pixels].astype(np.float64), camera.centre_px
+    a, b, c = plane[0] / camera.focal_px, plane[1] / camera.focal_px, plane[2]
+    inverse = (columns + 0.5 - across) * a + ((rows + 0.5 - down) * b + c)
+    near = np.abs(inverse * z - 1) <= TOLERANCE_PER_M * z  # the same as of misfits, without a division for each pixel
+    z = z[near]
     return near, _sum_in_order(z * z * z)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.segmentation.resampling import LEAST_AHEAD
+from bodyseg_model.segmentation.views.resampling import LEAST_AHEAD
 
 _CAMERA_X: Final = 0
 _CAMERA_Y: Final = 1

@@ -24,6 +24,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import FARTHEST_STEPS
+from bodyseg_model.segmentation.order_statistics import median
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -95,10 +96,10 @@ def view_body(
     least, greatest, first, last = form.list_pixels(flat, pixels, range_m.shape[1], centre, rows, columns, depths)
     turn = turn_rad
     if turn is None:
-        turn = math.atan2((least + greatest) / 2, _median(depths) * camera.focal_px)
+        turn = math.atan2((least + greatest) / 2, median(depths) * camera.focal_px)
     form.turn_ranges(columns, _numbers(camera, rig.camera, 1.0, turn, mirrored), depths)
-    median = _median(depths)
-    focal_px = rig.camera.focal_px / rig.stand_off_m * median
+    median_m = median(depths)
+    focal_px = rig.camera.focal_px / rig.stand_off_m * median_m
     rotation = _numbers(camera, rig.camera, focal_px, turn, mirrored)
 
     down, across = np.empty(len(pixels)), np.empty(len(pixels))
@@ -110,7 +111,7 @@ def view_body(
     if max(needed) > LARGEST_SIDE:
         raise BadConfig(
             f"a body's view must be at most {LARGEST_SIDE} pixels wide and high, found {needed[1]} x {needed[0]} "
-            f"for {len(pixels)} pixels at {median:.3g} m"
+            f"for {len(pixels)} pixels at {median_m:.3g} m"
         )
     height, width = _in_steps(rig.camera.rows, needed[0]), _in_steps(rig.camera.columns, needed[1])
     corner = (top + bottom - height) // 2, (left + right - width) // 2
@@ -125,8 +126,8 @@ def view_body(
     nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
     view = np.zeros((height, width), np.float32)
     inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
-    form.move_ranges(box, rig.stand_off_m - median, nearest, farthest, inside)
-    return BodyView(view, corner, view_pixels, turn, median, scale)
+    form.move_ranges(box, rig.stand_off_m - median_m, nearest, farthest, inside)
+    return BodyView(view, corner, view_pixels, turn, median_m, scale)
 
 
 def usual_views(rig: Rig, together: bool) -> Iterator[list[NDArray[np.float32]]]:
@@ -147,17 +148,10 @@ def _in_steps(trained: int, needed: int) -> int:
     return trained - (trained - needed) // STEP * STEP
 
 
-def _median(values: Floats) -> float:
-    """As `np.median` of finite values, [N], in half its time."""
-    middle = len(values) // 2
-    lower, upper = np.partition(values, (max(middle - 1, 0), middle))[[max(middle - 1, 0), middle]]
-    return float(upper if len(values) % 2 else (lower + upper) / 2)
-
-
 @cache
 def _loops() -> Any:
     """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.resampling_loops")
+    return import_module("bodyseg_model.segmentation.views.resampling_loops")
 
 
 def _numbers(camera: Camera, trained: Camera, focal_px: float, turn_rad: float, mirrored: bool) -> Floats:
