@@ -8,6 +8,7 @@ change a confidence by less than 2e-4 (of the network that ships, by 4e-5 at mos
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
 from importlib import import_module
 from typing import Any, Final
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.system.divided_work import in_threads, pieces
+from bodyseg_data.core.system.divided_work import of_each, pieces
 
 REACH: Final = np.float32(12.0)
 """A class whose score is less than another's by as much has at most exp(-12), 6e-6, of its probability."""
@@ -29,6 +30,7 @@ POWER: Final = tuple(np.float32(c) for c in (1.3333558e-3, 9.6181291e-3, 5.55041
 """Coefficients of 2^x for x from -1/2 to 1/2, highest power first: Taylor's series, within 4e-6 of the value."""
 
 _CHUNK: Final = 1024
+_PIECES: Final = 6  # of an image for several threads: a body is not evenly divided among its rows
 _LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
 
 Axis = tuple[NDArray[np.int64], NDArray[np.float32]]
@@ -43,25 +45,28 @@ def label_pixels(
     confidence: NDArray[np.float32],
     threads: int = 1,
 ) -> None:
-    """Write labels and confidences of one image's measured pixels, uint8 and float32 [H, W]; others stay as they are.
+    """Write labels and confidences of images' measured pixels, uint8 and float32 [B, H, W]; others stay as they are.
 
-    scores: [ceil(H / stride), ceil(W / stride), C], finite, C contiguous; score (i, j) belongs to the point
-    ((i + 1/2) stride, (j + 1/2) stride) of the image. range_m: [H, W], metres, 0 = nothing measured. threads: among
-    which rows are divided; the bits do not depend on it.
+    scores: [B, ceil(H / stride), ceil(W / stride), C], finite, C contiguous; score (i, j) belongs to the point
+    ((i + 1/2) stride, (j + 1/2) stride) of its image. range_m: [B, H, W], metres, 0 = nothing measured. threads: among
+    which images and their rows are divided; the bits do not depend on it.
     """
-    rows, columns = range_m.shape
+    rows, columns = range_m.shape[1:]
     down, across = interpolation(rows, stride), interpolation(columns, stride)
     if not use_compiled():
-        _label_in_numpy(scores, range_m, down, across, labels, confidence)
+        for image in zip(scores, range_m, labels, confidence, strict=True):
+            _label_in_numpy(*image[:2], down, across, *image[2:])
         return
     loops = import_module("bodyseg_model.networks.labelling_compiled")
-    measured = int(np.count_nonzero(range_m > 0))
-    weights = down[1], across[1]
+    useful = min(threads, max(1, int(np.count_nonzero(range_m > 0)) // _LEAST_PIXELS))
+    runs = pieces(scores.shape[1] + 1, _PIECES if useful > 1 else 1)
 
-    def work(first: int, last: int) -> None:
-        loops.label_rows(scores, range_m, stride, *weights, first, last, labels, confidence)
+    def work(part: tuple[int, tuple[int, int]]) -> None:
+        image, run = part
+        of_image = scores[image], range_m[image], stride, down[1], across[1]
+        loops.label_rows(*of_image, *run, labels[image], confidence[image])
 
-    in_threads(work, pieces(scores.shape[0] + 1, min(threads, max(1, measured // _LEAST_PIXELS))))
+    of_each(work, list(itertools.product(range(len(scores)), runs)), useful)
 
 
 @lru_cache(maxsize=64)
@@ -81,7 +86,7 @@ def _label_in_numpy(
     labels: NDArray[np.uint8],
     confidence: NDArray[np.float32],
 ) -> None:
-    """As `label_pixels`, some pixels at a time."""
+    """As `label_pixels`, of one image [H, W], some pixels at a time."""
     rows, columns = np.nonzero(range_m > 0)
     last_row, last_column = scores.shape[0] - 1, scores.shape[1] - 1
     for first in range(0, len(rows), _CHUNK):

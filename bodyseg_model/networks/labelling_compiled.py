@@ -28,7 +28,8 @@ def _label_rows(
     labels: Any,
     confidence: Any,
 ) -> None:
-    """As `labelling.label_pixels`, from one row of squares between scores to before another; square 0 is before all.
+    """As `labelling.label_pixels`, of one image, from one row of squares between scores to before another; square 0 is
+    before all.
 
     down, across: weights of `labelling.interpolation`, float32 [rows] and [columns].
     """
@@ -38,18 +39,23 @@ def _label_rows(
     value = np.empty((classes, area), np.float32)
     best, total = np.empty(area, np.float32), np.empty(area, np.float32)
     label, number = np.empty(area, np.int32), np.empty(classes, np.int32)
+    shown = np.empty(across.size, np.uint8)
     right_weight, lower_weight = np.empty(area, np.float32), np.empty(area, np.float32)
     for square_row in range(first, last):
         top, bottom = max(square_row - 1, 0), min(square_row, height - 1)
         row_start = max((stride * (2 * square_row - 1)) // 2, 0)
         row_end = min((stride * (2 * square_row + 1)) // 2, down.size)
+        shown[:] = 0  # where any of these rows was measured: most squares are empty
+        for row in range(row_start, row_end):
+            metres = range_m[row]
+            for column in range(metres.size):
+                shown[column] |= metres[column] > 0
         for square_column in range(width + 1):
             column_start = max((stride * (2 * square_column - 1)) // 2, 0)
             column_end = min((stride * (2 * square_column + 1)) // 2, across.size)
             seen = False
-            for row in range(row_start, row_end):
-                for column in range(column_start, column_end):
-                    seen |= range_m[row, column] > 0
+            for column in range(column_start, column_end):
+                seen |= shown[column] != 0
             if not seen:
                 continue
             count = 0

@@ -111,8 +111,7 @@ def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction
     if network.output_stride > 1:
         by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
         if np.isfinite(by_point).all():
-            for image in zip(by_point, metres, labels, confidence, strict=True):
-                label_pixels(image[0], image[1], network.output_stride, image[2], image[3], torch.get_num_threads())
+            label_pixels(by_point, metres, network.output_stride, labels, confidence, torch.get_num_threads())
             return found
     return _label_by_torch(network, scores, torch.from_numpy(measured), found)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
-from kernel_forms import computed_by
+from kernel_forms import FORMS, computed_by
 from numpy.typing import NDArray
 from toy_network import Toy
 
@@ -31,7 +31,7 @@ def frame(rows: int, columns: int) -> NDArray[np.float32]:
 def labelled(form: str, scores: NDArray[np.float32], range_m: NDArray[np.float32], stride: int, threads: int) -> Answer:
     labels, confidence = np.full(range_m.shape, 255, np.uint8), np.zeros(range_m.shape, np.float32)
     with computed_by(form):
-        label_pixels(scores, range_m, stride, labels, confidence, threads)
+        label_pixels(scores[None], range_m[None], stride, labels[None], confidence[None], threads)
     return labels, confidence
 
 
@@ -60,6 +60,19 @@ def test_threads_change_no_bits() -> None:
     one, three = (labelled("compiled", scores, range_m, 4, threads) for threads in (1, 3))
     assert np.array_equal(one[0], three[0]) and np.array_equal(one[1], three[1])
     assert (one[0] != 255).sum() == (range_m > 0).sum()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_images_of_a_batch_are_labelled_as_alone(form: str) -> None:
+    images = [(made(100, 90, 33, spread), frame(398, 359)) for spread in (3.0, 20.0, 1.0)]
+    images[1][1][:200] = 0
+    alone = [labelled(form, *image, 4, 1) for image in images]
+    labels, confidence = np.full((3, 398, 359), 255, np.uint8), np.zeros((3, 398, 359), np.float32)
+    scores, range_m = (np.stack(each) for each in zip(*images, strict=True))
+    with computed_by(form):
+        label_pixels(scores, range_m, 4, labels, confidence, 2)
+    np.testing.assert_array_equal(labels, [each for each, _ in alone])
+    np.testing.assert_array_equal(confidence, [each for _, each in alone])
 
 
 def test_powers_of_two() -> None:
