@@ -257,7 +257,7 @@ def test_a_part_is_matched_to_where_its_label_was() -> None:
     slots[: 23 * 160, 0] = 1
     shifts, weights = np.zeros((256, 3), np.float32), np.zeros(256, np.float32)
     flat, pixels = range_m.ravel(), np.flatnonzero(range_m)
-    matches = count_matches(flat, pixels, labels.ravel(), still(), shifts, flat, slots, lens, np.float32(0.03), 2, 1)
+    matches = count_matches(flat, pixels, labels.ravel(), flat, slots, still(), shifts, lens, np.float32(0.03), 2, 1)
     match_parts(*matches, lens.focal, shifts, weights)
     pixel_m = 2.0 / 200
     np.testing.assert_allclose(shifts[2], [-pixel_m, 2 * pixel_m, 0], atol=0.5 * pixel_m)

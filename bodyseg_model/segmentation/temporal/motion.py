@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system.divided_work import in_threads, pieces
 from bodyseg_model.segmentation.temporal.cell_loops import Cells, Lens
 from bodyseg_model.segmentation.temporal.motion_loops import fit_rigid, misfit, moved, relax
 from bodyseg_model.segmentation.temporal.part_loops import (
     count_matches,
     gain_of_shifts,
     match_parts,
-    part_middles,
+    mean_points,
     part_shifts,
 )
 
@@ -29,16 +28,16 @@ JUMP_M: Final = 0.04
 _GATE_M: Final = 0.05  # cells further from the surface they meet do not count
 _NOISES: Final = 2.0  # standard deviations of a cell's ranges that are added to a jump
 _RIGID_STEPS: Final = 5
+_RIGID_CELLS: Final = 800  # suffice for a rigid motion: of more, every second, third ... is used
 _LEAST_CELLS: Final = 20  # of a part whose shift is used
 _REACH_M: Final = 0.3  # greatest shift of a part beyond the body's own
 _FAITH_NOISE_M: Final = 0.02  # noise that halves the weight of distances to planes
 _PULL: Final = 0.05  # weight of a part's shift
 _STILL: Final = 0.005  # weight of no motion beyond the body's own
-_ROUNDS: Final = 3
+_ROUNDS: Final = 2
 _SWEEPS: Final = 4
 _MATCH_REACH: Final = 2  # pixels by which the place of a part is improved
-_MATCH_PIXELS: Final = 3000
-_MATCH_PIECES: Final = 2  # in which matches are counted for any number of threads: sums of ranges depend on it
+_MATCH_PIXELS: Final = 2000
 _FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
 _MORE: Final = 0.01
 _REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
@@ -51,22 +50,19 @@ Motion = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BodySurface:
-    """A body in a frame: its cells, and the middles [256, 3], metres, and areas [256] of its parts."""
+    """A body in a frame: its cells, their mean point, float64 [3], metres, and the middles [256, 3], metres, and areas
+    [256] of its parts.
+    """
 
     cells: Cells
+    middle: NDArray[np.float64]
     middles: NDArray[np.float64]
     areas: NDArray[np.float64]
-
-    @property
-    def middle(self) -> NDArray[np.float64]:
-        """The body's mean point, float64 [3], metres."""
-        mean: NDArray[np.float64] = self.cells.points.mean(axis=0, dtype=np.float64)
-        return mean
 
 
 def surface_of(cells: Cells) -> BodySurface:
     """A body's cells with the middles of its parts."""
-    return BodySurface(cells, *part_middles(cells.points, cells.labels))
+    return BodySurface(cells, *mean_points(cells.points, cells.labels))
 
 
 def still() -> Motion:
@@ -115,7 +111,6 @@ def motion_back(
     lens: Lens,
     tolerance: np.float32,
     model: MotionModel,
-    threads: int = 1,
 ) -> BodyMotion:
     """Motion of a body from its new frame to the old one.
 
@@ -123,7 +118,7 @@ def motion_back(
     `before`, whichever fits best. model: "still": no motion at all; "rigid": of the body as a whole; "parts": with the
     displacements, which fit the surface smoothly and, if the body bends, start from the shifts of parts. These are the
     shifts of their middles, improved where their labels match the old frame better. tolerance: ranges that differ by
-    less, metres, can be of one point. threads: at most so many compute; the motion does not depend on it.
+    less, metres, can be of one point.
     """
     if model == "still":
         return unmoved(new)
@@ -133,14 +128,16 @@ def motion_back(
     gate = max(_GATE_M, (1 + _NOISES) * noise)
     target = old.cells.grid, old.cells.points
     starts = (still(), shift, before.rigid)
-    errors = [misfit(new.cells.points, start, *target, lens, gate) for start in starts]
+    some = np.ascontiguousarray(new.cells.points[:: max(1, len(new.cells.points) // _RIGID_CELLS)])
+    errors = [misfit(some, start, *target, lens, gate) for start in starts]
     motion = starts[int(np.argmin(errors))].copy()
-    fit_rigid(new.cells.points, motion, *target, old.cells.normals, lens, gate, _RIGID_STEPS)
+    fit_rigid(some, motion, *target, old.cells.normals, lens, gate, _RIGID_STEPS)
     if model == "rigid":
         return BodyMotion(motion, np.zeros_like(new.cells.points))
     least = _LEAST_CELLS * float(new.middle[2]) ** 2
     shifts, weights = part_shifts(motion, new.middles, new.areas, old.middles, old.areas, least, _REACH_M)
-    matches = _matches(pixels, motion, shifts, lens, tolerance, threads)
+    step = max(1, int(math.sqrt(len(pixels.pixels) / _MATCH_PIXELS)))
+    matches = count_matches(*pixels, motion, shifts, lens, tolerance, _MATCH_REACH, step)
     match_parts(*matches, lens.focal, shifts, weights)
     places = moved(motion, new.cells.points)
     fall_m, more = gain_of_shifts(places, new.cells.labels, shifts, weights, *target, old.cells.labels, lens, gate)
@@ -154,28 +151,3 @@ def motion_back(
         _ROUNDS, _SWEEPS,
     )  # fmt: skip
     return BodyMotion(motion, field, float(gain))
-
-
-def _matches(
-    pixels: Pixels,
-    motion: Motion,
-    shifts: NDArray[np.float32],
-    lens: Lens,
-    tolerance: np.float32,
-    threads: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The sums over a body's pixels that `match_parts` takes, of about _MATCH_PIXELS of them."""
-    step = max(1, int(math.sqrt(len(pixels.pixels) / _MATCH_PIXELS)))
-    runs = pieces(len(pixels.pixels), _MATCH_PIECES)
-    found: dict[int, Any] = {}
-
-    def count(first: int, last: int) -> None:
-        found[first] = count_matches(
-            pixels.range_m, pixels.pixels[first:last], pixels.labels, motion, shifts,
-            pixels.old_range_m, pixels.old_slots, lens, tolerance, _MATCH_REACH, step,
-        )  # fmt: skip
-
-    for run in range(0, len(runs), threads):
-        in_threads(count, runs[run : run + threads])
-    one, other = (found[first] for first, _ in runs)
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]

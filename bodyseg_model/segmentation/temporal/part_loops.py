@@ -22,20 +22,21 @@ _BETTER: Final = 0.02
 
 
 @_kernel
-def part_middles(points: Any, labels: Any) -> Any:
-    """Mean points of the cells of every part, float64 [256, 3], metres, and their areas, float64 [256], cells times
-    square metres of range.
+def mean_points(points: Any, labels: Any) -> Any:
+    """Mean point of all cells, float64 [3], metres; those of the cells of every part by their areas, float64 [256, 3],
+    metres; and these areas, float64 [256], cells times square metres of range.
     """
-    middles, areas = np.zeros((_PARTS, 3)), np.zeros(_PARTS)
+    middle, middles, areas = np.zeros(3), np.zeros((_PARTS, 3)), np.zeros(_PARTS)
     for m in range(len(points)):
         area, part = points[m, 2] * points[m, 2], labels[m]
         areas[part] += area
         for i in range(3):
+            middle[i] += points[m, i]
             middles[part, i] += area * points[m, i]
     for part in range(_PARTS):
         if areas[part] > 0:
             middles[part] /= areas[part]
-    return middles, areas
+    return middle / max(len(points), 1), middles, areas
 
 
 @_kernel
@@ -62,7 +63,7 @@ def part_shifts(motion: Any, middles: Any, areas: Any, old_middles: Any, old_are
 
 @_kernel
 def count_matches(
-    range_m: Any, pixels: Any, labels: Any, motion: Any, shifts: Any, old_range_m: Any, old_slots: Any, lens: Any,
+    range_m: Any, pixels: Any, labels: Any, old_range_m: Any, old_slots: Any, motion: Any, shifts: Any, lens: Any,
     tolerance: Any, reach: Any, step: Any,
 ) -> Any:  # fmt: skip
     """Count the pixels of each part that meet their label in the old frame, at the place that the motion and the part's
