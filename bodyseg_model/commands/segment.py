@@ -31,11 +31,12 @@ from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
     FLIP_HELP,
-    PRECISION_HELP,
+    QUICK_PRECISION_HELP,
     BackendName,
     backend_of,
     load_run,
     put_on_backend,
+    quick_precision,
     to_device,
 )
 from bodyseg_model.runtimes.onnx_files import Precision
@@ -70,7 +71,7 @@ class Options:
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file or new bag", None)
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
     backend: BackendName | None = option(BACKEND_HELP, None)
-    precision: Precision | None = option(PRECISION_HELP, None)
+    precision: Precision | None = option(QUICK_PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
@@ -102,7 +103,8 @@ def run(options: Options) -> int:
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     trained = shipped_network() if options.run is None else load_run(options.run)
-    trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
+    precision = options.precision or quick_precision(trained.network, options.backend, options.device)
+    trained = put_on_backend(trained, options.backend, precision, options.flip_average)
     label_map = trained.label_map
     preview = None if options.no_overlay else Preview(options.fps, label_map)
     to_device(trained.network, options.device)

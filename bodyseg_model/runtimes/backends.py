@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import torch
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.machine import computes_bfloat16
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, trained_network
 from bodyseg_model.networks.flip_average import FlipAverage
 from bodyseg_model.networks.network import Network
@@ -36,6 +37,10 @@ FLIP_HELP: Final = (
     "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
 )
 PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
+QUICK_PRECISION_HELP: Final = (
+    "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
+    "file, its own)"
+)
 
 if TYPE_CHECKING:
     BackendName = str
@@ -71,6 +76,18 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
         check_precision(name, runtime, "float32", chosen)
     runtime.version()
     return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
+
+
+def quick_precision(network: Network, backend: BackendName | None, device: str | None) -> Precision | None:
+    """The precision for those who ask for none and want speed: bfloat16, as accurate in 0.6 to 0.8 of the time
+    (docs/runtimes.md), where a processor with instructions for it computes; else None, the default of `on_backend`.
+
+    device: as of `to_device`. Raises as that and `on_backend` for an unknown backend or device.
+    """
+    if isinstance(network, RuntimeNetwork) or not computes_bfloat16() or find_device(device).type != "cpu":
+        return None
+    has_it = backend in (None, TORCH) or "bfloat16" in _runtime(str(backend)).precisions
+    return "bfloat16" if has_it else None
 
 
 def put_on_backend(

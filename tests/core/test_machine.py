@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bodyseg_data.core.system import machine
-from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core.system.machine import computes_bfloat16, hardware
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,13 @@ def test_a_processor_is_named_without_trade_marks_and_with_amx(
     monkeypatch.setattr(machine, "processors", lambda: 2)
     monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
     assert hardware() == f"2 cores of {shown} (x86_64), 24 GiB"
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"), [("fpu amx_bf16", True), ("fpu avx512_bf16 avx512_vnni", True), ("fpu avx512_vnni", False)]
+)
+def test_bfloat16_is_known_by_flags(flags: str, expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_lines", lambda path: ["processor\t: 0", f"flags\t\t: {flags}"])
+    assert computes_bfloat16() is expected
+    monkeypatch.setattr(machine, "_lines", lambda path: [])
+    assert computes_bfloat16() is False

@@ -17,7 +17,8 @@ from bodyseg_data.core.rig import Camera
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import SHIPPED, load_network, save_network, shipped_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.runtimes.backends import backend_of, load_run, on_backend, to_device
+from bodyseg_model.runtimes import backends
+from bodyseg_model.runtimes.backends import backend_of, load_run, on_backend, quick_precision, to_device
 from bodyseg_model.runtimes.folding import folded
 from bodyseg_model.runtimes.graphs import answer_graph, import_onnx, scores_part
 from bodyseg_model.runtimes.onnx_files import GraphFacts, OnnxModel, export_trained, read_onnx, to_onnx, write_onnx
@@ -92,6 +93,19 @@ def test_bfloat16_is_near() -> None:
         assert backend_of(moved)["precision"] == "bfloat16"
         differ = (predict(moved, range_m).labels != expected.labels).sum() / (expected.labels != 255).sum()
         assert 0 < differ < 0.1
+
+
+def test_the_quick_precision_is_one_that_the_backend_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = build("compact", TINY, seed=3).eval()
+    monkeypatch.setattr(backends, "computes_bfloat16", lambda: True)
+    assert [quick_precision(network, backend, "cpu") for backend in (None, "torch", "openvino", "onnxruntime")] == [
+        *["bfloat16"] * 3,
+        None,
+    ]
+    with pytest.raises(BadConfig, match=r"^the backend must be one of torch, onnxruntime, openvino, found 'caffe'$"):
+        quick_precision(network, "caffe", "cpu")
+    monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
+    assert quick_precision(network, None, "cpu") is None
 
 
 @pytest.mark.parametrize(("name", "settings"), [("compact", TINY), ("fcn_alexnet", {"width": 1 / 16})])

@@ -31,6 +31,7 @@ from bodyseg_model.networks.registry import build
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.recordings.skipping import Skipping
+from bodyseg_model.runtimes import backends
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.views.resampling import usual_views
 from bodyseg_model.segmentation.views.undistortion import Undistortion
@@ -68,6 +69,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, card))
     before = torch.get_num_threads()
     torch.set_num_threads(1)
+    monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)  # which computes a copy of it
     yield places
     torch.set_num_threads(before)
 
@@ -185,6 +187,21 @@ def test_a_run_may_be_given(recording: Path, tmp_path: Path) -> None:
     }
     labels = pixels(out / "labels" / "7.png")
     np.testing.assert_array_equal(labels != BACKGROUND, pixels(recording / "7.png") == 2000)
+
+
+@pytest.mark.parametrize(("able", "expected"), [(True, "bfloat16"), (False, "float32")])
+def test_the_network_is_computed_in_bfloat16_where_the_processor_does_unless_another_precision_is_asked_for(
+    able: bool, expected: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backends, "computes_bfloat16", lambda: able)
+    frame = recording / "7.png", "--focal", "100", "--device", "cpu"
+    assert run(*frame, "--out", tmp_path / "quick") == 0
+    assert report(tmp_path / "quick")["runtime"]["precision"] == expected
+    for precision in ("float32", "bfloat16"):
+        assert run(*frame, "--precision", precision, "--out", tmp_path / precision) == 0
+        assert report(tmp_path / precision)["runtime"]["precision"] == precision
+    one, other = (pixels(tmp_path / name / "labels" / "7.png") for name in ("quick", expected))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_confidence_limits_and_mirrors_are_options(recording: Path, tmp_path: Path, network: Places) -> None:

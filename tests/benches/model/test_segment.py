@@ -108,7 +108,7 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
     steps: list[int] = []
     figures = bench_segment(views=1, progress=lambda done, total, note="": steps.append(done))
     assert steps == list(range(1, 2 * (1 + ROUNDS * len(ways_by_torch)) + 1))
-    assert figures["default"] == "default" and set(figures["sizes"]) == {"small", "again"}
+    assert figures["default"] in WAYS and set(figures["sizes"]) == {"small", "again"}
     for size in figures["sizes"].values():
         ways = size["ways"]
         assert set(ways) == set(ways_by_torch)
@@ -118,15 +118,14 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
             assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"]
         surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
-        assert size["after"]["shape"]["people_found"] == ways["default"]["found"]
+        assert size["after"]["shape"]["people_found"] == ways["float32"]["found"]
         for way in ways.values():
             assert way["frames_per_second"] == sorted(way["rounds"])[1] and len(way["rounds"]) == ROUNDS
             assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1
-        accuracies = [{key: way[key] for key in ("found", "right", "thing_pixels")} for way in ways.values()]
-        assert accuracies[0] == accuracies[1] == accuracies[2] == accuracies[5], (
-            "loops, load and pictures change no label"
-        )
+        same = ("float32", "NumPy", "beside a busy program", "no pictures")
+        accuracies = [{key: ways[way][key] for key in ("found", "right", "thing_pixels")} for way in same]
+        assert all(each == accuracies[0] for each in accuracies), "loops, load and pictures change no label"
         assert ways["things labelled, too"]["found"] == 1 and ways["things labelled, too"]["thing_pixels"] > 0
-        assert ways["no pictures"]["bytes_a_frame"] < ways["default"]["bytes_a_frame"]
+        assert ways["no pictures"]["bytes_a_frame"] < ways["float32"]["bytes_a_frame"]
     draw_segment(figures, tmp_path / "segment.png")
     assert (tmp_path / "segment.png").stat().st_size > 10_000

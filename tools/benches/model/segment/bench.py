@@ -1,9 +1,9 @@
 """`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
 
-The command runs as its users call it, on recordings of made rooms with known labels: in its default, by the NumPy forms
-of its loops, beside a busy program, with a label on every surface, without pictures, and with the network on OpenVINO.
-`live` gives the age of a live sensor's frames, which come as arrays, when their labels are there. docs/segment.md says
-how to read the results.
+The command runs as its users call it, on recordings of made rooms with known labels: in both precisions, by the NumPy
+forms of its loops, beside a busy program, with a label on every surface, without pictures, and with the network on
+OpenVINO. `live` gives the age of a live sensor's frames, which come as arrays, when their labels are there.
+docs/segment.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
-from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core.system.machine import computes_bfloat16, hardware
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
@@ -61,28 +61,33 @@ class Way:
     busy: bool = False
 
 
+_FLOAT32: Final = {"precision": "float32"}
+_BFLOAT16: Final = {"precision": "bfloat16"}
+_OPENVINO: Final = {"backend": "openvino", **_BFLOAT16}
+
 WAYS: Final = {
-    "default": Way(),
-    "NumPy": Way(loops="numpy"),
-    "beside a busy program": Way(busy=True),
-    "beside it, one thread": Way(options={"threads": 1}, busy=True),
-    "things labelled, too": Way(options={"keep_things": True}),
-    "no pictures": Way(options={"no_overlay": True}),
-    "ahead, one thread": Way(options={"ahead": True, "threads": 1}),
-    "flip average": Way(options={"flip_average": True}),
-    "bfloat16": Way(options={"precision": "bfloat16"}),
-    "bfloat16, flip average": Way(options={"precision": "bfloat16", "flip_average": True}),
-    "OpenVINO": Way(options={"backend": "openvino"}),
-    "OpenVINO, bfloat16": Way(options={"backend": "openvino", "precision": "bfloat16"}),
-    "OpenVINO, bfloat16, one thread": Way(options={"backend": "openvino", "precision": "bfloat16", "threads": 1}),
-    "OpenVINO, bfloat16, ahead": Way(options={"backend": "openvino", "precision": "bfloat16", "ahead": True}),
+    "bfloat16": Way(options=_BFLOAT16),
+    "float32": Way(options=_FLOAT32),
+    "NumPy": Way(loops="numpy", options=_FLOAT32),
+    "beside a busy program": Way(options=_FLOAT32, busy=True),
+    "beside it, one thread": Way(options={**_FLOAT32, "threads": 1}, busy=True),
+    "things labelled, too": Way(options={**_FLOAT32, "keep_things": True}),
+    "no pictures": Way(options={**_FLOAT32, "no_overlay": True}),
+    "ahead, one thread": Way(options={**_FLOAT32, "ahead": True, "threads": 1}),
+    "flip average": Way(options={**_FLOAT32, "flip_average": True}),
+    "bfloat16, flip average": Way(options={**_BFLOAT16, "flip_average": True}),
+    "OpenVINO": Way(options={"backend": "openvino", **_FLOAT32}),
+    "OpenVINO, bfloat16": Way(options=_OPENVINO),
+    "OpenVINO, bfloat16, one thread": Way(options={**_OPENVINO, "threads": 1}),
+    "OpenVINO, bfloat16, ahead": Way(options={**_OPENVINO, "ahead": True}),
 }
-"""Name -> way, the default first."""
+"""Name -> way; in float32 where no name says another precision."""
 
 ROUNDS: Final = 3
 
 LIVE: Final[dict[str, tuple[BackendName | None, Precision | None]]] = {
-    "default": (None, None),
+    "bfloat16": (None, "bfloat16"),
+    "float32": (None, "float32"),
     "OpenVINO, bfloat16": ("openvino", "bfloat16"),
 }
 """Ways to label a live sensor's frames: backend and precision of each."""
@@ -134,7 +139,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
             "ways": ways,
         }
     return {
-        "default": next(iter(WAYS)),
+        "default": "bfloat16" if computes_bfloat16() else "float32",
         "rooms": views,
         "sources": list(TEST_SOURCES),
         "seed": TEST_SEED,
