@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.divided_work import of_each
 from bodyseg_model.segmentation.people.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
 from bodyseg_model.segmentation.people.surface_table import REACH_M, Surfaces
 from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, loops
@@ -72,15 +73,16 @@ class Background:
         }
 
 
-def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background) -> Bodies:
+def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background, threads: int = 1) -> Bodies:
     """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
 
-    range_m: [H, W], metres along the optical axis, 0 = nothing measured. camera: the one that took it.
+    range_m: [H, W], metres along the optical axis, 0 = nothing measured. camera: the one that took it. threads: among
+    which the work is divided; the bodies do not depend on it.
     """
     if background.mode == "keep":
         return _all_of(range_m > 0)
     kept = _within_limits(range_m, background)
-    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera)
+    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
 
 
 def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
@@ -98,12 +100,12 @@ def _all_of(mask: NDArray[np.bool_]) -> Bodies:
     return (pixels,) if len(pixels) else ()
 
 
-def _people(range_m: NDArray[np.float32], camera: Camera) -> Bodies:
+def _people(range_m: NDArray[np.float32], camera: Camera, threads: int) -> Bodies:
     """Surfaces of a body's size, after large planes are removed from `range_m`, in place."""
-    surfaces = Surfaces(range_m, camera)
+    surfaces = Surfaces(range_m, camera, threads)
     for _ in range(_MOST_PLANES):
         large = [surfaces.pixels_of(number) for number in surfaces.by_size(LEAST_AREA_M2 / 2)]
-        flat = [on_largest_plane(range_m, pixels, camera) for pixels in large]
+        flat = of_each(lambda pixels: on_largest_plane(range_m, pixels, camera), large, threads)
         if not any(map(np.any, flat)):
             break
         surfaces.remove(large, flat)

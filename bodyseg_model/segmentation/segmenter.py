@@ -178,10 +178,10 @@ class Segmenter:
                 f"a frame must have the camera's size, {self.camera.rows} x {self.camera.columns}, "
                 f"found {' x '.join(map(str, range_m.shape))}"
             )
-        watch = Stopwatch(STAGES)
+        watch, threads = Stopwatch(STAGES), torch.get_num_threads()
         with watch("background"):
-            surfaces = find_bodies(range_m, self.camera, self.background)
-        threads, things = torch.get_num_threads(), []
+            surfaces = find_bodies(range_m, self.camera, self.background, threads)
+        things: list[Thing] = []
         people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
         if self.people is not None:
             score = self.people

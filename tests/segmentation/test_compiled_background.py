@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kernel_forms import by_both
+from kernel_forms import by_both, computed_by
 from numpy.typing import NDArray
 
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_model.segmentation.people import surfaces
 from bodyseg_model.segmentation.people.room_planes import on_largest_plane
 from bodyseg_model.segmentation.people.surface_table import Surfaces
 from bodyseg_model.segmentation.people.surfaces import connected_surfaces
@@ -52,6 +53,38 @@ def test_surfaces_are_the_same(
     ranges = np.where(draws.random(shape) < missing, 0, 2.45 + spread * draws.normal(0, 0.3, shape))
     image = np.maximum(ranges, 0).astype(np.float32)
     np.testing.assert_array_equal(*by_both(lambda: connected_surfaces(image, focal_px)))
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(6, 40),
+    st.integers(1, 20),
+    st.integers(2, 5),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.05, 0.3, 1.0]),
+    st.sampled_from([0.05, 0.5, 0.8]),
+)
+def test_rows_that_threads_share_give_the_same_surfaces(
+    rows: int, columns: int, threads: int, seed: int, spread: float, missing: float
+) -> None:
+    pytest.importorskip("numba")
+    draws = np.random.default_rng(seed)
+    shape = rows, columns
+    image = np.where(draws.random(shape) < missing, 0, 2.45 + spread * draws.normal(0, 0.3, shape)).astype(np.float32)
+    with computed_by("compiled"), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surfaces, "_LEAST_PIXELS", 1)
+        found = [surfaces.find_segments(image, surfaces.jumps(image), 80.0, many) for many in (1, threads)]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bodies_do_not_depend_on_the_number_of_threads(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(surfaces, "_LEAST_PIXELS", 1000)
+    one, three = (find_bodies(room(seed), LENS, Background(), threads) for threads in (1, 3))
+    assert len(one) == len(three) > 0
+    for body, other in zip(one, three, strict=True):
+        np.testing.assert_array_equal(body, other)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -102,25 +102,29 @@ def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
 
 @_kernel
 def find_segments(
-    range_m: Any, level: Any, widest: Any, focal_px: Any, segments: Any, parent: Any, area_m2: Any
-) -> Any:
-    """Divide rows into segments, adjacent pixels of one surface, and join those of one surface.
+    range_m: Any, level: Any, widest: Any, focal_px: Any, first: Any, last: Any, segments: Any, parent: Any,
+    area_m2: Any, numbers: Any,
+) -> Any:  # fmt: skip
+    """Divide the rows from `first` to before `last` into segments, adjacent pixels of one surface, and join those of
+    one surface among these rows.
 
     range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 2], from `surfaces.jumps`. widest: of a shadow, pixels at 1
-    m, float32. Writes the first flat index, one after the last, and the number of the surface of each segment into
-    `segments`, int32 [3, N], and its area into
-    `area_m2`, float64 [N]. parent: int32 [N], scratch. Returns the numbers of segments and surfaces.
+    m, float32. Segments are numbered from first * W on. Writes the first flat index and one after the last of each into
+    `segments`, int32 [3, H * W], a segment of the same surface that comes before it, or itself, into `parent`, int32
+    [H * W], its area into `area_m2`, float64 [H * W], and the segments of the pixels of row r into `numbers`, int32
+    [4, W], at (r + 3) & 3, where those of the last rows stay. Returns the number behind that of the last segment.
     """
-    rows, columns = range_m.shape
+    columns = range_m.shape[1]
     steps, begins = np.zeros((4, columns + 1), np.uint8), np.zeros((4, columns + 1), np.uint8)
     marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
     words, of_row = marks.view(np.uint64), marks[:columns]
-    numbers = np.full((4, columns), -1, np.int32)
-    count, start = 0, 0
-    for row in range(rows):
+    for row in range(max(first - 3, 0), first):
+        _compare(level, row + 3, steps, begins, of_row)
+    count, start = first * columns, 0
+    for row in range(first, last):
         _compare(level, row + 3, steps, begins, of_row)
         here, number = level[row + 3, 3:], numbers[(row + 3) & 3]
-        last = -1  # the last measured column so far
+        shown = -1  # the last measured column so far
         for word in range(words.size):
             if words[word] == np.uint64(0):
                 continue
@@ -131,7 +135,7 @@ def find_segments(
                 if mark & 1:
                     start = column
                     parent[count] = count
-                for shift in range(1, 4):
+                for shift in range(1, min(row - first, 3) + 1):
                     if mark & (2 << shift):
                         _join(parent, numbers[(row + 3 - shift) & 3, column], count)
                 if not mark & 2:
@@ -144,24 +148,56 @@ def find_segments(
                     total += side * side
                 area_m2[count] = total
                 segments[0, count], segments[1, count] = row * columns + start, row * columns + column + 1
-                if 0 <= last < start - 1 and abs(here[start] - here[last]) <= _ONE:
-                    wide = max(np.float64(widest / min(range_m[row, last], range_m[row, start])), 3.0)
-                    if np.float64(start - last) <= wide:
-                        _join(parent, number[last], count)
+                if 0 <= shown < start - 1 and abs(here[start] - here[shown]) <= _ONE:
+                    wide = max(np.float64(widest / min(range_m[row, shown], range_m[row, start])), 3.0)
+                    if np.float64(start - shown) <= wide:
+                        _join(parent, number[shown], count)
                 for right in range(start, min(start + 2, column) + 1):
                     for left in range(max(right - 3, 0), min(right - 1, start)):
                         if abs(here[right] - here[left]) <= _ONE:
                             _join(parent, number[left], count)
-                last = column
+                shown = column
                 count += 1
-    surfaces = 0
-    for segment in range(count):  # a root comes before all that it is the root of
-        above = parent[segment]
-        if above == segment:
-            segments[2, segment] = surfaces
-            surfaces += 1
-        else:
-            segments[2, segment] = segments[2, above]
+    return count
+
+
+@_kernel
+def join_pieces(level: Any, columns: Any, row: Any, segments: Any, parent: Any, end: Any, above: Any) -> None:
+    """Join the segments of three rows from `row` on with those of the three rows above it, which another call of
+    `find_segments` divided. end: the number behind that of the last segment from `row` on. above: `numbers` of that
+    other call.
+    """
+    for segment in range(row * columns, end):
+        first = segments[0, segment]
+        line = first // columns
+        if line >= row + 3:
+            break
+        for column in range(first - line * columns, segments[1, segment] - line * columns):
+            for up in range(line - row + 1, 4):
+                if abs(level[line + 3, column + 3] - level[line + 3 - up, column + 3]) <= _ONE:
+                    _join(parent, above[(line - up + 3) & 3, column], segment)
+
+
+@_kernel
+def number_surfaces(firsts: Any, ends: Any, parent: Any, segments: Any, area_m2: Any) -> Any:
+    """Number the surfaces of segments, in the order of their first pixels, in `segments`, and move all segments to the
+    beginning of it and of `area_m2`. firsts, ends: int64 [N], the first segment of each run and the number behind its
+    last. Returns the numbers of segments and surfaces.
+    """
+    count = surfaces = 0
+    for run in range(firsts.size):
+        for segment in range(firsts[run], ends[run]):  # a root comes before all that it is the root of
+            above = parent[segment]
+            if above == segment:
+                segments[2, segment] = surfaces
+                surfaces += 1
+            else:
+                segments[2, segment] = segments[2, above]
+    for run in range(firsts.size):
+        for segment in range(firsts[run], ends[run]):
+            segments[0, count], segments[1, count] = segments[0, segment], segments[1, segment]
+            segments[2, count], area_m2[count] = segments[2, segment], area_m2[segment]
+            count += 1
     return count, surfaces
 
 

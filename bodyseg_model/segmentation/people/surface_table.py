@@ -21,11 +21,11 @@ stretched towards the camera or behind the trunk, only the hand may be seen."""
 class Surfaces:
     """The connected surfaces of a range image [H, W], metres, taken by `camera`. The image is changed by `remove`.
 
-    area_m2: float64 [N], of each as if it faced the camera.
+    area_m2: float64 [N], of each as if it faced the camera. threads: among which rows are divided.
     """
 
-    def __init__(self, range_m: NDArray[np.float32], camera: Camera) -> None:
-        self._range_m, self._camera = range_m, camera
+    def __init__(self, range_m: NDArray[np.float32], camera: Camera, threads: int = 1) -> None:
+        self._range_m, self._camera, self._threads = range_m, camera, threads
         self._level = jumps(range_m)
         self._find()
 
@@ -35,7 +35,7 @@ class Surfaces:
     def _find(self) -> None:
         focal_px = self._camera.focal_px
         if use_compiled():
-            self._segments, segment_m2, count = find_segments(self._range_m, self._level, focal_px)
+            self._segments, segment_m2, count = find_segments(self._range_m, self._level, focal_px, self._threads)
             self.area_m2 = np.zeros(count)
             self._counts = np.zeros(count, np.intp)
             loops().measure_surfaces(self._segments, segment_m2, self.area_m2, self._counts)

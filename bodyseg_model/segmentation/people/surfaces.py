@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.system.divided_work import of_each, pieces
 
 GAP_PIXELS: Final = 3
 """Greatest distance of neighbours in a row or column, pixels, so that single missing pixels divide no surface."""
@@ -28,6 +29,7 @@ SHADOW_M: Final = 0.15
 """Widest shadow that does not divide a surface, metres: pixels of a row are also neighbours if nothing was measured
 between them and they are no farther apart than this at the nearer one's range. An arm's shadow falls on the trunk."""
 
+_LEAST_PIXELS: Final = 1 << 17  # of a thread that finds segments, so that starting it pays
 _ROWS: Final = 32  # of 1024 pixels: with what is computed of them, a quarter of a megabyte
 
 Floats = NDArray[np.float32]
@@ -88,17 +90,31 @@ def within(framed: Floats) -> Floats:
 
 
 def find_segments(
-    range_m: NDArray[np.float32], level: Floats, focal_px: float
+    range_m: NDArray[np.float32], level: Floats, focal_px: float, threads: int = 1
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], int]:
     """Find the segments of rows, adjacent pixels of one surface, by the compiled loops.
 
     Returns the first flat index, one after the last, and the number of the surface of each, int32 [3, N]; areas as if
-    they faced the camera, float64 [N], m²; and the number of surfaces. level: from `jumps`.
+    they faced the camera, float64 [N], m²; and the number of surfaces. level: from `jumps`. threads: among which rows
+    are divided; the result does not depend on it.
     """
+    rows, columns = range_m.shape
     segments, parent = np.empty((3, range_m.size), np.int32), np.empty(range_m.size, np.int32)
-    area_m2 = np.empty(range_m.size)
-    widest = np.float32(SHADOW_M * focal_px)
-    count, surfaces = loops().find_segments(range_m, level, widest, focal_px, segments, parent, area_m2)
+    area_m2, widest = np.empty(range_m.size), np.float32(SHADOW_M * focal_px)
+    runs = pieces(rows, max(1, min(threads, range_m.size // _LEAST_PIXELS, rows // GAP_PIXELS)))
+    numbers = np.full((len(runs), 1 + GAP_PIXELS, columns), -1, np.int32)
+    ends = np.empty(len(runs), np.int64)
+
+    def find(run: int) -> None:
+        ends[run] = loops().find_segments(
+            range_m, level, widest, focal_px, *runs[run], segments, parent, area_m2, numbers[run]
+        )
+
+    of_each(find, range(len(runs)), len(runs))
+    for run in range(1, len(runs)):
+        loops().join_pieces(level, columns, runs[run][0], segments, parent, ends[run], numbers[run - 1])
+    firsts = np.array([first * columns for first, _ in runs])
+    count, surfaces = loops().number_surfaces(firsts, ends, parent, segments, area_m2)
     return segments[:, :count], area_m2[:count], surfaces
 
 
