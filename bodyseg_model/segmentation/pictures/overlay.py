@@ -16,6 +16,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.drawing.style import draw_legend
+from bodyseg_model.segmentation.order_statistics import value_at
 
 _EMPTY: Final = (24, 26, 32)
 _ROOM_GREYS: Final = (96, 44)
@@ -25,6 +26,7 @@ _LEVELS: Final = 6
 SHADES: Final = 128
 """Of a colour: more than the bytes between its lightest and its darkest."""
 
+_ENDS: Final = (0.02, 0.98)
 _SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
 _LEGEND_WIDTH: Final = 900
 _PREVIEW_SIDE: Final = 320
@@ -104,10 +106,10 @@ def _table(label_map: LabelMap) -> NDArray[np.uint8]:
 def _scale(some: Floats) -> tuple[np.float32, np.float32]:
     """The range that gets the first shade, and shades a metre, for some ranges of a body or of the room.
 
-    The first shade is at their 2 % quantile, the last at the 98 % quantile, so that outliers do not matter.
+    The first and the last shade are at quantiles, `_ENDS`, so that outliers do not matter.
     """
     measured = some[some > 0]
-    near, far = np.quantile(measured, (0.02, 0.98)) if len(measured) else (0.0, 1.0)
+    near, far = (value_at(measured, share) for share in _ENDS) if len(measured) else (0.0, 1.0)
     return np.float32(near), np.float32((SHADES - 1) / max(far - near, 1e-3))
 
 
