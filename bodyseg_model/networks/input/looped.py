@@ -1,4 +1,4 @@
-"""Which tensors compiled loops compute on."""
+"""The choice of tensors that compiled loops compute on."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 It sees the surface at `CELL_M` a pixel, 48 x 48 of them, in three channels: range from the median, what is measured,
 and range from the mean of the 3 x 3 cells around, which shows how a body is curved; and the measures of the shape. With
-8 825 weights it takes 0.06 ms a surface, a hundredth of the network that labels bodies. Compiled loops compute it, or
+8 825 weights it takes 0.08 ms a surface, a hundredth of the network that labels bodies. Compiled loops compute it, or
 NumPy, with sums in one order: a runtime's threads would take processors from that network.
 
 `shape_network.json` holds the weights; `tools/bench shapes` fits them on made rooms (docs/things.md).

@@ -149,7 +149,7 @@ class CarriedLabels:
                 noise = float(np.hypot(surface.cells.noise_m, before[0].cells.noise_m))
                 tolerance = np.float32(max(self.carrying.tolerance_m, self.carrying.noises * noise))
                 images = self._motion.Pixels(flat, body[0], named, last.range_m, last.slots)
-                rules = lens, tolerance, self.carrying.motion
+                rules = lens, tolerance, self.carrying.motion, threads
                 motion = self._motion.motion_back(surface, *before, images, *rules)
                 moved = motion.rigid.astype(np.float32), motion.field, surface.cells.grid, last.range_m, last.slots
                 rule = tolerance, *self._rule(motion.bends)

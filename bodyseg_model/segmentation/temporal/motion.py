@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core.system.divided_work import of_each, pieces
 from bodyseg_model.segmentation.temporal.cell_loops import Cells, Lens
 from bodyseg_model.segmentation.temporal.motion_loops import fit_rigid, misfit, moved, relax
 from bodyseg_model.segmentation.temporal.part_loops import (
@@ -38,6 +39,7 @@ _ROUNDS: Final = 2
 _SWEEPS: Final = 4
 _MATCH_REACH: Final = 2  # pixels by which the place of a part is improved
 _MATCH_PIXELS: Final = 2000
+_MATCH_PIECES: Final = 2  # in which matches are counted for any number of threads: sums of ranges depend on it
 _FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
 _MORE: Final = 0.01
 _REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
@@ -111,6 +113,7 @@ def motion_back(
     lens: Lens,
     tolerance: np.float32,
     model: MotionModel,
+    threads: int = 1,
 ) -> BodyMotion:
     """Motion of a body from its new frame to the old one.
 
@@ -118,7 +121,7 @@ def motion_back(
     `before`, whichever fits best. model: "still": no motion at all; "rigid": of the body as a whole; "parts": with the
     displacements, which fit the surface smoothly and, if the body bends, start from the shifts of parts. These are the
     shifts of their middles, improved where their labels match the old frame better. tolerance: ranges that differ by
-    less, metres, can be of one point.
+    less, metres, can be of one point. threads: at most so many compute; the motion does not depend on it.
     """
     if model == "still":
         return unmoved(new)
@@ -136,8 +139,7 @@ def motion_back(
         return BodyMotion(motion, np.zeros_like(new.cells.points))
     least = _LEAST_CELLS * float(new.middle[2]) ** 2
     shifts, weights = part_shifts(motion, new.middles, new.areas, old.middles, old.areas, least, _REACH_M)
-    step = max(1, int(math.sqrt(len(pixels.pixels) / _MATCH_PIXELS)))
-    matches = count_matches(*pixels, motion, shifts, lens, tolerance, _MATCH_REACH, step)
+    matches = _matches(pixels, motion, shifts, lens, tolerance, threads)
     match_parts(*matches, lens.focal, shifts, weights)
     places = moved(motion, new.cells.points)
     fall_m, more = gain_of_shifts(places, new.cells.labels, shifts, weights, *target, old.cells.labels, lens, gate)
@@ -151,3 +153,25 @@ def motion_back(
         _ROUNDS, _SWEEPS,
     )  # fmt: skip
     return BodyMotion(motion, field, float(gain))
+
+
+def _matches(
+    pixels: Pixels,
+    motion: Motion,
+    shifts: NDArray[np.float32],
+    lens: Lens,
+    tolerance: np.float32,
+    threads: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """The sums over a body's pixels that `match_parts` takes, of about _MATCH_PIXELS of them.
+
+    Two threads take as long as one for so few, but a processor that was busy just before is quicker with the evidence.
+    """
+    step = max(1, int(math.sqrt(len(pixels.pixels) / _MATCH_PIXELS)))
+
+    def count(run: tuple[int, int]) -> Any:
+        some = pixels._replace(pixels=pixels.pixels[slice(*run)])
+        return count_matches(*some, motion, shifts, lens, tolerance, _MATCH_REACH, step)
+
+    one, other = of_each(count, pieces(len(pixels.pixels), _MATCH_PIECES), threads)
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]

@@ -1,1 +1,1 @@
-"""What a network sees of a frame: without lens distortion, and each body as the trained camera would see it."""
+"""Views of a frame as networks see them: without lens distortion, each body as the trained camera would see it."""
