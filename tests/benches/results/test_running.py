@@ -288,6 +288,23 @@ def test_accepted_products_are_fresh(shop: Workshop, capsys: Capture) -> None:
     assert all(after[name] == before[name] for name in ("commit", "hardware", "seconds", "made"))
 
 
+def test_in_a_fresh_checkout_recorded_sets_and_trainings_are_accepted_as_they_were(
+    shop: Workshop, capsys: Capture
+) -> None:
+    shop.run()
+    (shop.home / "work").rename(shop.home / "elsewhere")
+    shop.code = {f"code.of.{step.name}": "edited" for step in shop.steps}
+    before = shop.records()
+    assert shop.run(list=True) == 1
+    assert shop.run(accept=True) == 0
+    after = shop.records()
+    assert all(after[name]["code"] == "edited" for name in after)
+    assert all(after[name]["made"] == before[name]["made"] for name in before)
+    capsys.readouterr()
+    assert shop.run(list=True) == 0
+    assert "3 absent, 3 fresh" in capsys.readouterr().out
+
+
 def test_what_is_not_there_or_of_unknown_inputs_cannot_be_accepted(shop: Workshop) -> None:
     with pytest.raises(BadConfig, match="cannot accept sets/a, which is not there"):
         shop.run("sets/a", accept=True)

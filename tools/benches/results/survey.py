@@ -148,16 +148,18 @@ class Survey:
 def accept(survey: Survey, graph: Graph, records: Records, names: Sequence[str], origin: dict[str, str]) -> None:
     """Record products that are there as made by the code, commands and inputs of today.
 
-    names: of steps. origin: commit and hardware of records that have none yet. Raises BadConfig for a product that is
-    not there, or one whose inputs have no record.
+    names: of steps. origin: commit and hardware of records that have none yet. A set or a training that has a record
+    but is not in this work folder is the one of its record. Raises BadConfig for a product that is not there, or one
+    whose inputs have no record.
     """
     for step in graph.steps.values():
         if step.name not in names:
             continue
-        made = survey.products.made_by(step)
+        made, before = survey.products.made_by(step), records.get(step)
+        if made is None and before is not None and step.kind in ("set", "training"):
+            made = dict(before.made)
         if made is None:
             raise BadConfig(f"cannot accept {step.name}, which is not there")
-        before = records.get(step)
         inputs: dict[str, str] = {}
         for name in graph.inputs(step):
             read = records.get(graph.steps[name])
