@@ -85,7 +85,7 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     limits = np.array([_FLAT_M, _SIGMAS * np.sqrt(6.0) / _MAD / side])
     describe = _loops().describe if use_compiled() else _describe_in_numpy
     raw, cells = describe(pixels, flat, camera.columns, step, side, least, lens, limits)
-    if not np.isfinite(cells).any() and not raw[-1]:  # a surface narrower than the step
+    if not raw[13]:  # a surface narrower than the step has no area
         return SurfaceShape(np.zeros(len(MEASURES)), cells)
     width, height, area = max(raw[10], CELL_M), max(raw[11], CELL_M), raw[13]
     logs = np.log([raw[7] + _LEAST_SHARE, raw[8] + _LEAST_SHARE, area, area / height**2])

@@ -52,7 +52,7 @@ def _stages(axis: Any, name: str, ways: Tree) -> None:
     axis.set_yticks(range(len(ways)), list(ways))
     axis.set_ylim(len(ways) - 0.4, -0.5)
     axis.set_xlim(0, 1.45 * max(way["ms"]["frame"]["mean"] for way in ways.values()))
-    axis.set_title(f"{name}: mean ms from a frame to its labels", loc="left", fontsize=10)
+    axis.set_title(f"{name}: mean ms from a frame to its labels (float32 unless named)", loc="left", fontsize=10)
     axis.spines[["top", "right"]].set_visible(False)
 
 
