@@ -1,7 +1,8 @@
-"""Order statistics, compiled; `order_statistics.py` has the NumPy form, which finds the same value."""
+"""Order statistics, compiled; `order_statistics.py` has the NumPy forms, which find the same values."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,10 @@ _FEW: Final = 64  # are sorted
 _ROUNDS: Final = 6  # after which values that lie too unevenly for bins are sorted, too
 
 
+_kernel = partial(compiled, feature="the compiled form of order statistics")
+
+
+@_kernel
 def _select(values: Any, place: Any) -> Any:
     """The value at a place of sorted finite values [N], found in a histogram of them, and again in that of its bin: a
     quarter of the time of NumPy's partition.
@@ -43,4 +48,17 @@ def _select(values: Any, place: Any) -> Any:
     return np.sort(some)[place]
 
 
-select: Any = compiled(_select, "the compiled form of order statistics")
+@_kernel
+def value_at(values: Any, share: Any) -> Any:
+    """As `order_statistics.value_at`."""
+    if values.size == 0:
+        return 0.0
+    return np.float64(_select(values, min(np.int64(share * values.size), values.size - 1)))
+
+
+@_kernel
+def median(values: Any) -> Any:
+    """As `order_statistics.median`."""
+    middle = values.size // 2
+    upper = np.float64(_select(values, middle))
+    return upper if values.size % 2 else (np.float64(_select(values, middle - 1)) + upper) / 2

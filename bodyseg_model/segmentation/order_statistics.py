@@ -16,23 +16,21 @@ Values = NDArray[np.float32] | NDArray[np.float64]
 
 def value_at(values: Values, share: float) -> float:
     """The value below which a share of finite values [N] lies, one of them; 0 without any."""
+    if use_compiled():
+        return float(_loops().value_at(values, share))
     if not len(values):
         return 0.0
-    return _selected(values, min(int(share * len(values)), len(values) - 1))
+    place = min(int(share * len(values)), len(values) - 1)
+    return float(np.partition(values, place)[place])
 
 
 def median(values: Values) -> float:
     """As `np.median` of finite values [N], at least one, to the same bits for float64."""
-    middle = len(values) // 2
-    upper = _selected(values, middle)
-    return upper if len(values) % 2 else (_selected(values, middle - 1) + upper) / 2
-
-
-def _selected(values: Values, place: int) -> float:
-    """The value at a place of the sorted values."""
     if use_compiled():
-        return float(_loops().select(values, place))
-    return float(np.partition(values, place)[place])
+        return float(_loops().median(np.asarray(values, np.float64)))  # a loop is loaded for every type of values
+    middle = len(values) // 2
+    lower, upper = (float(value) for value in np.partition(values, [middle - 1, middle])[[middle - 1, middle]])
+    return upper if len(values) % 2 else (lower + upper) / 2
 
 
 @cache

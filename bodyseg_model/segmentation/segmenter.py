@@ -246,7 +246,7 @@ class Segmenter:
         rows, columns = self.camera.rows, self.camera.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
-        for pixels in find_bodies(room, self.camera, self.background):
+        for pixels in find_bodies(room, self.camera, self.background, torch.get_num_threads()):
             if self.people is not None:
                 self.people(pixels, room, self.camera)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)

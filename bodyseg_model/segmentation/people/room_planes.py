@@ -75,7 +75,7 @@ def _draws() -> NDArray[np.uint32]:
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
     """x, y and inverse range of pixels, [N, 3]."""
     if use_compiled():
-        points, lens = np.empty((len(pixels), 3)), _lens(camera)
+        points, lens = np.empty((len(pixels), 3)), lens_of(camera)
         _loops().place_points(range_m.ravel(), pixels, range_m.shape[1], lens, points)
         return points
     rows, columns = np.divmod(pixels, range_m.shape[1])
@@ -84,7 +84,7 @@ def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Came
     return np.stack([x, y, 1 / range_m.ravel()[pixels].astype(np.float64)], axis=1)
 
 
-def _lens(camera: Camera) -> NDArray[np.float64]:
+def lens_of(camera: Camera) -> NDArray[np.float64]:
     """Principal point and focal length, pixels, [3]."""
     return np.array([*camera.centre_px, camera.focal_px])
 
@@ -100,7 +100,7 @@ def _near_plane(
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     if use_compiled():
-        near, lens = np.empty(len(pixels), np.bool_), _lens(camera)
+        near, lens = np.empty(len(pixels), np.bool_), lens_of(camera)
         flat, columns = range_m.ravel(), range_m.shape[1]
         return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
     rows, columns = np.divmod(pixels, range_m.shape[1])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.segmentation.order_loops import select
+from bodyseg_model.segmentation.order_loops import value_at
 from bodyseg_model.segmentation.people.surface_shape import JUMP_M
 
 _kernel = partial(compiled, feature="the compiled form of the shapes of surfaces")
@@ -37,14 +37,6 @@ def _list_every(pixels: Any, flat: Any, width: Any, step: Any, rows: Any, column
 
 
 @_kernel
-def _value_at(values: Any, share: Any) -> Any:
-    """As `order_statistics.value_at`."""
-    if values.size == 0:
-        return 0.0
-    return select(values, min(np.int64(share * values.size), values.size - 1))
-
-
-@_kernel
 def _noise(rows: Any, columns: Any, depths: Any) -> Any:
     """Median of the second differences, without their signs, of every three neighbours in a row."""
     bends, count = np.empty(rows.size), 0
@@ -52,7 +44,7 @@ def _noise(rows: Any, columns: Any, depths: Any) -> Any:
         if rows[i - 1] == rows[i + 1] and columns[i] - columns[i - 1] == 1 and columns[i + 1] - columns[i] == 1:
             bends[count] = abs(depths[i - 1] - 2 * depths[i] + depths[i + 1])
             count += 1
-    return _value_at(bends[:count], 0.5)
+    return value_at(bends[:count], 0.5)
 
 
 @_kernel
@@ -130,11 +122,11 @@ def describe(pixels: Any, flat: Any, width: Any, step: Any, side: Any, least: An
     bent = np.abs(every)
     raw[0] = _share_below(bent, limit, 1.0)
     raw[1], raw[2] = _share_below(bent[:count_down], limit, 1.0), _share_below(bent[count_down:], limit, 1.0)
-    raw[3], raw[4] = _value_at(every[:count_down], 0.5), _value_at(every[count_down:], 0.5)
-    raw[5], raw[6] = _value_at(bent, 0.5), _value_at(bent, 0.75)
+    raw[3], raw[4] = value_at(every[:count_down], 0.5), value_at(every[count_down:], 0.5)
+    raw[5], raw[6] = value_at(bent, 0.5), value_at(bent, 0.75)
     raw[7], raw[8] = _share_below(-every, -limit, 0.0), _share_below(every, -limit, 0.0)
     raw[9] = filled
     raw[10], raw[11] = right - left, bottom - top
-    raw[12] = _value_at(z, 0.97) - _value_at(z, 0.03)
+    raw[12] = value_at(z, 0.97) - value_at(z, 0.03)
     raw[13] = area
     return raw, means

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.segmentation.order_loops import select
+from bodyseg_model.segmentation.order_loops import median
 from bodyseg_model.segmentation.people.shape_network import CURVED_M, MOST, RANGE_M, SIDE
 
 _MOST = np.float32(MOST)
@@ -28,9 +28,7 @@ def place_cells(cells: Any, image: Any) -> None:
                 count += 1
     if count == 0:
         return
-    median = select(known[:count], count // 2)
-    if count % 2 == 0:
-        median = (select(known[:count], count // 2 - 1) + median) / 2
+    middle = median(known[:count])
     down, across = min(cells.shape[0], SIDE), min(cells.shape[1], SIDE)
     top, left = (cells.shape[0] - down) // 2, (cells.shape[1] - across) // 2
     first, before = (SIDE - down) // 2, (SIDE - across) // 2
@@ -38,7 +36,7 @@ def place_cells(cells: Any, image: Any) -> None:
         for column in range(across):
             cell = cells[top + row, left + column]
             if np.isfinite(cell):
-                image[0, first + row, before + column] = min(max((cell - median) / RANGE_M, -MOST), MOST)
+                image[0, first + row, before + column] = min(max((cell - middle) / RANGE_M, -MOST), MOST)
                 image[1, first + row, before + column] = 1
 
 

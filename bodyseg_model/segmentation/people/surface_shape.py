@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.order_statistics import value_at
+from bodyseg_model.segmentation.people.room_planes import lens_of
 
 Floats = NDArray[np.float64]
 
@@ -81,10 +82,9 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     step = max(1, cell_px // _PIXELS_A_CELL)
     side = -(-cell_px // step)
     least = math.ceil(_LEAST_FILLED * side**2)
-    lens = np.array([*camera.centre_px, camera.focal_px])
     limits = np.array([_FLAT_M, _SIGMAS * np.sqrt(6.0) / _MAD / side])
     describe = _loops().describe if use_compiled() else _describe_in_numpy
-    raw, cells = describe(pixels, flat, camera.columns, step, side, least, lens, limits)
+    raw, cells = describe(pixels, flat, camera.columns, step, side, least, lens_of(camera), limits)
     if not raw[13]:  # a surface narrower than the step has no area
         return SurfaceShape(np.zeros(len(MEASURES)), cells)
     width, height, area = max(raw[10], CELL_M), max(raw[11], CELL_M), raw[13]
