@@ -18,7 +18,7 @@ from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
-from bodyseg_data.core.system.memory import peak_mb
+from bodyseg_data.core.system.memory import keep_freed_memory, peak_mb
 from bodyseg_data.drawing.style import save_picture
 from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
@@ -99,6 +99,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
+    keep_freed_memory()
     use_threads(options.threads)
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -49,3 +51,26 @@ def test_without_proc_the_unit_is_that_of_the_system(system: str, unit: int, mon
     assert peak_mb(1) is None
     monkeypatch.delattr(memory, "resource")
     assert peak_mb() is None
+
+
+def test_freed_memory_is_used_again_unless_the_user_has_chosen() -> None:
+    if platform.libc_ver()[0] != "glibc":
+        pytest.skip("only glibc's malloc can be told to keep memory")
+    script = (
+        "import resource, numpy as np; from bodyseg_data.core.system.memory import keep_freed_memory\n"
+        "keep_freed_memory()\n"
+        "def use(): [np.ones(30_000_000, np.uint8) for _ in range(4)]\n"
+        "use(); use(); before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "for _ in range(5): use()\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)\n"
+    )
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_"))}
+    faults = [
+        int(
+            subprocess.run(
+                [sys.executable, "-c", script], check=True, capture_output=True, env={**plain, **chosen}
+            ).stdout
+        )
+        for chosen in ({}, {"MALLOC_TRIM_THRESHOLD_": "131072"})
+    ]
+    assert faults[0] < 1000 < faults[1], "the second gives all back, five times 120 MB"
