@@ -39,7 +39,7 @@ from bodyseg_model.runtimes.backends import (
     quick_precision,
     to_device,
 )
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.files.frame_results import FrameResults, LabelledFrame
 from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
 from bodyseg_model.segmentation.files.write_behind import WriteBehind

@@ -20,7 +20,7 @@ from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.order_statistics import median
 from bodyseg_model.segmentation.people.person_score import PersonScore

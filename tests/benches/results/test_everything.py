@@ -13,6 +13,7 @@ from benches.bench import Options as BenchOptions
 from benches.chart import Options as ChartOptions
 from benches.charts.outdated import landmarks_digest, outdated
 from benches.charts.page import render_page, sources_of
+from benches.model.networks.baselines import with_baselines
 from benches.results.everything import everything
 from benches.results.records import Records
 from benches.results.running import duration
@@ -39,9 +40,10 @@ def options_of(step: Step) -> type:
 
 
 def test_every_declared_command_can_be_read() -> None:
-    for step in everything().steps.values():
-        words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
-        assert parse(options_of(step), words, step.name, "", "") is not None, step.command
+    with with_baselines():
+        for step in everything().steps.values():
+            words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
+            assert parse(options_of(step), words, step.name, "", "") is not None, step.command
 
 
 def test_only_benches_that_draw_are_asked_for_a_figure() -> None:

@@ -34,7 +34,7 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.runtimes.backends import BackendName
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
