@@ -17,11 +17,9 @@ from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
-from bodyseg_model.recordings.camera_files import find_cameras
 from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.training.distributed import find_device
 from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.pages.recording_page import RecordingPage
@@ -156,7 +154,12 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         if not all(path.is_dir() for path in paths):
             raise
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
-    cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
-    score = None if options.keep_things else shipped_score()
-    segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
-    return RecordingView(frames, cameras, segmenters, trained.label_map)
+    labeller = FrameLabeller(
+        trained,
+        Background(options.background),
+        mirrored=options.mirrored,
+        least_confidence=options.confidence,
+        keep_things=options.keep_things,
+        device=options.device,
+    )
+    return RecordingView(labeller.recording(frames, rig=options.rig, focal_px=options.focal, centre_px=options.centre))

@@ -162,9 +162,9 @@ def test_a_new_network_is_one_new_file_and_one_line(
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(HELPERS / "toy_network.py", copy / "networks" / "toy.py")
     file, before = copy / "networks" / "registry.py", (PACKAGE / "networks" / "registry.py").read_text()
-    line = '    "compact": "compact.Compact",\n'
+    line = '    "compact": "bodyseg_model.networks.compact.Compact",\n'
     assert before.count(line) == 1
-    file.write_text(before.replace(line, line + '    "toy": "toy.Toy",\n'))
+    file.write_text(before.replace(line, line + '    "toy": "bodyseg_model.networks.toy.Toy",\n'))
 
     run, data = str(tmp_path / "run"), str(figures_set)
     commands = [

@@ -60,9 +60,10 @@ def bench_runtimes(
     """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision.
 
     data: set on whose test images of `all` accuracy is measured, `images` of them. views: typical frames to take turns
-    with. runs: the network is in the first of them; without, it is the one that ships. Each is timed with one thread and with as many as there are processors, one image at a time, in turns,
-    of which each begins untimed (`network_times` says why). Runtimes that are not installed are left
-    out. Raises BadConfig for wrong numbers or no network, MissingLibrary without Anny.
+    with. runs: the network is in the first of them; without, it is the one that ships. Each is timed with one thread
+    and with as many as there are processors, one image at a time, in turns, of which each begins untimed
+    (`network_times` says why). Runtimes that are not installed are left out. Raises BadConfig for wrong numbers or no
+    network, MissingLibrary without Anny.
     """
     check_int("the number of test images", images, 1)
     network_name, trained = chosen_network(runs)
