@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from benches.results.trainings import SEEDS
 from folders import ROOT
 from made_steps import Workshop, a_result, a_set, a_training
 
+from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
@@ -35,7 +35,7 @@ OF_SPEED = {"codec", "occlusion", "partition", "reduction"}
 def options_of(step: Step) -> type:
     program, name = step.words[:2]
     if program == "bodyseg":
-        return importlib.import_module(COMMANDS[name][0]).Options
+        return load_command(COMMANDS[name][0]).Options
     return {"tools/bench": BenchOptions, "tools/chart": ChartOptions}[program]
 
 
