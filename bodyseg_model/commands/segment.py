@@ -123,14 +123,16 @@ def run(options: Options) -> int:
             Progress("segmenting", "frames") as progress,
             results,
         ):
+            done = 0
             for labelled in coming:
                 frame, bodies = frames[labelled.number], [body.pixels for body in labelled.bodies]
                 if labelled.own_camera is None:
                     shadows.add(labelled.number, frame.name, labelled.range_m, bodies)
                 if messages is not None:
                     messages.add(frame, labelled.labels, labelled.stamp)
-                results.add(labelled, frame, partial(progress.update, labelled.number + 1, len(frames)))
-            if labelled.number + 1 < len(frames):  # the last ones are skipped
+                done = labelled.number + 1
+                results.add(labelled, frame, partial(progress.update, done, len(frames)))
+            if done < len(frames):  # the last ones are skipped
                 results.then(partial(progress.update, len(frames), len(frames)))
         seconds = time.perf_counter() - start
     per_second = (len(frames) - len(recording.skipped)) / seconds

@@ -16,9 +16,9 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.stability.groups import Run
 from bodyseg_model.stability.scenes import LabelledImage, Scenes
-from bodyseg_model.stability.sweeps import SweepStep
+from bodyseg_model.stability.sweeps import Condition
 
-Accuracies = dict[str, dict[SweepStep, float]]
+Accuracies = dict[str, dict[Condition, float]]
 """Run's name -> condition -> average per-class accuracy."""
 
 
@@ -39,7 +39,7 @@ def accuracy(network: Network, images: Sequence[LabelledImage]) -> float:
 
 def evaluate_conditions(
     runs: Sequence[Run],
-    conditions: Sequence[SweepStep],
+    conditions: Sequence[Condition],
     scenes: Scenes,
     folder: Path,
     progress: NotedProgress = silent,
@@ -77,7 +77,7 @@ def _cache(folder: Path, run: Run) -> ResultCache:
     return ResultCache(folder / f"{run.name.replace('/', '+')}.json", network_identity(run.path), __name__)
 
 
-def _query(scenes: Scenes, condition: SweepStep, run: Run) -> dict[str, Any]:
+def _query(scenes: Scenes, condition: Condition, run: Run) -> dict[str, Any]:
     """Everything that an accuracy depends on besides network and code."""
     return {
         "sweep": condition.sweep,

@@ -31,7 +31,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class MotionFrame:
+class Frame:
     """One frame of a shot: a sample as it would be stored, and the rendered body in it."""
 
     sample: Sample = field(repr=False)
@@ -64,7 +64,7 @@ def choose_shots(source: BodySource, count: int, frames: int) -> list[Shot]:
     return shots
 
 
-def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[MotionFrame]:
+def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[Frame]:
     """Render the frames of a shot. The camera looks at the mean of the bodies' centres throughout.
 
     Raises as `BodySource.build`, `partition` and `steps`.
@@ -87,7 +87,7 @@ def _frame(
     projectors: Sequence[PlacedCamera],
     source: str,
     step_m: float,
-) -> MotionFrame:
+) -> Frame:
     """Make a sample as `Sampler.take` does, but with camera and projectors given and all that the projector sees."""
     renderer = open_renderer("raster", body.mesh)
     rendered = RenderedBody(body.mesh, camera, renderer.render(camera))
@@ -112,4 +112,4 @@ def _frame(
     camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
     second = facing[1] if len(facing) == 2 else None
     sample = Sample(key, camera_range, projector_range, labels, facing[0], info, faces_second=second)
-    return MotionFrame(sample, rendered)
+    return Frame(sample, rendered)

@@ -32,7 +32,7 @@ from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.recordings.cameras import other_sensors
 from bodyseg_model.segmentation.views.resampling import view_body
 from bodyseg_model.stability.correspondence import RenderedBody
-from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, SweepStep, corrupted
+from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition, corrupted
 
 _HIDDEN_WITHIN: Final = 0.05  # of the share that things are to hide
 _HIDDEN_ATTEMPTS: Final = 64
@@ -84,7 +84,7 @@ class Scenes:
     def __repr__(self) -> str:
         return f"Scenes({self.images!r}, {self._count})"
 
-    def check(self, condition: SweepStep) -> None:
+    def check(self, condition: Condition) -> None:
         """Raise BadConfig for a condition whose images cannot be made from these samples."""
         source = self.images.manifest.source
         if _is_rendered(condition) and source not in RENDERABLE:
@@ -93,7 +93,7 @@ class Scenes:
                 f"found a set of {source!r}: leave it out with --sweeps"
             )
 
-    def labelled_images(self, condition: SweepStep) -> list[LabelledImage]:
+    def labelled_images(self, condition: Condition) -> list[LabelledImage]:
         """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""
         self.check(condition)
         if _is_rendered(condition):
@@ -139,7 +139,7 @@ class _PosedBody:
     renderer: Renderer
     azimuth_deg: int
 
-    def image(self, rig: Rig, condition: SweepStep) -> LabelledImage:
+    def image(self, rig: Rig, condition: Condition) -> LabelledImage:
         sweep, strength = condition.sweep, condition.strength
         if sweep == "occlusion":
             return self._lit(with_baseline(rig, strength))
@@ -223,7 +223,7 @@ def _first(images: RangeImages, count: int) -> list[Sample]:
     return [images.clean(int(index)) for index in images.order(0)[:count]]
 
 
-def _is_rendered(condition: SweepStep) -> bool:
+def _is_rendered(condition: Condition) -> bool:
     if condition in CLEAN.values():
         return condition == CLEAN["rendered"]
     return SWEEPS[condition.sweep].origin == "rendered"

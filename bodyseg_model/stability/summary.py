@@ -17,7 +17,7 @@ from typing import Any, Final
 from bodyseg_model.evaluation.report import over_seeds
 from bodyseg_model.stability.accuracies import Accuracies
 from bodyseg_model.stability.groups import Group
-from bodyseg_model.stability.sweeps import CLEAN, Sweep, SweepStep
+from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
 
 Tree = dict[str, Any]
 
@@ -97,7 +97,7 @@ def _mean(rows: Sequence[Sequence[float]]) -> list[float]:
     return [statistics.mean(values) for values in zip(*rows, strict=True)]
 
 
-def _clean(group: Group, conditions: Mapping[str, Sequence[SweepStep]], found: Accuracies) -> Tree:
+def _clean(group: Group, conditions: Mapping[str, Sequence[Condition]], found: Accuracies) -> Tree:
     """Accuracy on the clean stored and the clean rendered images, as far as the sweeps have them."""
     needed = {row[0] for row in conditions.values()}
     return {

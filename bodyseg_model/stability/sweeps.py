@@ -36,7 +36,7 @@ _KNOWN_FOCAL_PX: Final = round(load_rig().camera.focal_px, 1)
 
 
 @dataclass(frozen=True)
-class SweepStep:
+class Condition:
     """One sweep at one strength; the clean condition that sweeps begin with is shared by all of one `Origin`."""
 
     sweep: str
@@ -48,7 +48,7 @@ class SweepStep:
         return self.sweep if self in CLEAN.values() else f"{self.sweep} {self.strength:g}"
 
 
-CLEAN: Final[dict[Origin, SweepStep]] = {"stored": SweepStep("clean"), "rendered": SweepStep("clean, rendered")}
+CLEAN: Final[dict[Origin, Condition]] = {"stored": Condition("clean"), "rendered": Condition("clean, rendered")}
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ class Sweep:
     origin: Origin = "stored"
     counts: bool = True
 
-    def conditions(self, name: str) -> list[SweepStep]:
+    def conditions(self, name: str) -> list[Condition]:
         """The conditions of the sweep, which has this name in `SWEEPS`: one for each strength."""
-        return [CLEAN[self.origin], *(SweepStep(name, strength) for strength in self.strengths[1:])]
+        return [CLEAN[self.origin], *(Condition(name, strength) for strength in self.strengths[1:])]
 
 
 SWEEPS: Final = {
@@ -110,7 +110,7 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}
 
 
-def corrupted(sample: Sample, condition: SweepStep, rig: Rig, seed: int) -> NDArray[np.uint16]:
+def corrupted(sample: Sample, condition: Condition, rig: Rig, seed: int) -> NDArray[np.uint16]:
     """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], in the rig's steps.
 
     Pixels that the corruption removes are 0. Draws depend on seed and sample alone, so a greater strength removes the

@@ -31,7 +31,7 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.stability.correspondence import NOT_SEEN, RenderedBody, follow
-from bodyseg_model.stability.motion_frames import MotionFrame, choose_shots, render_shot
+from bodyseg_model.stability.motion_frames import Frame, choose_shots, render_shot
 
 SHOTS: Final = 4
 FRAMES: Final = 16
@@ -172,7 +172,7 @@ def temporal(
     truth, rendered_points = TemporalConsistency(), 0
     advance = counter(progress, shots * frames * (1 + len(variants) * len(networks)))
     for shot in chosen:
-        frames_of_shot: list[MotionFrame] = []
+        frames_of_shot: list[Frame] = []
         for frame in render_shot(source, shot, rig):
             frames_of_shot.append(frame)
             advance()

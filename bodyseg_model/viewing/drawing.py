@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.viewing.pictures import Legend
-from bodyseg_model.viewing.space import Device, PointCloud
+from bodyseg_model.viewing.space import Device, Points
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Drawing:
     points, which are of bodies, and to which a window is turned. legend: of the colours of the points.
     """
 
-    points: PointCloud
+    points: Points
     devices: tuple[Device, ...]
     picture: NDArray[np.uint8] = field(repr=False)
     facts: tuple[str, ...]

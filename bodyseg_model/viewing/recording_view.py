@@ -18,7 +18,7 @@ from bodyseg_model.segmentation.pictures.overlay import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation
 from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
-from bodyseg_model.viewing.space import PointCloud, camera_alone, device, point_gap_m, points_at
+from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
 
 FrameColouring = Literal["parts", "confidence", "flicker"]
 FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)
@@ -39,7 +39,7 @@ CONFIDENCE_LEGEND: Final[Legend] = (
 )
 """Three of the colours of confidences."""
 
-_NOTHING: Final = PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+_NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
 
@@ -72,10 +72,10 @@ class RecordingView:
         changes = changes_of(frame, before)
         colours, legend = self._colours(shown.colouring, frame, changes)
         body_m = body_range(frame)
-        bodies = PointCloud(points_at(body_m, camera_alone(frame.camera)), colours[body_m > 0])
+        bodies = Points(points_at(body_m, camera_alone(frame.camera)), colours[body_m > 0])
         room = _room_points(frame, body_m) if shown.room else _NOTHING
         return Drawing(
-            PointCloud(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
+            Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
             (device("camera", camera_alone(frame.camera)),),
             self._picture(frame, changes),
             self.facts(shown.number, frame, before),
@@ -169,13 +169,13 @@ def body_range(frame: LabelledFrame) -> NDArray[np.float32]:
     return found
 
 
-def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> PointCloud:
+def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> Points:
     """Points beside bodies, one of nine, grey."""
     thinned = np.zeros_like(frame.range_m)
     some = slice(None, None, _ROOM_STEP)
     thinned[some, some] = np.where(body_m > 0, np.float32(0), frame.range_m)[some, some]
     xyz = points_at(thinned, camera_alone(frame.camera))
-    return PointCloud(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
+    return Points(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
 
 
 def _counted(found: Segmentation) -> str:

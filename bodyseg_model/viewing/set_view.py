@@ -40,7 +40,7 @@ from bodyseg_model.viewing.pictures import (
     label_image,
     share_image,
 )
-from bodyseg_model.viewing.space import Device, PointCloud, device, point_gap_m, points_at, rig_before
+from bodyseg_model.viewing.space import Device, Points, device, point_gap_m, points_at, rig_before
 
 Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
 COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
@@ -167,12 +167,12 @@ class SetView:
             self.legend_of(images, shown.colouring),
         )
 
-    def points_of(self, images: SampleImages, colouring: Colouring) -> PointCloud:
+    def points_of(self, images: SampleImages, colouring: Colouring) -> Points:
         """Points of the variant shown, in reading order of its pixels."""
         seen = np.flatnonzero(images.layers.range)
         picked = images.layers.picked(lambda each: each.ravel()[None, seen])
         xyz = points_at(metres(images.layers.range, self.rig.range_step_m), images.placed[0])
-        return PointCloud(xyz, self._colours(colouring, picked)[0])
+        return Points(xyz, self._colours(colouring, picked)[0])
 
     def layout_of(self, sample: Sample) -> tuple[Layout, Window]:
         """Layout of a sample's panels, and the part of its images that they show: its body, where that is small."""

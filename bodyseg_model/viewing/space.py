@@ -33,7 +33,7 @@ _OPENCV: Final = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
-class PointCloud:
+class Points:
     """Coloured points. xyz: float32 [N, 3], metres; colours: sRGB uint8 [N, 3]."""
 
     xyz: NDArray[np.float32] = field(repr=False)

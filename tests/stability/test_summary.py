@@ -22,7 +22,7 @@ from bodyseg_model.stability.summary import (
     relative_robustness,
     summarise,
 )
-from bodyseg_model.stability.sweeps import CLEAN, Sweep, SweepStep
+from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),
@@ -31,12 +31,12 @@ SWEEPS = {
 }
 SETTINGS = [
     CLEAN["stored"],
-    SweepStep("noise", 10),
-    SweepStep("noise", 30),
+    Condition("noise", 10),
+    Condition("noise", 30),
     CLEAN["rendered"],
-    SweepStep("nearer", 2.0),
-    SweepStep("nearer", 1.5),
-    SweepStep("hard", 1),
+    Condition("nearer", 2.0),
+    Condition("nearer", 1.5),
+    Condition("hard", 1),
 ]
 
 
@@ -51,7 +51,7 @@ GROUPS = [
 ]
 
 
-def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[SweepStep, float]]:
+def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[Condition, float]]:
     return {name.replace("_", "-"): dict(zip(SETTINGS, row, strict=True)) for name, row in rows.items()}
 
 

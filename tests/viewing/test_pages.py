@@ -24,7 +24,7 @@ from bodyseg_model.viewing.pages.sensor_controls import SensorState
 from bodyseg_model.viewing.pages.server import LOOPBACK, free_port, open_server
 from bodyseg_model.viewing.pages.set_page import SetPage
 from bodyseg_model.viewing.set_view import SetView, Shown
-from bodyseg_model.viewing.space import PointCloud
+from bodyseg_model.viewing.space import Points
 from bodyseg_model.viewing.strengths import controls_of
 
 WAIT_S = 60.0
@@ -38,7 +38,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 
 def drawing(count: int, *facts: str) -> Drawing:
-    points = PointCloud(np.full((count, 3), 0.5, np.float32), np.full((count, 3), 9, np.uint8))
+    points = Points(np.full((count, 3), 0.5, np.float32), np.full((count, 3), 9, np.uint8))
     return Drawing(points, (), np.full((4, 6, 3), count, np.uint8), facts or ("one",), 0.01, 0, (("a", (1, 2, 3)),))
 
 

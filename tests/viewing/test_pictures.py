@@ -23,7 +23,7 @@ from bodyseg_model.viewing.pictures import (
     share_image,
     sheet_of,
 )
-from bodyseg_model.viewing.space import PointCloud
+from bodyseg_model.viewing.space import Points
 
 
 def test_panels_lie_side_by_side_at_one_size() -> None:
@@ -71,7 +71,7 @@ def test_saved_pictures_have_the_panels_the_view_and_the_facts() -> None:
     sheet = np.asarray(sheet_of(picture, view, ["name", "fact"]))
     assert np.count_nonzero((sheet == 10).all(-1)) == 50 * 60
     assert np.count_nonzero((sheet == 77).all(-1)) == 50 * 20
-    points = PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    points = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     drawing = Drawing(points, (), picture, ("left/../1",), 0.01, 0, ())
     name, data = picture_file(drawing, view)
     assert name == "left____1.png"

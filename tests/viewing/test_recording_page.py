@@ -15,7 +15,7 @@ from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.pages.recording_page import RecordingPage
 from bodyseg_model.viewing.pages.server import LOOPBACK
 from bodyseg_model.viewing.recording_view import ShownFrame
-from bodyseg_model.viewing.space import PointCloud
+from bodyseg_model.viewing.space import Points
 
 WAIT_S = 60.0
 
@@ -34,7 +34,7 @@ class Numbers:
         self.drawn.append(shown)
         if [each.number for each in self.drawn[-4:]] == [1, 2, 0, 1]:
             self.round.set()
-        points = PointCloud(np.zeros((shown.number, 3), np.float32), np.zeros((shown.number, 3), np.uint8))
+        points = Points(np.zeros((shown.number, 3), np.float32), np.zeros((shown.number, 3), np.uint8))
         return Drawing(points, (), np.zeros((2, 2, 3), np.uint8), (f"frame {shown.number}",), 0.01, 0, ())
 
 

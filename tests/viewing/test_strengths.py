@@ -18,7 +18,7 @@ from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.randomness import Draws
-from bodyseg_model.viewing.strengths import Choice, Control, Slider, TextField, controls_of, moved, value_of
+from bodyseg_model.viewing.strengths import Choice, Control, Entry, Slider, controls_of, moved, value_of
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def test_numbers_of_a_tuple_have_a_slider_each() -> None:
 )
 def test_texts_are_read_and_shown(artifact: Artifact, strength: str, text: str, changed: Artifact) -> None:
     entry: Control = control(artifact, strength)
-    assert isinstance(entry, TextField)
+    assert isinstance(entry, Entry)
     assert moved(artifact, entry, text) == changed
     assert value_of(changed, entry) == text.strip()
 
