@@ -14,6 +14,7 @@ from toy_network import Toy
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.machine import computes_bfloat16
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import load_network, save_network, shipped_network
 from bodyseg_model.networks.registry import build, predict
@@ -100,7 +101,8 @@ def test_bfloat16_is_near() -> None:
         moved = on_backend(network, backend, "bfloat16")
         assert backend_of(moved)["precision"] == "bfloat16"
         differ = (predict(moved, range_m).labels != expected.labels).sum() / (expected.labels != 255).sum()
-        assert 0 < differ < 0.1
+        # A runtime computes in float32 where the processor has no instructions for bfloat16.
+        assert differ < 0.1 and (differ > 0 or not computes_bfloat16())
 
 
 def test_the_quick_precision_is_one_that_the_backend_has(monkeypatch: pytest.MonkeyPatch) -> None:
