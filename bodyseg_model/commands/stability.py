@@ -16,7 +16,7 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.stability.accuracies import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
 from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs

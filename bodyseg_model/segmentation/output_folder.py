@@ -23,8 +23,7 @@ from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
-from bodyseg_model.segmentation.pictures.overlay import Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.pictures.picture_png import encode_picture
+from bodyseg_model.segmentation.pictures import Preview, draw_overlay, draw_parts_legend, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
 FORMAT: Final = "bodyseg segment 2"

@@ -16,7 +16,7 @@ from bodyseg_data.core.rig import load_sensor
 from bodyseg_data.core.splits import Split
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody, Segmenter
 from bodyseg_model.stability.rooms import Room, Rooms
 

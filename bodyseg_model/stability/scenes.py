@@ -30,7 +30,7 @@ from bodyseg_data.packing.things import draw_things, in_front
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.renderer import Renderer
 from bodyseg_model.recordings.cameras import other_sensors
-from bodyseg_model.segmentation.views.resampling import view_body
+from bodyseg_model.segmentation.views import view_body
 from bodyseg_model.stability.correspondence import RenderedBody
 from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition, corrupted
 

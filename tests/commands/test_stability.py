@@ -24,7 +24,7 @@ from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
+from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
 from bodyseg_model.stability import accuracies
 from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
 from bodyseg_model.stability.groups import load_runs

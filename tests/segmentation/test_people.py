@@ -20,9 +20,14 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
-from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
-from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
+from bodyseg_model.segmentation.person_score import (
+    MEASURES,
+    PersonScore,
+    SurfaceShape,
+    shipped_score,
+    shipped_shape_network,
+    surface_shape,
+)
 from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.stability.people_and_things import rooms_of
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 import tarfile
 import threading
 from collections.abc import Iterator
@@ -32,9 +33,8 @@ from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes import backends
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.views.resampling import usual_views
-from bodyseg_model.segmentation.views.undistortion import Undistortion
+from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 Frame = NDArray[np.uint16]
 
@@ -89,6 +89,14 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
 def report(out: Path) -> dict[str, Any]:
     parsed: dict[str, Any] = json.loads((out / "summary.json").read_text())
     return parsed
+
+
+def test_an_install_without_numba_names_the_extra(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    said = refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out")
+    assert said.startswith("labelling frames needs the package 'numba': pip install 'bodyseg[segment]'")
 
 
 def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from label_networks import Places
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
-from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody
 from bodyseg_model.stability import people_and_things as measure
 from bodyseg_model.stability.people_and_things import Counts, people_and_things

@@ -1,5 +1,6 @@
-"""Resampling of a body from any camera's frame to the camera that a network was trained for, and of labels back.
+"""Views of a frame as networks see them: without lens distortion, each body as the trained camera would see it.
 
+A body is resampled from any camera's frame to the camera that a network was trained for, and its labels back.
 The trained camera aims at the body from a fixed distance, the stand-off. So the view is first rotated about the
 vertical axis towards the body, as if the frame's camera had turned on the spot. Then it is scaled: a camera of focal
 length f shows a surface at range Z with f / Z pixels a metre, and the body's median range gets as many as the trained
@@ -12,19 +13,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera, Rig
 from bodyseg_data.core.sample import FARTHEST_STEPS
-from bodyseg_model.segmentation.order_statistics import median
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -32,19 +31,12 @@ LARGEST_SIDE: Final = 2048
 MARGIN: Final = 64
 """Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
 
-LEAST_AHEAD: Final = 1e-9
-"""Least range before the rotation, for a range of 1 after it: directions beside or behind the frame's camera are mapped
-far outside the frame."""
-
 STEP: Final = 64
 """Views larger than the trained camera's image are so by multiples of this, pixels: a runtime prepares for every size
 that it meets, and views of one size go through a network together."""
 
 USUAL_PEOPLE: Final = 3
 """Surfaces of one size that a frame may show a network, for which `usual_views` prepares it."""
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -87,23 +79,29 @@ def view_body(
 
     A pixel of the view gets the range of the frame pixel that contains its centre. If that pixel is not the body's but
     the view pixel contains centres of the body's pixels, it gets the range of the nearest of these, so that thin parts
-    are not lost where the view is coarser. Raises BadConfig if the view would be larger than `LARGEST_SIDE`.
+    are not lost where the view is coarser. Raises BadConfig for ranges that are not finite or not in front of the view,
+    or if it would be larger than `LARGEST_SIDE`; MissingLibrary without numba.
     """
-    form = _loops() if use_compiled() else _NumpyForm
+    loops = _loops()
     flat, depths = np.ascontiguousarray(range_m).ravel(), np.empty(len(pixels))
     rows, columns = np.empty_like(pixels), np.empty_like(pixels)
     centre = float(camera.centre_px[0])
-    least, greatest, first, last = form.list_pixels(flat, pixels, range_m.shape[1], centre, rows, columns, depths)
+    least, greatest, first, last = loops.list_pixels(flat, pixels, range_m.shape[1], centre, rows, columns, depths)
     turn = turn_rad
     if turn is None:
-        turn = math.atan2((least + greatest) / 2, median(depths) * camera.focal_px)
-    form.turn_ranges(columns, _numbers(camera, rig.camera, 1.0, turn, mirrored), depths)
-    median_m = median(depths)
+        turn = math.atan2((least + greatest) / 2, _median(depths) * camera.focal_px)
+    sine, cosine = math.sin(turn), math.cos(turn)
+    depths *= (columns + 0.5 - centre) / camera.focal_px * sine + cosine
+    seen = (depths > 0) & (depths < np.inf)
+    if not seen.all():  # a loop below writes where these ranges say
+        raise BadConfig(f"a body's ranges must be finite and in front of its view, found {depths[~seen][0]:g} m")
+    median_m = _median(depths)
     focal_px = rig.camera.focal_px / rig.stand_off_m * median_m
-    rotation = _numbers(camera, rig.camera, focal_px, turn, mirrored)
+    sign = -1.0 if mirrored else 1.0
+    mapping = Turn(*camera.centre_px, camera.focal_px, *rig.camera.centre_px, focal_px, sine, cosine, sign)
 
     down, across = np.empty(len(pixels)), np.empty(len(pixels))
-    ends = form.map_to_view(rows, columns, rotation, down, across)
+    ends = loops.map_to_view(rows, columns, mapping, down, across)
     scale = focal_px / camera.focal_px
     top, left = (math.floor(end - scale / 2) for end in ends[::2])
     bottom, right = (math.ceil(end + scale / 2) for end in ends[1::2])
@@ -119,15 +117,22 @@ def view_body(
     # Only the body's boxes in frame and view are computed: most pixels of both are empty.
     begin = int(rows[0]) - 1, first - 1
     own = np.zeros((int(rows[-1]) - begin[0] + 2, last - begin[1] + 2))  # a border of empty pixels
-    form.cut_out(rows, columns, depths, begin, own)
+    own[rows - begin[0], columns - begin[1]] = depths
     box, view_pixels = np.zeros((bottom - top, right - left)), np.empty(len(pixels), np.intp)
-    form.pick_ranges(own, begin, rotation, (top, left), box)
-    form.fill_lost(down, across, (top, left), depths, box, corner, width, view_pixels)
+    loops.pick_ranges(own, begin, mapping, (top, left), box)
+    loops.fill_lost(down, across, (top, left), depths, box, corner, width, view_pixels)
     nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
     view = np.zeros((height, width), np.float32)
     inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
-    form.move_ranges(box, rig.stand_off_m - median_m, nearest, farthest, inside)
+    loops.move_ranges(box, rig.stand_off_m - median_m, nearest, farthest, inside)
     return BodyView(view, corner, view_pixels, turn, median_m, scale)
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """As `np.median` of values [N], at least one, in a third of its time."""
+    middle = len(values) // 2
+    parted = np.partition(values, middle)
+    return float(parted[middle] if len(values) % 2 else (parted[:middle].max() + parted[middle]) / 2)
 
 
 def usual_views(rig: Rig, together: bool) -> Iterator[list[NDArray[np.float32]]]:
@@ -151,91 +156,59 @@ def _in_steps(trained: int, needed: int) -> int:
 @cache
 def _loops() -> Any:
     """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.views.resampling_loops")
+    return import_module("bodyseg_model.segmentation.view_loops")
 
 
-def _numbers(camera: Camera, trained: Camera, focal_px: float, turn_rad: float, mirrored: bool) -> Floats:
-    """The mapping between the image planes of a frame's camera and of a view from the same point, as float64 [9].
+class Turn(NamedTuple):
+    """The mapping between the image planes of a frame's camera and of a view from the same point.
 
-    The view is rotated to the frame's right by `turn_rad` and has focal length `focal_px` and the principal point of
-    `trained`. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the rotation.
+    camera_x, camera_y, camera_focal: principal point and focal length of the camera, pixels; view_x, view_y,
+    view_focal: of the view, which is rotated to the frame's right by an angle of that sine and cosine. sign: -1 if the
+    frame shows left for right, else 1. A ray (x, y, 1) of the frame is (x cos - sin, y, x sin + cos) after the
+    rotation.
     """
-    view = *trained.centre_px, focal_px, math.sin(turn_rad), math.cos(turn_rad), -1.0 if mirrored else 1.0
-    return np.array([*camera.centre_px, camera.focal_px, *view], np.float64)
+
+    camera_x: float
+    camera_y: float
+    camera_focal: float
+    view_x: float
+    view_y: float
+    view_focal: float
+    sine: float
+    cosine: float
+    sign: float
 
 
-class _NumpyForm:
-    """The functions of `resampling_loops`, with the same bits."""
+class Undistortion:
+    """Maps frames of a camera with lens distortion to the frames that it would take without.
 
-    @staticmethod
-    def list_pixels(
-        flat: NDArray[np.float32],
-        pixels: Indices,
-        width: int,
-        centre: float,
-        rows: Indices,
-        columns: Indices,
-        depths: Floats,
-    ) -> tuple[float, float, int, int]:
-        np.divmod(pixels, width, out=(rows, columns))
-        depths[:] = flat[pixels]
-        sides = (columns + 0.5 - centre) * depths
-        return float(sides.min()), float(sides.max()), int(columns.min()), int(columns.max())
+    A pixel gets the value of the frame's pixel that contains the point where the lens draws its centre, 0 where that
+    lies outside the frame. Values are never interpolated: between a body and the wall behind it there is no surface.
+    A range along the optical axis is the same in both frames.
 
-    @staticmethod
-    def turn_ranges(columns: Indices, rotation: Floats, depths: Floats) -> None:
-        centre, focal_px, sine, cosine = rotation[[0, 2, 6, 7]]
-        depths *= (columns + 0.5 - centre) / focal_px * sine + cosine
+    camera: the camera without distortion, of equal size, focal length and principal point. Raises BadConfig for a
+    camera that has no distortion.
+    """
 
-    @staticmethod
-    def map_to_view(
-        rows: Indices, columns: Indices, rotation: Floats, down: Floats, across: Floats
-    ) -> tuple[float, float, float, float]:
-        centre_x, centre_y, focal_px, view_x, view_y, view_focal_px, sine, cosine, sign = rotation
-        x, y = (columns + 0.5 - centre_x) / focal_px, (rows + 0.5 - centre_y) / focal_px
-        ahead = x * sine + cosine
-        down[:] = view_y + view_focal_px * y / ahead
-        across[:] = view_x + sign * view_focal_px * (x * cosine - sine) / ahead
-        return float(down.min()), float(down.max()), float(across.min()), float(across.max())
+    def __init__(self, camera: Camera) -> None:
+        if camera.distortion is None:
+            raise BadConfig("frames of a camera without lens distortion need no undistortion")
+        self.camera = replace(camera, distortion=None)
+        x, y, _ = np.moveaxis(self.camera.pixel_rays(), -1, 0)
+        across, down = camera.distortion.apply(x, y)
+        column = np.floor(across * camera.focal_px + camera.centre_px[0])
+        row = np.floor(down * camera.focal_px + camera.centre_px[1])
+        inside = (row >= 0) & (row < camera.rows) & (column >= 0) & (column < camera.columns)
+        self._outside = np.flatnonzero(~inside)
+        self._source = np.where(inside, row * camera.columns + column, 0).astype(np.intp)
 
-    @staticmethod
-    def cut_out(rows: Indices, columns: Indices, ranges: Floats, corner: tuple[int, int], own: Floats) -> None:
-        own[rows - corner[0], columns - corner[1]] = ranges
-
-    @staticmethod
-    def pick_ranges(
-        own: Floats, corner: tuple[int, int], rotation: Floats, start: tuple[int, int], box: Floats
-    ) -> None:
-        centre_x, centre_y, focal_px, view_x, view_y, view_focal_px, sine, cosine, sign = rotation
-        x = (np.arange(start[1], start[1] + box.shape[1]) + 0.5 - view_x) / view_focal_px * sign
-        y = (np.arange(start[0], start[0] + box.shape[0])[:, None] + 0.5 - view_y) / view_focal_px
-        ahead = np.maximum(cosine - x * sine, LEAST_AHEAD)
-        points = centre_y + focal_px * y / ahead, centre_x + focal_px * (x * cosine + sine) / ahead
-        row, column = (
-            np.clip(np.floor(point) - first, 0, side - 1).astype(np.intp)
-            for point, first, side in zip(points, corner, own.shape, strict=True)
-        )
-        box[:] = own.ravel()[row * own.shape[1] + column]
-
-    @staticmethod
-    def fill_lost(
-        down: Floats,
-        across: Floats,
-        start: tuple[int, int],
-        ranges: Floats,
-        box: Floats,
-        corner: tuple[int, int],
-        width: int,
-        pixels: Indices,
-    ) -> None:
-        row, column = np.floor(down).astype(np.intp), np.floor(across).astype(np.intp)
-        pixels[:] = (row - corner[0]) * width + column - corner[1]
-        flat, cells = box.ravel(), (row - start[0]) * box.shape[1] + column - start[1]
-        lost = np.flatnonzero(flat[cells] == 0)
-        right, below = across[lost] - column[lost] - 0.5, down[lost] - row[lost] - 0.5
-        nearest_last = lost[np.argsort(-(right * right + below * below), kind="stable")]
-        flat[cells[nearest_last]] = ranges[nearest_last]
-
-    @staticmethod
-    def move_ranges(box: Floats, shift: float, nearest: float, farthest: float, view: NDArray[np.float32]) -> None:
-        np.copyto(view, np.clip(box + shift, nearest, farthest), where=box > 0, casting="same_kind")
+    def __call__(self, frame: NDArray[Any]) -> NDArray[Any]:
+        """The frame [H, W], of any dtype, without distortion. Raises BadConfig for a frame of another size."""
+        if frame.shape != self._source.shape:
+            rows, columns = self._source.shape
+            raise BadConfig(
+                f"a frame must have the camera's size, {rows} x {columns}, found {' x '.join(map(str, frame.shape))}"
+            )
+        ideal = frame.ravel().take(self._source)
+        ideal.ravel()[self._outside] = 0
+        return ideal

@@ -1,4 +1,4 @@
-"""Surfaces of a range image, compiled; `surfaces.py` and `surface_table.py` have the NumPy forms of the same bits."""
+"""Surfaces and planes of a range image, compiled, for `surfaces.py` and `room_planes.py`."""
 
 from __future__ import annotations
 
@@ -8,35 +8,24 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.segmentation.people.surfaces import JUMP_M, JUMP_SHARE, LIMIT_M
 
-_JUMP: Final = np.float32(JUMP_M)
-_SHARE: Final = np.float32(JUMP_SHARE)
-_LIMIT: Final = np.float32(LIMIT_M)
 _ONE: Final = np.float32(1)
 _NOTHING: Final = np.float32(0)
 _UNMEASURED: Final = np.float32(np.inf)
-_kernel = partial(compiled, feature="the compiled form of the background's removal")
+_kernel = partial(compiled, feature="labelling frames", extra="segment")
 
 
 @_kernel
-def keep_within(flat: Any, near_m: Any, far_m: Any, kept: Any) -> None:
-    """Write ranges from `near_m` to `far_m` into `kept`, 0 for others. All float32; flat, kept: [N]."""
-    for i in range(np.uint64(flat.size)):
-        value = flat[i]
-        kept[i] = value if (value >= near_m) & (value <= far_m) else _NOTHING
-
-
-@_kernel
-def write_levels(ranges: Any, logs: Any, first: Any, level: Any) -> None:
+def write_levels(ranges: Any, logs: Any, first: Any, jump: Any, level: Any) -> None:
     """Write the levels of rows, from the `first` on, into a framed image, as `surfaces.jumps` describes them.
 
-    ranges: float32 [N, W], metres. logs: of range over `LIMIT_M`, or of 1 where range is less, float32 [N, W].
+    ranges: float32 [N, W], metres. logs: of range over `jump.from_m`, or of 1 where range is less, float32 [N, W].
+    jump: `surfaces.Jump`.
     """
     for row in range(ranges.shape[0]):
         some, log, into = ranges[row], logs[row], level[first + row + 3, 3:]
         for i in range(np.uint64(some.size)):
-            value = (log[i] + _ONE) / _SHARE if some[i] > _LIMIT else some[i] / _JUMP
+            value = (log[i] + _ONE) / jump.share if some[i] > jump.from_m else some[i] / jump.metres
             into[i] = value if some[i] > _NOTHING else _UNMEASURED
 
 
@@ -101,19 +90,16 @@ def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
 
 
 @_kernel
-def find_segments(
-    range_m: Any, level: Any, widest: Any, focal_px: Any, first: Any, last: Any, segments: Any, parent: Any,
-    area_m2: Any, numbers: Any,
-) -> Any:  # fmt: skip
-    """Divide the rows from `first` to before `last` into segments, adjacent pixels of one surface, and join those of
-    one surface among these rows.
+def find_segments(frame: Any, first: Any, last: Any, found: Any, numbers: Any) -> Any:
+    """Divide the rows from `first` to before `last` of a `surfaces.Frame` into segments, adjacent pixels of one
+    surface, and join those of one surface among these rows.
 
-    range_m: float32 [H, W]. level: float32 [3 + H, 3 + W + 2], from `surfaces.jumps`. widest: of a shadow, pixels at 1
-    m, float32. Segments are numbered from first * W on. Writes the first flat index and one after the last of each into
-    `segments`, int32 [3, H * W], a segment of the same surface that comes before it, or itself, into `parent`, int32
-    [H * W], its area into `area_m2`, float64 [H * W], and the segments of the pixels of row r into `numbers`, int32
-    [4, W], at (r + 3) & 3, where those of the last rows stay. Returns the number behind that of the last segment.
+    Segments are numbered from first * W on, and written into `found`, the `surfaces.Segments`; the segments of the
+    pixels of row r are written into `numbers`, int32 [4, W], at (r + 3) & 3, where those of the last rows stay. Returns
+    the number behind that of the last segment.
     """
+    range_m, level, focal_px = frame.range_m, frame.level, frame.focal_px
+    segments, parent, area_m2 = found.segments, found.parent, found.area_m2
     columns = range_m.shape[1]
     steps, begins = np.zeros((4, columns + 1), np.uint8), np.zeros((4, columns + 1), np.uint8)
     marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
@@ -149,7 +135,7 @@ def find_segments(
                 area_m2[count] = total
                 segments[0, count], segments[1, count] = row * columns + start, row * columns + column + 1
                 if 0 <= shown < start - 1 and abs(here[start] - here[shown]) <= _ONE:
-                    wide = max(np.float64(widest / min(range_m[row, shown], range_m[row, start])), 3.0)
+                    wide = max(np.float64(frame.widest / min(range_m[row, shown], range_m[row, start])), 3.0)
                     if np.float64(start - shown) <= wide:
                         _join(parent, number[shown], count)
                 for right in range(start, min(start + 2, column) + 1):
@@ -162,11 +148,12 @@ def find_segments(
 
 
 @_kernel
-def join_pieces(level: Any, columns: Any, row: Any, segments: Any, parent: Any, end: Any, above: Any) -> None:
+def join_pieces(frame: Any, row: Any, end: Any, found: Any, above: Any) -> None:
     """Join the segments of three rows from `row` on with those of the three rows above it, which another call of
     `find_segments` divided. end: the number behind that of the last segment from `row` on. above: `numbers` of that
     other call.
     """
+    level, segments, parent, columns = frame.level, found.segments, found.parent, frame.range_m.shape[1]
     for segment in range(row * columns, end):
         first = segments[0, segment]
         line = first // columns
@@ -179,11 +166,12 @@ def join_pieces(level: Any, columns: Any, row: Any, segments: Any, parent: Any, 
 
 
 @_kernel
-def number_surfaces(firsts: Any, ends: Any, parent: Any, segments: Any, area_m2: Any) -> Any:
-    """Number the surfaces of segments, in the order of their first pixels, in `segments`, and move all segments to the
-    beginning of it and of `area_m2`. firsts, ends: int64 [N], the first segment of each run and the number behind its
-    last. Returns the numbers of segments and surfaces.
+def number_surfaces(firsts: Any, ends: Any, found: Any) -> Any:
+    """Number the surfaces of `surfaces.Segments`, in the order of their first pixels, and move all segments and areas
+    to the beginning. firsts, ends: int64 [N], the first segment of each run and the number behind its last. Returns the
+    numbers of segments and surfaces.
     """
+    segments, parent, area_m2 = found.segments, found.parent, found.area_m2
     count = surfaces = 0
     for run in range(firsts.size):
         for segment in range(firsts[run], ends[run]):  # a root comes before all that it is the root of
@@ -199,23 +187,6 @@ def number_surfaces(firsts: Any, ends: Any, parent: Any, segments: Any, area_m2:
             segments[2, count], area_m2[count] = segments[2, segment], area_m2[segment]
             count += 1
     return count, surfaces
-
-
-@_kernel
-def paint_surfaces(segments: Any, flat: Any) -> None:
-    """Write the number of every segment's surface into its pixels of a flat image."""
-    for segment in range(segments.shape[1]):
-        for pixel in range(segments[0, segment], segments[1, segment]):
-            flat[pixel] = segments[2, segment]
-
-
-@_kernel
-def measure_surfaces(segments: Any, segment_m2: Any, area_m2: Any, counts: Any) -> None:
-    """Add up areas, float64 [N], and numbers of pixels, intp [N], of surfaces."""
-    for segment in range(segments.shape[1]):
-        number = segments[2, segment]
-        area_m2[number] += segment_m2[segment]
-        counts[number] += segments[1, segment] - segments[0, segment]
 
 
 @_kernel
@@ -250,25 +221,8 @@ def bound_surfaces(flat: Any, columns: Any, segments: Any, lowest: Any, highest:
 
 
 @_kernel
-def remove_pixels(range_m: Any, level: Any, pixels: Any, gone: Any) -> None:
-    """Make those of ascending pixels that are `gone` unmeasured in a range image, and in its framed `level`."""
-    columns, first = range_m.shape[1], 0
-    while first < pixels.size:
-        row = pixels[first] // columns
-        start = row * columns
-        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
-        ranges, levels = range_m[row], level[row + 3, 3:]
-        for i in range(first, end):
-            if gone[i]:
-                column = np.uint64(pixels[i] - start)
-                ranges[column] = _NOTHING
-                levels[column] = _UNMEASURED
-        first = end
-
-
-@_kernel
-def extents(flat: Any, columns: Any, centre: Any, pixels: Any) -> Any:
-    """Width and height, times the focal length, and depth of pixels, ascending; centre: float64 [2]."""
+def extents(flat: Any, columns: Any, lens: Any, pixels: Any) -> Any:
+    """Width, height and depth of ascending pixels, metres. flat: float32 ranges. lens: `room_planes.Lens`."""
     row, row_end = 0, columns
     left = top = near = np.inf
     right = bottom = far = -np.inf
@@ -278,9 +232,57 @@ def extents(flat: Any, columns: Any, centre: Any, pixels: Any) -> Any:
             row += 1
             row_end += columns
         z = np.float64(flat[pixel])
-        x = (np.float64(pixel - row_end + columns) + 0.5 - centre[0]) * z
-        y = (np.float64(row) + 0.5 - centre[1]) * z
+        x = (np.float64(pixel - row_end + columns) + 0.5 - lens.across) * z
+        y = (np.float64(row) + 0.5 - lens.down) * z
         left, right = min(left, x), max(right, x)
         top, bottom = min(top, y), max(bottom, y)
         near, far = min(near, z), max(far, z)
-    return right - left, bottom - top, far - near
+    return (right - left) / lens.focal_px, (bottom - top) / lens.focal_px, far - near
+
+
+@_kernel
+def explained(judges: Any, corners: Any, tolerance: Any, planes: Any, surface: Any) -> None:
+    """Write the plane through each triple of points into `planes`, float64 [4, N], its normal and offset; and add the
+    area at each judge that it explains, as if it faced a camera of focal length 1, to `surface`, float64 [N].
+
+    judges: float64 [M, 3], x, y and inverse range. corners: float64 [N, 3, 3].
+    """
+    a, b, c, offset = planes[0], planes[1], planes[2], planes[3]
+    for i in range(surface.size):
+        x, y, z = corners[i, 0]
+        ux, uy, uz = corners[i, 1, 0] - x, corners[i, 1, 1] - y, corners[i, 1, 2] - z
+        vx, vy, vz = corners[i, 2, 0] - x, corners[i, 2, 1] - y, corners[i, 2, 2] - z
+        a[i], b[i], c[i] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        offset[i] = a[i] * x + b[i] * y + c[i] * z
+    for judge in range(judges.shape[0]):
+        x, y, z = judges[judge, 0], judges[judge, 1], judges[judge, 2]
+        side = 1.0 / z
+        area = side * side
+        for i in range(surface.size):
+            away = x * a[i] + y * b[i] + z * c[i] - offset[i]
+            surface[i] += area if abs(away) < tolerance * abs(c[i]) else 0.0
+
+
+@_kernel
+def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any) -> Any:
+    """Mark those of ascending pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
+
+    flat: float32 ranges. lens: `room_planes.Lens`. plane: float64 [3].
+    """
+    a, b, c = plane[0] / lens.focal_px, plane[1] / lens.focal_px, plane[2]
+    total, first = 0.0, 0
+    while first < pixels.size:
+        row = pixels[first] // columns
+        start = row * columns
+        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
+        level = (np.float64(row) + 0.5 - lens.down) * b + c
+        of_row, marks = pixels[first:end], near[first:end]
+        for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
+            x, z = np.float64(of_row[i] - start) + 0.5 - lens.across, np.float64(flat[np.uint64(of_row[i])])
+            marks[i] = abs((x * a + level) * z - 1.0) <= tolerance * z
+        for i in range(of_row.size):
+            if marks[i]:
+                z = np.float64(flat[np.uint64(of_row[i])])
+                total += z * z * z
+        first = end
+    return total

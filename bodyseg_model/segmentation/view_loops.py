@@ -1,7 +1,7 @@
-"""Resampling of a body, compiled; `resampling.py` has the NumPy forms of the same bits, and describes the mapping.
+"""Resampling of a body, compiled, for `views.py`, which describes the mapping, a `Turn`.
 
-rotation: float64 [9], `resampling._numbers`. pixels: ascending flat indices of the frame; rows, columns: int [N], of
-these.
+pixels: ascending flat indices of the frame; rows, columns: int [N], of these. All ranges are finite and in front of
+the view, so that no point is outside the box that is computed.
 """
 
 from __future__ import annotations
@@ -13,18 +13,12 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.segmentation.views.resampling import LEAST_AHEAD
 
-_CAMERA_X: Final = 0
-_CAMERA_Y: Final = 1
-_CAMERA_FOCAL: Final = 2
-_VIEW_X: Final = 3
-_VIEW_Y: Final = 4
-_VIEW_FOCAL: Final = 5
-_SINE: Final = 6
-_COSINE: Final = 7
-_SIGN: Final = 8
-_kernel = partial(compiled, feature="the compiled form of the resampling of bodies")
+_LEAST_AHEAD: Final = 1e-9
+"""Least range before the rotation, for a range of 1 after it: directions beside or behind the frame's camera are mapped
+far outside the frame."""
+
+_kernel = partial(compiled, feature="labelling frames", extra="segment")
 
 
 @_kernel
@@ -49,55 +43,40 @@ def list_pixels(flat: Any, pixels: Any, width: Any, centre: Any, rows: Any, colu
 
 
 @_kernel
-def turn_ranges(columns: Any, rotation: Any, depths: Any) -> None:
-    """Replace ranges of pixels, float64 [N], by those after the rotation."""
-    for i in range(columns.size):
-        x = (np.float64(columns[i]) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
-        depths[i] *= x * rotation[_SINE] + rotation[_COSINE]
-
-
-@_kernel
-def map_to_view(rows: Any, columns: Any, rotation: Any, down: Any, across: Any) -> Any:
+def map_to_view(rows: Any, columns: Any, mapping: Any, down: Any, across: Any) -> Any:
     """Write the points of the view's image plane that pixels' centres are mapped to, float64 [N] each; returns the
     least and greatest of `down` and of `across`.
     """
-    side = rotation[_SIGN] * rotation[_VIEW_FOCAL]
+    side = mapping.sign * mapping.view_focal
     top = left = np.inf
     bottom = right = -np.inf
     for i in range(columns.size):
-        x = (np.float64(columns[i]) + 0.5 - rotation[_CAMERA_X]) / rotation[_CAMERA_FOCAL]
-        y = (np.float64(rows[i]) + 0.5 - rotation[_CAMERA_Y]) / rotation[_CAMERA_FOCAL]
-        ahead = x * rotation[_SINE] + rotation[_COSINE]
-        down[i] = rotation[_VIEW_Y] + rotation[_VIEW_FOCAL] * y / ahead
-        across[i] = rotation[_VIEW_X] + side * (x * rotation[_COSINE] - rotation[_SINE]) / ahead
+        x = (np.float64(columns[i]) + 0.5 - mapping.camera_x) / mapping.camera_focal
+        y = (np.float64(rows[i]) + 0.5 - mapping.camera_y) / mapping.camera_focal
+        ahead = x * mapping.sine + mapping.cosine
+        down[i] = mapping.view_y + mapping.view_focal * y / ahead
+        across[i] = mapping.view_x + side * (x * mapping.cosine - mapping.sine) / ahead
         top, bottom = min(top, down[i]), max(bottom, down[i])
         left, right = min(left, across[i]), max(right, across[i])
     return top, bottom, left, right
 
 
 @_kernel
-def cut_out(rows: Any, columns: Any, ranges: Any, corner: Any, own: Any) -> None:
-    """Write ranges of pixels, float64 [N], into `own`, float64 [h, w], a part of the frame that begins at `corner`."""
-    for i in range(ranges.size):
-        own[rows[i] - corner[0], columns[i] - corner[1]] = ranges[i]
-
-
-@_kernel
-def pick_ranges(own: Any, corner: Any, rotation: Any, start: Any, box: Any) -> None:
+def pick_ranges(own: Any, corner: Any, mapping: Any, start: Any, box: Any) -> None:
     """Write into `box`, float64 [h, w], whose first pixel of the view is `start`, the value of the frame's pixel that
     contains its centre. own: float64, the part of the frame that begins at `corner`, with a border of zeros.
     """
     last_row, last_column = own.shape[0] - 1, own.shape[1] - 1
     ahead, column_of = np.empty(box.shape[1]), np.empty(box.shape[1], np.intp)
     for i in range(box.shape[1]):
-        x = (np.float64(start[1] + i) + 0.5 - rotation[_VIEW_X]) / rotation[_VIEW_FOCAL] * rotation[_SIGN]
-        ahead[i] = max(rotation[_COSINE] - x * rotation[_SINE], LEAST_AHEAD)
-        across = rotation[_CAMERA_FOCAL] * (x * rotation[_COSINE] + rotation[_SINE]) / ahead[i]
-        column_of[i] = min(max(floor(rotation[_CAMERA_X] + across) - corner[1], 0), last_column)
+        x = (np.float64(start[1] + i) + 0.5 - mapping.view_x) / mapping.view_focal * mapping.sign
+        ahead[i] = max(mapping.cosine - x * mapping.sine, _LEAST_AHEAD)
+        across = mapping.camera_focal * (x * mapping.cosine + mapping.sine) / ahead[i]
+        column_of[i] = min(max(floor(mapping.camera_x + across) - corner[1], 0), last_column)
     for row in range(box.shape[0]):
-        y = rotation[_CAMERA_FOCAL] * ((np.float64(start[0] + row) + 0.5 - rotation[_VIEW_Y]) / rotation[_VIEW_FOCAL])
+        y = mapping.camera_focal * ((np.float64(start[0] + row) + 0.5 - mapping.view_y) / mapping.view_focal)
         for i in range(box.shape[1]):
-            down = floor(rotation[_CAMERA_Y] + y / ahead[i]) - corner[0]
+            down = floor(mapping.camera_y + y / ahead[i]) - corner[0]
             box[row, i] = own[min(max(down, 0), last_row), column_of[i]]
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from functools import cache, lru_cache
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import pixel_draws, stream
 from bodyseg_data.core.rig import Camera
 
@@ -33,6 +32,19 @@ _FITS: Final = 3
 Points = NDArray[np.float64]
 
 
+class Lens(NamedTuple):
+    """Principal point, to the right and down, and focal length of a camera, pixels."""
+
+    across: float
+    down: float
+    focal_px: float
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The numbers of a camera that loops need."""
+    return Lens(*camera.centre_px, camera.focal_px)
+
+
 def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
     """Find the largest plane; True for those of `pixels` on it, bool [N].
 
@@ -46,8 +58,10 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
     plane = _best_candidate(some[:_JUDGES], some[_FITTED:].reshape(-1, 3, 3))
     if plane is None:
         return np.zeros(len(pixels), np.bool_)
+    x, y, inverse = np.ascontiguousarray(some.T)
+    rays = np.stack([x, y, np.ones(len(some))])
     for _ in range(_FITS):
-        plane = _fit(some, plane)
+        plane = _fit(rays, inverse, plane)
     near, cubes = _near_plane(range_m, pixels, camera, plane)
     return near if seen_area_m2(cubes, plane, camera) >= LEAST_AREA_M2 else np.zeros(len(pixels), np.bool_)
 
@@ -55,7 +69,7 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
 @cache
 def _loops() -> Any:
     """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.people.plane_loops")
+    return import_module("bodyseg_model.segmentation.surface_loops")
 
 
 def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> float:
@@ -74,65 +88,28 @@ def _draws() -> NDArray[np.uint32]:
 
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
     """x, y and inverse range of pixels, [N, 3]."""
-    if use_compiled():
-        points, lens = np.empty((len(pixels), 3)), lens_of(camera)
-        _loops().place_points(range_m.ravel(), pixels, range_m.shape[1], lens, points)
-        return points
     rows, columns = np.divmod(pixels, range_m.shape[1])
     x = (columns + 0.5 - camera.centre_px[0]) / camera.focal_px
     y = (rows + 0.5 - camera.centre_px[1]) / camera.focal_px
     return np.stack([x, y, 1 / range_m.ravel()[pixels].astype(np.float64)], axis=1)
 
 
-def lens_of(camera: Camera) -> NDArray[np.float64]:
-    """Principal point and focal length, pixels, [3]."""
-    return np.array([*camera.centre_px, camera.focal_px])
-
-
-def _misfit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signed distance of points [N, 3] from a plane (a, b, c) in inverse range, [N]."""
-    a, b, c = (float(number) for number in plane)
-    return points[:, 0] * a + points[:, 1] * b + c - points[:, 2]
-
-
 def _near_plane(
     range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera, plane: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
-    if use_compiled():
-        near, lens = np.empty(len(pixels), np.bool_), lens_of(camera)
-        flat, columns = range_m.ravel(), range_m.shape[1]
-        return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
-    rows, columns = np.divmod(pixels, range_m.shape[1])
-    z, (across, down) = range_m.ravel()[pixels].astype(np.float64), camera.centre_px
-    a, b, c = plane[0] / camera.focal_px, plane[1] / camera.focal_px, plane[2]
-    inverse = (columns + 0.5 - across) * a + ((rows + 0.5 - down) * b + c)
-    near = np.abs(inverse * z - 1) <= TOLERANCE_PER_M * z  # the same as of misfits, without a division for each pixel
-    z = z[near]
-    return near, _sum_in_order(z * z * z)
+    near = np.empty(len(pixels), np.bool_)
+    flat, columns = range_m.ravel(), range_m.shape[1]
+    return near, float(_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
 
 
-def _fit(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit a plane (a, b, c) by least squares of misfits to the points [N, 3] near another one."""
-    xx, xy, x, yy, y, count, x_inverse, y_inverse, inverse = _moments(points, plane)
-    normal = np.array([[xx, xy, x], [xy, yy, y], [x, y, count]])
-    return np.asarray(np.linalg.lstsq(normal, np.array([x_inverse, y_inverse, inverse]), rcond=None)[0], np.float64)
+def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit a plane (a, b, c) by least squares of misfits in inverse range to the points near another one.
 
-
-def _moments(points: Points, plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums of xx, xy, x, yy, y, 1, x / Z, y / Z and 1 / Z over the points [N, 3] near a plane, [9]."""
-    if use_compiled():
-        sums = np.zeros(9)
-        _loops().moments(points, plane, TOLERANCE_PER_M, sums)
-        return sums
-    x, y, inverse = points[np.abs(_misfit(points, plane)) <= TOLERANCE_PER_M].T
-    terms = (x * x, x * y, x, y * y, y, np.ones(len(x)), x * inverse, y * inverse, inverse)
-    return np.array([_sum_in_order(term) for term in terms])
-
-
-def _sum_in_order(terms: NDArray[np.float64]) -> float:
-    """Sum from the first term to the last, as a loop adds them; `np.sum` adds in another order."""
-    return float(np.cumsum(terms)[-1]) if len(terms) else 0.0
+    rays: x, y and 1 of points, [3, N]. inverse: their inverse ranges, [N].
+    """
+    near = rays * (np.abs(plane @ rays - inverse) <= TOLERANCE_PER_M)
+    return np.asarray(np.linalg.lstsq(near @ rays.T, near @ inverse, rcond=None)[0], np.float64)
 
 
 def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -140,21 +117,12 @@ def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.
 
     judges: points [M, 3] that stand for that surface. None if no candidate explains any of them.
     """
-    surface = np.zeros(len(corners))
+    planes, surface = np.empty((4, len(corners))), np.zeros(len(corners))
     # Three points on a line have a zero normal, which explains no point.
-    if use_compiled():
-        normals, offsets = np.empty((3, len(corners))), np.empty(len(corners))
-        _loops().span_planes(corners, normals, offsets)
-        a, b, c = normals
-        _loops().explained(judges, normals, offsets, TOLERANCE_PER_M, surface)
-    else:
-        a, b, c = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
-        offsets = a * corners[:, 0, 0] + b * corners[:, 0, 1] + c * corners[:, 0, 2]
-        for x, y, inverse in judges:
-            away = x * a + y * b + inverse * c - offsets
-            surface += np.where(np.abs(away) < TOLERANCE_PER_M * np.abs(c), np.square(1 / inverse), 0.0)
+    _loops().explained(judges, corners, TOLERANCE_PER_M, planes, surface)
     best = int(np.argmax(surface))
     if not surface[best]:
         return None
-    plane: NDArray[np.float64] = np.array([-a[best], -b[best], offsets[best]]) / c[best]
+    a, b, c, offset = planes[:, best]
+    plane: NDArray[np.float64] = np.array([-a, -b, offset]) / c
     return plane
