@@ -88,7 +88,8 @@ def _draws() -> NDArray[np.uint32]:
 
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
     """x, y and inverse range of pixels, [N, 3]."""
-    rows, columns = np.divmod(pixels, range_m.shape[1])
+    rows = pixels // range_m.shape[1]
+    columns = pixels - rows * range_m.shape[1]
     x = (columns + 0.5 - camera.centre_px[0]) / camera.focal_px
     y = (rows + 0.5 - camera.centre_px[1]) / camera.focal_px
     return np.stack([x, y, 1 / range_m.ravel()[pixels].astype(np.float64)], axis=1)
