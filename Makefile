@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-browser check page docs lock dist audit clean
+.PHONY: install demo test test-bounds test-browser check page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -27,6 +27,13 @@ demo: $(VENV)/.demo
 # wait for each other.
 test: install
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# Compiled loops with every index checked, where an access beyond an array is an IndexError and not a damaged heap: the
+# folders whose tests call loops, in a cache of machine code of its own (bodyseg_data/core/kernels.py).
+test-bounds: install
+	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
+
+LOOPED := tests/core tests/artifacts tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/loading/test_metres.py tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py tests/segmentation tests/training/augmentation tests/training/test_loss.py
 
 check: install
 	$(BIN)/ruff check .
