@@ -146,4 +146,4 @@ def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | 
 @lru_cache(maxsize=1)
 def _loops() -> Any:
     """The compiled loop, in a module that needs numba."""
-    return import_module("bodyseg_data.loading.items.metres")
+    return import_module("bodyseg_data.loading.metres")
