@@ -97,6 +97,7 @@ _LONG_FILES: Final = (
 )
 """Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
 
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {TESTS / name: index for index, name in enumerate(_LONG_FILES)}
