@@ -28,12 +28,16 @@ demo: $(VENV)/.demo
 test: install
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-# Compiled loops with every index checked, where an access beyond an array is an IndexError and not a damaged heap: the
-# folders whose tests call loops, in a cache of machine code of its own (bodyseg_data/core/kernels.py).
+# Folders and files whose tests call compiled loops.
+LOOPED := tests/core tests/artifacts tests/segmentation tests/training/augmentation \
+	tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/loading/test_metres.py \
+	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py \
+	tests/training/test_loss.py
+
+# Compiled loops with every index checked: an access beyond an array is then an IndexError, not a damaged heap. Their
+# machine code has folders of its own (bodyseg_data/core/kernels.py).
 test-bounds: install
 	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
-
-LOOPED := tests/core tests/artifacts tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/loading/test_metres.py tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py tests/segmentation tests/training/augmentation tests/training/test_loss.py
 
 check: install
 	$(BIN)/ruff check .
