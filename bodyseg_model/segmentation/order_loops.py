@@ -26,11 +26,12 @@ def _select(values: Any, place: Any) -> Any:
     for _ in range(_ROUNDS):
         if some.size <= _FEW:
             break
-        least = greatest = some[0]
+        least, greatest, finite = some[0], some[0], True
         for i in range(some.size):
             least, greatest = min(least, some[i]), max(greatest, some[i])
+            finite &= np.isfinite(some[i])
         scale = (_BINS - 1) / (np.float64(greatest) - np.float64(least))
-        if not 0 < scale < np.inf:  # equal, or as good as, or too far apart
+        if not finite or not 0 < scale < np.inf:  # bins would not hold them; or equal, as good as, or too far apart
             break
         counts = np.zeros(_BINS, np.int64)
         for i in range(some.size):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_forms import by_both
@@ -60,3 +61,13 @@ def test_the_values_are_those_of_sorting(kind: str, count: int, seed: int, singl
 
 def test_nothing_has_no_value() -> None:
     assert by_both(lambda: value_at(np.empty(0), 0.5)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", [0, 450, 899])
+def test_values_that_are_not_finite_are_sorted_and_count_in_no_bin(odd: float, place: int) -> None:
+    """A bin's number computed from them lies far outside of the bins, where a loop would write."""
+    values = np.random.default_rng(0).uniform(1, 2, 900)
+    values[place] = odd
+    expected = np.sort(values)[450]
+    assert by_both(lambda: value_at(values, 0.5)) == (expected, expected)
