@@ -27,7 +27,7 @@ from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.partition import surface_parts
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, nearest_sources
-from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
 from bodyseg_data.packing.engines.jobs import Engine
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack
@@ -97,14 +97,10 @@ _LONG_FILES: Final = (
 )
 """Files that take longest, which start first: at the end of `make test`, short ones keep both processors at work."""
 
-_LAST_FILES: Final = ("benches/model/test_segment.py", "benches/model/test_runtimes.py")
-"""Files after which a process of pytest has died, by a damaged heap of C: a library does it that is not known yet."""
-
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {TESTS / name: index for index, name in enumerate(_LONG_FILES)}
-    order |= {TESTS / name: len(order) + 1 + index for index, name in enumerate(_LAST_FILES)}
     items.sort(key=lambda item: order.get(item.path, len(_LONG_FILES)))
 
 
@@ -146,7 +142,7 @@ def _loaded_pymeshlab() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.delitem(sys.modules, "pymeshlab")
         try:
-            return load_pymeshlab("these tests")
+            return with_pymeshlab("these tests", lambda module: module)
         except MissingLibrary as error:
             return str(error)
 

@@ -191,9 +191,9 @@ def test_strengths_of_artifacts_can_be_fixed(small_set: Path) -> None:
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
         with pytest.raises(BadConfig, match=f"has (noise|missing_data), found variant '{variant}'"):
             open_images(str(small_set), variant, **strengths)  # type: ignore[arg-type]
-    with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
+    with pytest.raises(BadConfig, match="rates must be from 0 to 1, found"):
         open_images(str(small_set), missing=1.5)
-    with pytest.raises(BadConfig, match="noise must satisfy"):
+    with pytest.raises(BadConfig, match="low_mm must be from 0 to 1000, found nan"):
         open_images(str(small_set), noise_mm=float("nan"))
 
 
@@ -392,7 +392,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
         (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),
-        (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
+        (["--missing", "2"], "MissingData: rates must be from 0 to 1"),
         (["--artifacts", "{"], "--artifacts must be JSON, found '{'"),
         (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),

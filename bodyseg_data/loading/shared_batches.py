@@ -1,4 +1,4 @@
-"""Batches in shared memory that a worker of PyTorch's DataLoader uses again when the main process is done with them.
+"""Samples for PyTorch's own DataLoader, and batches of them in shared memory that a worker uses again.
 
 DataLoader's workers take new shared memory for every batch, and to write to it for the first time takes longer than to
 make the images. Here a worker keeps the memory of its batches. The last byte says whether a batch is in use: the worker
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final
 
@@ -18,7 +18,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.multiprocessing import get_sharing_strategy
-from torch.utils.data import get_worker_info
+from torch.utils.data import default_collate, get_worker_info
+from torch.utils.data._utils.collate import default_collate_fn_map  # where the manual of `default_collate` extends it
 
 _MOST: Final = 8
 """Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
@@ -63,11 +64,45 @@ class _SharedMemory:
         return _received, (self._whole, tuple(batch.shape), batch.numpy().dtype.str)
 
 
-class BatchTensor(torch.Tensor):
-    """A batch in a worker's shared memory. What operations on it return are plain tensors."""
+class _Plain(torch.Tensor):
+    """A tensor of a class of its own. What operations on it return are plain tensors."""
 
-    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]  # as torch.nn.Parameter
+    @classmethod
+    def __torch_function__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        with torch._C.DisableTorchFunctionSubclass():  # as PyTorch's manual, "Extending torch", writes it
+            return func(*args, **(kwargs or {}))
+
+
+class ItemTensor(_Plain):
+    """One sample's range or labels in a worker of a DataLoader, also where a data set of the user's hands it on.
+
+    The class tells `default_collate` to stack such tensors by `_stacked`.
+    """
+
+
+class BatchTensor(_Plain):
+    """A batch in a worker's shared memory."""
+
     memory: _SharedMemory
+
+
+def item_tensor(array: NDArray[Any]) -> torch.Tensor:
+    """Return an array as a tensor, uncopied: an `ItemTensor` in a worker, else a plain one."""
+    tensor = torch.from_numpy(array)
+    return tensor if get_worker_info() is None else tensor.as_subclass(ItemTensor)
+
+
+def _stacked(items: Sequence[torch.Tensor], *, collate_fn_map: Any = None) -> torch.Tensor:
+    """Stack tensors as `default_collate` does, in memory that is used again where it can be."""
+    plain = [item.as_subclass(torch.Tensor) for item in items]
+    shape, kind = plain[0].shape, plain[0].dtype
+    if all(item.shape == shape and item.dtype == kind for item in plain):
+        made = empty_batch(len(plain), tuple(shape), plain[0].numpy().dtype)
+        if made is not None:
+            torch.stack(plain, out=made.as_subclass(torch.Tensor))
+            return made
+    found: torch.Tensor = default_collate(plain)
+    return found
 
 
 def _shaped(memory: NDArray[np.uint8], shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
@@ -93,7 +128,13 @@ def _reduce(batch: BatchTensor) -> _Reduced:
     return batch.memory.reduced(plain) or (torch.Tensor.contiguous, (plain.clone(),))
 
 
+def _reduce_item(tensor: ItemTensor) -> _Reduced:
+    return torch.Tensor.contiguous, (tensor.as_subclass(torch.Tensor),)  # by PyTorch's own way of sharing
+
+
+default_collate_fn_map[ItemTensor] = _stacked
 ForkingPickler.register(BatchTensor, _reduce)
+ForkingPickler.register(ItemTensor, _reduce_item)
 
 _memories: dict[int, list[_SharedMemory]] = {}
 """Bytes of an item -> the memory of this worker's batches of such items."""
