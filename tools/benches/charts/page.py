@@ -6,7 +6,8 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ compact.average_per_class_accuracy | percent(1) }}       a share in per cent with one decimal
     {{ network.command }}                                       text as it is
     {{ (network.times | find(task="scores", threads=2)).ms | number }}      the first record that has these values
-    {{ stability.tables.images | table }}                       records as a table, with their names for a head
+    {{ stability.tables.images | table }}                       records as a table, with their names for a head; files of
+                                                                `bodyseg stability` get their `tables` here
     {{ charts.left_out[0] }}                                    what `tools/chart` writes into charts.json
     {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
@@ -31,6 +32,7 @@ from benches.charts.fields import read_fields
 from benches.charts.outdated import outdated
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
+from benches.charts.stability_tables import FORMAT, tables
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
@@ -48,7 +50,9 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
     """
     given = dict(values or {})
     names = _variables(template)
-    files = {name: read_fields(folder / f"{name}.json").value for name in sorted(names - _SPECIAL - {*given})}
+    files = {
+        name: _with_tables(read_fields(folder / f"{name}.json").value) for name in sorted(names - _SPECIAL - {*given})
+    }
     processors = by_processor(folder) if FOLDER in names else []
     given[FOLDER] = processors
     read = files | {
@@ -69,6 +73,11 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
 def sources_of(template: str) -> list[str]:
     """The JSON files that a template reads, each once, in alphabetical order. Raises BadConfig if it is no template."""
     return [f"{name}.json" for name in sorted(_variables(template) - _SPECIAL)]
+
+
+def _with_tables(content: Any) -> Any:
+    """The content of a file; that of `bodyseg stability` with its numbers as `tables` of text as well."""
+    return content | {"tables": tables(content)} if content.get("format") == FORMAT else content
 
 
 def _variables(template: str) -> set[str]:

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from benches.results.code_digest import code_digest
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation.code_digest import code_digest
 from bodyseg_model.networks.checkpoints import NETWORK, read_bytes, read_json, write_json
 
 FORMAT: Final = "bodyseg cached results 1"

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.results.code_digest import PACKAGES, SourceTree, code_digest, installed_versions
 from folders import ROOT
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation.code_digest import PACKAGES, SourceTree, code_digest, installed_versions
 
 VARIANTS, ABLATION = "benches.model.variants.scores", "benches.model.ablation.conditions"
-_OWN = ["bodyseg_model", "bodyseg_model.evaluation", "bodyseg_model.evaluation.code_digest"]
+_OWN = ["bodyseg_model", "bodyseg_model.evaluation", "benches.results.code_digest"]
 STABILITY = "bodyseg_model.stability.accuracies"
 
 
@@ -158,7 +158,7 @@ def test_versions_are_those_installed() -> None:
 
 def test_nothing_is_imported() -> None:
     script = (
-        "import sys\nfrom bodyseg_model.evaluation.code_digest import code_digest\n"
+        "import sys\nfrom benches.results.code_digest import code_digest\n"
         f"code_digest({STABILITY!r})\n"
         "print(*sorted(name for name in sys.modules if name.startswith(('bodyseg', 'torch', 'numpy'))))"
     )
