@@ -19,8 +19,8 @@ from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
 from bodyseg_data.core.system.memory import keep_freed_memory, peak_mb
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out

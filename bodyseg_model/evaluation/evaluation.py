@@ -22,13 +22,13 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
 from bodyseg_model.evaluation.calibration import Confidences
-from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import device_of, predict

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,19 +15,6 @@ from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 
 _WARM_UP: Final = 3
-
-
-class Stopwatch:
-    """Sums the time of each stage: `with watch("network"): ...`. milliseconds: stage -> sum."""
-
-    def __init__(self, stages: Sequence[str]) -> None:
-        self.milliseconds = dict.fromkeys(stages, 0.0)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.milliseconds[stage] += 1000 * (time.perf_counter() - start)
 
 
 @dataclass(frozen=True)

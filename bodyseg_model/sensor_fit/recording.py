@@ -17,7 +17,7 @@ from bodyseg_model.recordings.recording import Frame as RecordedFrame
 from bodyseg_model.recordings.recording import evenly_apart
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.sensor_fit.masks import closing
+from bodyseg_model.sensor_fit.masks import closing, require_libraries_of_fit
 from bodyseg_model.sensor_fit.surfaces import third_differences
 
 MOST_FRAMES: Final = 40
@@ -117,8 +117,9 @@ def read_recording(
     files: in the order of time. nearer_than_m: every measured pixel nearer than this is a body's; None: bodies are
     found by `background`, as `bodyseg segment` does. skipping: of frames that cannot be read, by default none. Raises
     BadConfig for frames that cannot be read, that are not the camera's, of different units, or none of which shows a
-    body.
+    body; MissingLibrary without the extra `sensor`.
     """
+    require_libraries_of_fit()
     skipping = skipping or Skipping()
     step_m = files[0].step_m
     chosen, pairs = chosen_frames(len(files))

@@ -15,9 +15,9 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.drawing.style import THING
 from bodyseg_data.drawing.window import window_of
-from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.recordings.camera_files import FrameCameras
 from bodyseg_model.recordings.frames import to_metres
 from bodyseg_model.recordings.recording import Frame

@@ -12,8 +12,7 @@ from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
 from bodyseg_data.artifacts.range_errors.stereo import StereoNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.noise.bins import unrounded
-from bodyseg_model.sensor_fit.noise.formulas import measure_noise
-from bodyseg_model.sensor_fit.noise.least_squares import fit_positive
+from bodyseg_model.sensor_fit.noise.formulas import fit_positive, measure_noise
 from bodyseg_model.sensor_fit.noise.residuals import Residuals, residuals_of
 from bodyseg_model.sensor_fit.recording import Recording
 from bodyseg_model.sensor_fit.rounding import Steps, measure_steps

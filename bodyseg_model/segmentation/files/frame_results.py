@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.labels.label_map import LabelMap
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.files.output_folder import IMAGES, OutputFolder
 from bodyseg_model.segmentation.pictures.overlay import Preview, draw_overlay

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.noise.bins import NoiseBins, bin_noise, clipped_variance, unrounded
-from bodyseg_model.sensor_fit.noise.least_squares import Fit, fit_positive
 from bodyseg_model.sensor_fit.noise.residuals import Residuals
 from bodyseg_model.sensor_fit.rounding import Steps
 
-FROM_M: Final = 0.4
-"""Range at which the quadratic term begins (Nguyen, Izadi and Lovell, 2012)."""
+FROM_M: Final = AxialNoise.from_m
+"""Range at which the quadratic term begins."""
 
 LEAST_RESIDUALS: Final = 2000
 LEAST_MM: Final = 0.3
@@ -34,9 +34,46 @@ _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from whi
 _ANY_BASELINE_M: Final = 0.1
 _SHARED: Final = 1.5  # of the deviation between neighbours: more around a surface is not of single pixels
 _PART: Final = 0.2  # of all noise: less beside jitter may be the rounding of jitter to whole pixels
+_STARTS: Final = (1.0, 0.1, 5.0)
+_NOTHING: Final = 1e-6  # of any parameter, millimetres or pixels
 _TOLD: Final = 0.5  # largest relative error of a strength that is written
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Parameters by name with their standard errors, and chi squared."""
+
+    parameters: Mapping[str, tuple[float, float]]
+    chi2: float
+
+
+def fit_positive(
+    names: Sequence[str], model: Callable[[dict[str, float]], Floats], measured: Floats, errors: Floats
+) -> NoiseFit:
+    """Fit a model's parameters, none below 0, to measured values [N] with standard errors [N].
+
+    model: parameters by name -> values [N]. The best of several starts; errors of the parameters are from the Jacobian,
+    widened where the fit is worse than the errors say.
+    """
+    from scipy.optimize import least_squares
+
+    def misfit(point: Floats) -> Floats:
+        found: Floats = (measured - model(dict(zip(names, point.tolist(), strict=True)))) / errors
+        return found
+
+    found = min(
+        (least_squares(misfit, np.full(len(names), start), bounds=(0, np.inf), x_scale="jac") for start in _STARTS),
+        key=lambda each: float(each.cost),
+    )
+    # The method stays within the bounds: a parameter that makes no difference from 0 is 0.
+    point = np.where(found.x < _NOTHING, 0.0, found.x)
+    chi2 = 2 * float(found.cost)
+    freedom = max(len(measured) - len(names), 1)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, chi2 / freedom)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0))
+    return NoiseFit({name: (float(v), float(e)) for name, v, e in zip(names, point, spread, strict=True)}, chi2)
 
 
 def measure_noise(
@@ -118,7 +155,7 @@ def _chosen(
     bins: NoiseBins, residuals: Sequence[Residuals], focal_px: float, baseline_m: float | None, ragged: bool
 ) -> list[Finding]:
     """The formula with the least chi squared plus a price for each parameter."""
-    fits: list[tuple[float, str, Fit]] = []
+    fits: list[tuple[float, str, NoiseFit]] = []
     for base, names in _BASES.items():
         for grazing in ((), ("grazing_mm",)):
             for lateral in _LATERAL if ragged else _LATERAL[:1]:
@@ -127,9 +164,9 @@ def _chosen(
                 parameters = (*names, *grazing, *lateral)
                 fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
                 fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
-    _, base, fit = min(fits, key=lambda each: each[0])
+    _, base, fit = min(fits, key=_score)
     if "grazing_mm" in fit.parameters and any(each.kind == "spatial" for each in residuals):
-        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
+        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=_score)
         noise_px = float(np.median(np.sqrt(np.maximum(bins.variance_mm2, 0)) / bins.range_m)) * focal_px / 1000
         if relief_px < max(_RELIEF_PX, _RELIEF_PART * noise_px) and relieved.chi2 < fit.chi2 + _WORTH:
             base, fit = formula, relieved
@@ -142,7 +179,12 @@ def _chosen(
     return list(findings.values())
 
 
-def _either(stereo: Finding, rival: Fit) -> dict[str, Finding]:
+def _score(fit: tuple[Any, ...]) -> float:
+    """The score that a fit begins with; of formulas that explain as much, rounding aside, the first counts."""
+    return round(float(fit[0]), 6)
+
+
+def _either(stereo: Finding, rival: NoiseFit) -> dict[str, Finding]:
     """Findings where axial noise explains the residuals as well as stereo noise, which has fewer strengths."""
     axial = {name: Estimate(*rival.parameters[name]) for name in _BASES["axial_noise"]}
     quadratic = f"{axial['constant_mm'].value:.3g} + {axial['quadratic_mm'].value:.3g} (z - {FROM_M:g})² mm"
@@ -154,7 +196,7 @@ def _either(stereo: Finding, rival: Fit) -> dict[str, Finding]:
     }
 
 
-def _with_relief(base: str, bins: NoiseBins) -> tuple[float, str, Fit, float]:
+def _with_relief(base: str, bins: NoiseBins) -> tuple[float, str, NoiseFit, float]:
     """A formula beside the relief that limbs leave in third differences: score, formula, its fit and the relief."""
     axial = _model(base, bins)
     parameters = (*_BASES[base], "relief_px")
@@ -190,23 +232,18 @@ def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
 
 def _whole_pixels(sigma_px: Floats | float) -> Floats:
     """Variance of Gaussian offsets rounded to whole pixels, as `lateral_noise` has them, pixels squared."""
+    from scipy.special import erfc
+
     sigma = np.maximum(np.asarray(sigma_px, np.float64), 1e-6)
     # For small deviations hardly any offset reaches the next pixel; from 0.5 on, rounding adds a twelfth.
     offsets = np.arange(1.0, 12.0).reshape(-1, *(1 for _ in sigma.shape))
-    return np.asarray(((2 * offsets - 1) * _beyond((offsets - 0.5) / sigma)).sum(axis=0))
-
-
-def _beyond(size: Floats) -> Floats:
-    """Probability of a standard normal beyond +-size (Abramowitz and Stegun, 1964, 26.2.17, within 1e-7)."""
-    t = 1 / (1 + 0.2316419 * size)
-    series = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
-    found: Floats = 2 * series * np.exp(-(np.minimum(size, 38.0) ** 2) / 2) / np.sqrt(2 * np.pi)
-    return found
+    beyond = erfc((offsets - 0.5) / (np.sqrt(2) * sigma))  # probability of an offset of at least this size
+    return np.asarray(((2 * offsets - 1) * beyond).sum(axis=0))
 
 
 def _findings(
     base: str,
-    fit: Fit,
+    fit: NoiseFit,
     bins: NoiseBins,
     residuals: Sequence[Residuals],
     focal_px: float,
