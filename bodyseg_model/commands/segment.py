@@ -50,7 +50,7 @@ from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
-from bodyseg_model.sensor_fit.shadows import ShadowFrames
+from bodyseg_model.sensor_fit.edges import ShadowFrames
 from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"

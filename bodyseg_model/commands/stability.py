@@ -17,13 +17,20 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.stability.accuracies import evaluate_conditions
 from bodyseg_model.stability.figure import draw_stability
-from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
-from bodyseg_model.stability.people_and_things import people_and_things
-from bodyseg_model.stability.scenes import Scenes
-from bodyseg_model.stability.summary import motion_over_seeds, summarise
-from bodyseg_model.stability.sweeps import SWEEPS, Sweep, chosen
+from bodyseg_model.stability.rooms import people_and_things
+from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
+from bodyseg_model.stability.summary import (
+    FEWEST_SEEDS,
+    Group,
+    Run,
+    evaluate_conditions,
+    group,
+    group_of,
+    load_runs,
+    motion_over_seeds,
+    summarise,
+)
 from bodyseg_model.stability.temporal import temporal
 from bodyseg_model.training.distributed import find_device, use_threads
 

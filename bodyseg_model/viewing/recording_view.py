@@ -24,9 +24,8 @@ from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
 from bodyseg_model.segmentation.pictures.overlay import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
-from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
-from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
+from bodyseg_model.viewing.space import Drawing, Points, camera_alone, device, point_gap_m, points_at
 
 FrameColouring = Literal["parts", "confidence", "flicker"]
 FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)

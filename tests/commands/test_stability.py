@@ -24,10 +24,8 @@ from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
-from bodyseg_model.stability.accuracies import accuracy, evaluate_conditions
-from bodyseg_model.stability.groups import load_runs
-from bodyseg_model.stability.scenes import LabelledImage, Scenes
-from bodyseg_model.stability.sweeps import CLEAN, Condition
+from bodyseg_model.stability.scenes import CLEAN, LabelledImage, Scenes, SweepPoint
+from bodyseg_model.stability.summary import accuracy, evaluate_conditions, load_runs
 
 SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
 CHOSEN = ("farther", "hard")
@@ -115,7 +113,7 @@ def test_progress_counts_images(runs: Path, figures_set: Path) -> None:
     seen: list[tuple[Any, ...]] = []
     loaded = load_runs([runs / "all-0", runs / "none-0"])
     scenes_here = Scenes(RangeImages(figures_set, "none", "test"), 3)
-    conditions = [CLEAN["stored"], Condition("noise", 10)]
+    conditions = [CLEAN["stored"], SweepPoint("noise", 10)]
     evaluate_conditions(loaded, conditions, scenes_here, lambda *figures: seen.append(figures))
     assert seen == [(3, 12, "clean"), (6, 12, "clean"), (9, 12, "noise 10"), (12, 12, "noise 10")]
 

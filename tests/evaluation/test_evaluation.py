@@ -18,12 +18,10 @@ from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import evaluation, frame_times
-from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images
-from bodyseg_model.evaluation.frame_times import time_frames
-from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images, time_frames
+from bodyseg_model.evaluation.figures import SamplePicture
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.evaluation.scores import KINDS, distance_bins
 from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict

@@ -24,7 +24,7 @@ from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_
 from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
 from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import rooms_of
+from bodyseg_model.stability.rooms import rooms_of
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

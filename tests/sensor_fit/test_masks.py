@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from bodyseg_model.sensor_fit.masks import closing, connected, dilated, eroded, holes, opening
+from bodyseg_model.sensor_fit.recording import closing, connected, dilated, eroded, holes, opening
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])

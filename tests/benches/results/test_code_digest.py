@@ -18,7 +18,7 @@ from bodyseg_data.core.errors import BadConfig
 
 VARIANTS, ABLATION = "benches.model.variants.scores", "benches.model.ablation.conditions"
 _OWN = ["bodyseg_model", "bodyseg_model.evaluation", "benches.results.code_digest"]
-STABILITY = "bodyseg_model.stability.accuracies"
+STABILITY = "bodyseg_model.stability.summary"
 
 
 @pytest.fixture(scope="module")

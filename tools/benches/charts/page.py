@@ -6,12 +6,13 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ compact.average_per_class_accuracy | percent(1) }}       a share in per cent with one decimal
     {{ network.command }}                                       text as it is
     {{ (network.times | find(task="scores", threads=2)).ms | number }}      the first record that has these values
-    {{ stability.tables.images | table }}                       records as a table, with their names for a head; files of
-                                                                `bodyseg stability` get their `tables` here
+    {{ stability.tables.images | table }}                       records as a table, with their names for a head
     {{ charts.left_out[0] }}                                    what `tools/chart` writes into charts.json
     {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
     {{ outdated }}                                              a sentence on files with other labels than today's
+
+Files of `bodyseg stability` have their numbers as `tables` of text as well.
 
 `processors` has a record of each folder of `processors/`: its `name`, and its files' contents by their names without
 `.json`. `each` takes the value at a path of names from all records that have the path's first name.

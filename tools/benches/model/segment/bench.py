@@ -38,8 +38,7 @@ from bodyseg_model.runtimes.onnx_files import Precision
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts
-from bodyseg_model.stability.rooms import Room, Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 
 _SQUARE: Final = 1024
 _SQUARE_FOCAL_PX: Final = 840.0

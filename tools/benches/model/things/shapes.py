@@ -35,8 +35,7 @@ from bodyseg_model.segmentation.people.shape_network import (
     with_curvature,
 )
 from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, rooms_of
-from bodyseg_model.stability.rooms import Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, SENSORS, Rooms, rooms_of
 
 
 @dataclass(frozen=True)
