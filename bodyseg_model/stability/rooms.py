@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
 from bodyseg_data.bodies.source import BodyRef, BodySource
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
@@ -43,9 +44,8 @@ _ATTEMPTS: Final = 12
 _NEAREST_M: Final = 0.7  # on the floor, where a camera sees the upper half of a person
 _FARTHEST_M: Final = 4.4
 _TOUCHING: Final = 0.4, 0.9  # distance of a thing from who it touches, as a share of both radii
-_NOISE_M: Final = (0.0012, 0.0019, 0.4)
-"""Axial noise of a Kinect v1: a + b (z - c)^2 (Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
-reconstruction and tracking", 2012)."""
+_NOISE: Final = AxialNoise(grazing_mm=0.0, grazing_power=0.0)
+"""Of a Kinect v1, on surfaces that face it."""
 
 
 @dataclass(frozen=True)
@@ -224,8 +224,8 @@ def _walls(numbers: Numbers) -> Solid:
 def _measured(nearest: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.float32]:
     """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are."""
     seen = np.where(np.isfinite(nearest), nearest, 0.0)
-    a, b, c = _NOISE_M
-    noisy = seen + draws.normal(0.0, 1.0, seen.shape) * (a + b * (seen - c) ** 2)
+    sigma = _NOISE.sigma_m(seen.ravel(), np.zeros(seen.size, np.float32)).reshape(seen.shape)
+    noisy = seen + draws.normal(0.0, 1.0, seen.shape) * sigma
     lost = (seen == 0) | (draws.random(seen.shape) < 0.02)
     lost[:, 1:] |= np.abs(np.diff(seen, axis=1)) > 0.25
     return np.where(lost, 0.0, np.maximum(np.rint(1000 * noisy), 0) / 1000).astype(np.float32)

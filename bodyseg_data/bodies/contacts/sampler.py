@@ -222,7 +222,7 @@ class ContactSampler:
         obstacles = PosedSkin(vertices, normals, solid)
         base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
         chest = self._person.numbers["spine02"]
-        body = arms.Body(
+        body = arms.ArmSurroundings(
             side=side,
             places=self._places,
             vertices=vertices,

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.result_cache import json_digest
+from benches.result_cache import json_digest
 from bodyseg_data.core.errors import BadConfig
 
 RECORDS: Final = "steps.json"

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from benches.results.result_cache import json_digest
+from benches.result_cache import json_digest
 from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.manifest import MANIFEST_NAME

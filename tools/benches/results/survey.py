@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from benches.results.code_digest import code_digest
+from benches.result_cache import code_digest, json_digest
 from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
-from benches.results.result_cache import json_digest
 from benches.results.step import SHIPPED, Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
 

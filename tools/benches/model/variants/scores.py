@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.result_cache import ResultCache, network_identity
+from benches.result_cache import ResultCache, network_identity
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from benches.results.result_cache import FORMAT, ResultCache, network_identity
+from benches.result_cache import FORMAT, ResultCache, network_identity
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import save_network
