@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -156,14 +155,11 @@ def test_versions_are_those_installed() -> None:
     assert installed_versions()["numpy"] == [f"numpy {np.__version__}"]
 
 
-def test_no_measuring_module_is_imported() -> None:
-    script = (
-        "import sys\nfrom benches.result_cache import code_digest\n"
-        f"code_digest({STABILITY!r})\nprint(*sorted(name for name in sys.modules if name.startswith('bodyseg_model')))"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
-    assert "bodyseg_model.networks.checkpoints" in done.stdout.split()  # by `network_identity`
-    assert not [name for name in done.stdout.split() if name.startswith("bodyseg_model.stability")]
+def test_nothing_is_imported(tmp_path: Path) -> None:
+    before = set(sys.modules)
+    tree = package(tmp_path, {"__init__.py": "raise ImportError", "start.py": "import house.hall", "hall.py": "1 / 0"})
+    assert tree.imported_by(["house.start"]) == ["house", "house.hall", "house.start"]
+    assert not {name for name in set(sys.modules) - before if name.startswith("house")}
 
 
 def package(folder: Path, files: dict[str, str]) -> SourceTree:

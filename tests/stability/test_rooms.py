@@ -15,7 +15,7 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody
-from bodyseg_model.stability import people_and_things as measure
+from bodyseg_model.stability import rooms as measure
 from bodyseg_model.stability.rooms import MOST_PEOPLE, MOST_THINGS, Counts, Room, Rooms, people_and_things
 
 KINECT = load_sensor("kinect_v1").camera
