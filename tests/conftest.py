@@ -89,7 +89,7 @@ _LONG_FILES: Final = (
     "evaluation/test_evaluation.py",
     "test_install.py",
     "benches/data/test_occlusion.py",
-    "evaluation/test_code_digest.py",
+    "benches/test_code_digest.py",
     "segmentation/test_people.py",
     "benches/data/test_render.py",
     "stability/test_scenes.py",

@@ -34,7 +34,7 @@ from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledRec
 from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
 from bodyseg_model.segmentation.pictures import Preview
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
-from bodyseg_model.sensor_fit.shadows import ShadowFrames
+from bodyseg_model.sensor_fit.edges import ShadowFrames
 from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"

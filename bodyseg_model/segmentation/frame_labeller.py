@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.camera_files import find_cameras

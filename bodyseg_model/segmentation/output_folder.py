@@ -18,8 +18,8 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import flush, write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.system.memory import peak_mb
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame

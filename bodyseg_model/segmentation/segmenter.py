@@ -16,7 +16,7 @@ from bodyseg_data.core.kernels import require_numba
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_data.core.system.divided_work import of_each
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend

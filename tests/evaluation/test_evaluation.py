@@ -17,13 +17,11 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
-from bodyseg_model.evaluation import evaluation, frame_times
-from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images
-from bodyseg_model.evaluation.frame_times import time_frames
-from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.evaluation import evaluation
+from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images, time_frames
+from bodyseg_model.evaluation.figures import SamplePicture
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.evaluation.scores import KINDS, distance_bins
 from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict
@@ -316,10 +314,10 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
 def test_frames_are_timed_one_by_one(network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
     # Three frames untimed, then 10, 20 and 60 ms.
     ticks = iter([0, 9, 0, 9, 0, 9, 0, 0.010, 0, 0.020, 0, 0.060])
-    monkeypatch.setattr(frame_times.time, "perf_counter", lambda: next(ticks))
+    monkeypatch.setattr(evaluation.time, "perf_counter", lambda: next(ticks))
     asked: list[tuple[int, ...]] = []
     monkeypatch.setattr(
-        frame_times, "predict", lambda _, frame: (asked.append(tuple(frame.shape)), predict(network, frame))[1]
+        evaluation, "predict", lambda _, frame: (asked.append(tuple(frame.shape)), predict(network, frame))[1]
     )
     frames = [torch.full((1, 1, 4, size), 2.0) for size in (5, 6, 7)]
     times = time_frames(network, frames)

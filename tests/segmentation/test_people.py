@@ -29,7 +29,7 @@ from bodyseg_model.segmentation.person_score import (
     surface_shape,
 )
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import rooms_of
+from bodyseg_model.stability.rooms import rooms_of
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

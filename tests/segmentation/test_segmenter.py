@@ -20,7 +20,7 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.segmentation import pictures
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
@@ -206,7 +206,7 @@ def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
-    monkeypatch.setattr("bodyseg_model.evaluation.frame_times.time.perf_counter", lambda: next(times))
+    monkeypatch.setattr("bodyseg_data.core.system.stopwatch.time.perf_counter", lambda: next(times))
     watch = Stopwatch(("a", "b"))
     for _ in range(2):
         with watch("b"):

@@ -9,8 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
+from benches.result_cache import json_digest
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation.result_cache import json_digest
 
 RECORDS: Final = "steps.json"
 """In the folder of results: the step that made each of them, see `benches.results.records`."""

@@ -38,8 +38,7 @@ from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.segmentation.pictures import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts
-from bodyseg_model.stability.rooms import Room, Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 
 _SQUARE: Final = 1024
 _SQUARE_FOCAL_PX: Final = 840.0

@@ -37,8 +37,7 @@ from bodyseg_model.segmentation.person_score import (
     surface_shape,
     with_curvature,
 )
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, rooms_of
-from bodyseg_model.stability.rooms import Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, SENSORS, Rooms, rooms_of
 
 
 @dataclass(frozen=True)

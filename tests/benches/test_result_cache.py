@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from benches.result_cache import FORMAT, ResultCache, network_identity
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation.result_cache import FORMAT, ResultCache, network_identity
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build
 

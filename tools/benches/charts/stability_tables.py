@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
+
+FORMAT: Final = "bodyseg stability 1"
+"""Of the files that tables are made of."""
 
 Rows = list[dict[str, str]]
 _NONE = "–"
@@ -20,15 +23,6 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
     if "temporal" in figures:
         groups = figures["temporal"]["groups"].items()
         found["motion"] = [_motion(label, variant, row) for label, of in groups for variant, row in of.items()]
-    if "numerical" in figures:
-        found["arithmetic"] = [
-            _arithmetic(label, name, row)
-            for label, of in figures["numerical"].items()
-            for name, row in [
-                *of["computations"].items(),
-                *((f"{size} images together", row) for size, row in of["batches"].items() if size != "1"),
-            ]
-        ]
     if "things" in figures:
         found["things"] = [
             _things(label, labelled, each[labelled])
@@ -110,13 +104,6 @@ def _motion(label: str, variant: str, row: Mapping[str, Any]) -> dict[str, str]:
         "accuracy, %": _percent(row["accuracy"]),
         "pixels right, %": _percent(row["pixel_accuracy"]),
     }
-
-
-def _arithmetic(label: str, name: str, row: Mapping[str, Any]) -> dict[str, str]:
-    changed, accuracy = _NONE, row.get("reason", "")
-    if row["changed"] is not None:
-        changed, accuracy = f"{100 * row['changed']:.3f}", f"{100 * row['accuracy_change']:+.2f}"
-    return {"network": label, "computation": name, "labels changed, %": changed, "accuracy, points": accuracy}
 
 
 def _percent(value: Mapping[str, Any] | None) -> str:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
-from bodyseg_model.stability.tables import tables
+import pytest
+from benches.charts.page import render_page
+from benches.charts.stability_tables import tables
+
+from bodyseg_data.core.errors import BadConfig
 
 
 def over_seeds(*values: float) -> dict[str, Any]:
@@ -85,24 +91,19 @@ def test_motion_has_a_row_for_each_kind_of_frames() -> None:
     ]
 
 
-def test_arithmetic_says_why_a_number_is_missing() -> None:
-    figures = {
-        "numerical": {
-            "all": {
-                "computations": {
-                    "bf16": {"changed": 0.0123, "accuracy_change": -0.001},
-                    "fp16": {"changed": None, "accuracy_change": None, "reason": "not on this processor"},
-                },
-                "batches": {
-                    "1": {"changed": 0.0, "accuracy_change": 0.0},
-                    "7": {"changed": 0.5, "accuracy_change": 0.25},
-                },
-            }
-        }
-    }
-    rows = [[*row.values()][1:] for row in tables(figures)["arithmetic"]]
-    assert rows == [
-        ["bf16", "1.230", "-0.10"],
-        ["fp16", "–", "not on this processor"],
-        ["7 images together", "50.000", "+25.00"],
+def test_surfaces_in_rooms_have_a_row_before_and_after_the_score() -> None:
+    row = {"found": 0.9, "things": 7, "thing_pixels": 5000, "accuracy": None}
+    found = tables({"things": {"all": {"run": "all-0", "before": row, "after": row | {"things": 1}}}})["things"]
+    assert [[*each.values()] for each in found] == [
+        ["all", "every surface", "90.0", "7", "5000", "–"],
+        ["all", "people", "90.0", "1", "5000", "–"],
     ]
+
+
+def test_a_page_has_them_for_files_of_stability_alone(tmp_path: Path) -> None:
+    origin = {"command": "c", "commit": "d", "hardware": "h"}
+    for name, kind in (("steady", "bodyseg stability 1"), ("other", "another 1")):
+        (tmp_path / f"{name}.json").write_text(json.dumps(FIGURES | origin | {"format": kind}))
+    assert "| all | 85.0 ± 1.0 |" in render_page("{{ steady.tables.images | table }}", tmp_path)
+    with pytest.raises(BadConfig, match="line 1 of the template cannot be filled: .* no attribute 'tables'"):
+        render_page("{{ other.tables.images | table }}", tmp_path)

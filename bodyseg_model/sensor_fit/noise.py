@@ -2,21 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
-from bodyseg_model.sensor_fit.noise.bins import NoiseBins, bin_noise, clipped_variance, unrounded
-from bodyseg_model.sensor_fit.noise.least_squares import Fit, fit_positive
-from bodyseg_model.sensor_fit.noise.residuals import Residuals
-from bodyseg_model.sensor_fit.rounding import Steps
+from bodyseg_model.sensor_fit.residuals import Residuals, Steps
 
-FROM_M: Final = 0.4
-"""Range at which the quadratic term begins (Nguyen, Izadi and Lovell, 2012)."""
+_INCIDENCES_DEG: Final = (0, 15, 25, 35, 45, 52, 58, 64, 69, 74, 78, 82)
+_MOST_DEG: Final = 78.0  # windows see folds as steeper than neighbouring pixels, whose slopes make the noise
+_RANGES: Final = 6
+_FEWEST_IN_BIN: Final = 200
+_RELIEF: Final = 0.1  # pixels: what a surface of some slope adds to third differences, as if pixels had moved
+_OUTLIER: Final = 8.0  # deviations: pixels of one bin differ in theirs, and the noisiest count
+_MODEL_ERROR: Final = 0.02  # of a variance: the surface's own errors
+_ROUNDING_ERROR: Final = 0.3  # of the variance of rounding, whose phases need not be even
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseBins:
+    """Squares of deviations, arrays [N]: variance_mm2 less rounding, with error_mm2; means of the pixels: range_m,
+    slope2_mm2 (squared slope, millimetres a pixel), ratio = incidence / (pi / 2 - incidence), ratio2 its square; count:
+    residuals.
+    """
+
+    variance_mm2: Floats
+    error_mm2: Floats
+    range_m: Floats
+    slope2_mm2: Floats
+    ratio: Floats
+    ratio2: Floats
+    count: NDArray[np.int64]
+
+
+def bin_noise(residuals: Sequence[Residuals], steps: Steps, ragged: bool) -> NoiseBins:
+    """Squares of deviations by range and incidence, outliers clipped, less the variance of rounding.
+
+    A bin's deviation is by the mean size of its residuals, which for normal ones is the mean of the pixels' deviations,
+    however these differ within the bin; axial noise is linear in it. By the mean square where ragged, since
+    jitter is not normal, and where noise is below the step.
+    """
+    rows: list[tuple[float, ...]] = []
+    last = len(_INCIDENCES_DEG) - 1 if ragged else _INCIDENCES_DEG.index(_MOST_DEG)
+    for kind in ("temporal", "spatial"):
+        chosen = [each for each in residuals if each.kind == kind]
+        if not chosen:
+            continue
+        value, z, slope, angle = (
+            np.concatenate([getattr(each, name) for each in chosen])
+            for name in ("residual_m", "range_m", "slope_m", "incidence_rad")
+        )
+        edges = np.unique(np.quantile(z, np.linspace(0, 1, _RANGES + 1)))
+        by_range = np.clip(np.searchsorted(edges, z, "right") - 1, 0, max(len(edges) - 2, 0))
+        by_angle = np.digitize(np.degrees(angle), _INCIDENCES_DEG) - 1
+        order = np.argsort(by_range * 100 + by_angle, kind="stable")
+        groups = np.split(order, np.flatnonzero(np.diff((by_range * 100 + by_angle)[order])) + 1)
+        for group in groups:
+            if len(group) < _FEWEST_IN_BIN or by_angle[group[0]] >= last:
+                continue
+            step = float(np.mean(steps.at(z[group])))
+            measured = clipped_variance(value[group], step)
+            if not ragged and measured > step**2:
+                measured = _by_size(value[group], measured)
+            variance = unrounded(measured, step, kind == "temporal")
+            ratio = angle[group] / (np.pi / 2 - angle[group])
+            error = np.hypot(measured * np.sqrt(3 / len(group)), _MODEL_ERROR * measured)
+            if kind == "spatial":  # third differences keep what is left of a steep surface's own shape
+                error += _RELIEF**2 * float((slope[group] ** 2).mean())
+            # Noise larger than the step spreads values evenly over it; then the variance of rounding is exact.
+            error += _ROUNDING_ERROR * step**2 / 12 * np.exp(-10 * variance / step**2)
+            rows.append(
+                (
+                    variance * 1e6,
+                    error * 1e6,
+                    float(z[group].mean()),
+                    float((slope[group] ** 2).mean()) * 1e6,
+                    float(ratio.mean()),
+                    float((ratio**2).mean()),
+                    len(group),
+                )
+            )
+    table = np.array(rows).reshape(-1, 7).T
+    variance_mm2, error_mm2, range_m, slope2_mm2, mean_ratio, ratio2, count = table
+    return NoiseBins(variance_mm2, error_mm2, range_m, slope2_mm2, mean_ratio, ratio2, count.astype(np.int64))
+
+
+def unrounded(variance: float, step: float, temporal: bool) -> float:
+    """The variance of noise before values were rounded to a step, in the same unit; at least 0.
+
+    variance: of one frame's residuals, or half the mean square of two frames' differences (temporal). Two roundings of
+    one true value are often equal, so the latter falls below the noise where the step is coarse.
+    """
+    if not temporal or variance > step**2:
+        return max(variance - step**2 / 12, 0.0) if not temporal else max(variance - step**2 / 6 / 2, 0.0)
+    low, high = 0.0, 2 * step
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _rounded_variance(middle / step) * step**2 < variance else (low, middle)
+    return low**2
+
+
+def _rounded_variance(sigma: float) -> float:
+    """Half the mean square difference of two noisy values of one truth, rounded to whole numbers; even phases."""
+    if sigma <= 0:
+        return 0.0
+    size = np.linspace(0, 8, 1601) * sigma * np.sqrt(2)
+    density = np.exp(-0.5 * np.linspace(0, 8, 1601) ** 2)
+    whole, part = np.floor(size), size % 1
+    square = whole**2 * (1 - part) + (whole + 1) ** 2 * part
+    return float((density * square).sum() / density.sum() / 2)
+
+
+def _by_size(values: Floats, variance: float) -> float:
+    """The squared deviation by the mean size of normal residuals; variance: of them, for what is an outlier."""
+    size = np.abs(values)
+    return float(np.pi / 2 * np.mean(size[size <= _OUTLIER * np.sqrt(variance)]) ** 2)
+
+
+def clipped_variance(values: Floats, step: float) -> float:
+    """The mean square of residuals, those beyond 4.5 deviations left out; step: of their rounding, in their unit."""
+    limit = 4.5 * max(1.4826 * float(np.median(np.abs(values))), step / 3)
+    for _ in range(4):
+        kept = values[np.abs(values) <= limit]
+        sigma = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+        limit = 4.5 * max(sigma, step / 3)
+    return sigma**2
+
+
+FROM_M: Final = AxialNoise.from_m
+"""Range at which the quadratic term begins."""
 
 LEAST_RESIDUALS: Final = 2000
 LEAST_MM: Final = 0.3
@@ -34,9 +154,44 @@ _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from whi
 _ANY_BASELINE_M: Final = 0.1
 _SHARED: Final = 1.5  # of the deviation between neighbours: more around a surface is not of single pixels
 _PART: Final = 0.2  # of all noise: less beside jitter may be the rounding of jitter to whole pixels
+_STARTS: Final = (1.0, 0.1, 5.0)
+_NOTHING: Final = 1e-6  # of any parameter, millimetres or pixels
 _TOLD: Final = 0.5  # largest relative error of a strength that is written
 
-Floats = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Parameters by name with their standard errors, and chi squared."""
+
+    parameters: Mapping[str, tuple[float, float]]
+    chi2: float
+
+
+def fit_positive(
+    names: Sequence[str], model: Callable[[dict[str, float]], Floats], measured: Floats, errors: Floats
+) -> NoiseFit:
+    """Fit a model's parameters, none below 0, to measured values [N] with standard errors [N].
+
+    model: parameters by name -> values [N]. The best of several starts; errors of the parameters are from the Jacobian,
+    widened where the fit is worse than the errors say.
+    """
+    from scipy.optimize import least_squares
+
+    def misfit(point: Floats) -> Floats:
+        found: Floats = (measured - model(dict(zip(names, point.tolist(), strict=True)))) / errors
+        return found
+
+    found = min(
+        (least_squares(misfit, np.full(len(names), start), bounds=(0, np.inf), x_scale="jac") for start in _STARTS),
+        key=lambda each: float(each.cost),
+    )
+    # The method stays within the bounds: a parameter that makes no difference from 0 is 0.
+    point = np.where(found.x < _NOTHING, 0.0, found.x)
+    chi2 = 2 * float(found.cost)
+    freedom = max(len(measured) - len(names), 1)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, chi2 / freedom)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0))
+    return NoiseFit({name: (float(v), float(e)) for name, v, e in zip(names, point, spread, strict=True)}, chi2)
 
 
 def measure_noise(
@@ -118,7 +273,7 @@ def _chosen(
     bins: NoiseBins, residuals: Sequence[Residuals], focal_px: float, baseline_m: float | None, ragged: bool
 ) -> list[Finding]:
     """The formula with the least chi squared plus a price for each parameter."""
-    fits: list[tuple[float, str, Fit]] = []
+    fits: list[tuple[float, str, NoiseFit]] = []
     for base, names in _BASES.items():
         for grazing in ((), ("grazing_mm",)):
             for lateral in _LATERAL if ragged else _LATERAL[:1]:
@@ -127,9 +282,9 @@ def _chosen(
                 parameters = (*names, *grazing, *lateral)
                 fit = fit_positive(parameters, _model(base, bins), bins.variance_mm2, bins.error_mm2)
                 fits.append((fit.chi2 + _WORTH * len(parameters), base, fit))
-    _, base, fit = min(fits, key=lambda each: each[0])
+    _, base, fit = min(fits, key=_score)
     if "grazing_mm" in fit.parameters and any(each.kind == "spatial" for each in residuals):
-        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=lambda each: each[0])
+        _, formula, relieved, relief_px = min((_with_relief(each, bins) for each in _BASES), key=_score)
         noise_px = float(np.median(np.sqrt(np.maximum(bins.variance_mm2, 0)) / bins.range_m)) * focal_px / 1000
         if relief_px < max(_RELIEF_PX, _RELIEF_PART * noise_px) and relieved.chi2 < fit.chi2 + _WORTH:
             base, fit = formula, relieved
@@ -142,7 +297,12 @@ def _chosen(
     return list(findings.values())
 
 
-def _either(stereo: Finding, rival: Fit) -> dict[str, Finding]:
+def _score(fit: tuple[Any, ...]) -> float:
+    """The score that a fit begins with; of formulas that explain as much, rounding aside, the first counts."""
+    return round(float(fit[0]), 6)
+
+
+def _either(stereo: Finding, rival: NoiseFit) -> dict[str, Finding]:
     """Findings where axial noise explains the residuals as well as stereo noise, which has fewer strengths."""
     axial = {name: Estimate(*rival.parameters[name]) for name in _BASES["axial_noise"]}
     quadratic = f"{axial['constant_mm'].value:.3g} + {axial['quadratic_mm'].value:.3g} (z - {FROM_M:g})² mm"
@@ -154,7 +314,7 @@ def _either(stereo: Finding, rival: Fit) -> dict[str, Finding]:
     }
 
 
-def _with_relief(base: str, bins: NoiseBins) -> tuple[float, str, Fit, float]:
+def _with_relief(base: str, bins: NoiseBins) -> tuple[float, str, NoiseFit, float]:
     """A formula beside the relief that limbs leave in third differences: score, formula, its fit and the relief."""
     axial = _model(base, bins)
     parameters = (*_BASES[base], "relief_px")
@@ -190,23 +350,18 @@ def _model(base: str, bins: NoiseBins) -> Callable[[dict[str, float]], Floats]:
 
 def _whole_pixels(sigma_px: Floats | float) -> Floats:
     """Variance of Gaussian offsets rounded to whole pixels, as `lateral_noise` has them, pixels squared."""
+    from scipy.special import erfc
+
     sigma = np.maximum(np.asarray(sigma_px, np.float64), 1e-6)
     # For small deviations hardly any offset reaches the next pixel; from 0.5 on, rounding adds a twelfth.
     offsets = np.arange(1.0, 12.0).reshape(-1, *(1 for _ in sigma.shape))
-    return np.asarray(((2 * offsets - 1) * _beyond((offsets - 0.5) / sigma)).sum(axis=0))
-
-
-def _beyond(size: Floats) -> Floats:
-    """Probability of a standard normal beyond +-size (Abramowitz and Stegun, 1964, 26.2.17, within 1e-7)."""
-    t = 1 / (1 + 0.2316419 * size)
-    series = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
-    found: Floats = 2 * series * np.exp(-(np.minimum(size, 38.0) ** 2) / 2) / np.sqrt(2 * np.pi)
-    return found
+    beyond = erfc((offsets - 0.5) / (np.sqrt(2) * sigma))  # probability of an offset of at least this size
+    return np.asarray(((2 * offsets - 1) * beyond).sum(axis=0))
 
 
 def _findings(
     base: str,
-    fit: Fit,
+    fit: NoiseFit,
     bins: NoiseBins,
     residuals: Sequence[Residuals],
     focal_px: float,

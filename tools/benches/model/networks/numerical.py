@@ -1,17 +1,20 @@
-"""Labels that change when a network is computed in another way: fewer bits, more threads, other batches.
+"""`bench numerical`: labels that change when a network is computed in another way: fewer bits, more threads, batches.
 
-Every computation is compared with one baseline: each image alone, in 32 bits, on one thread.
+Every computation is compared with one baseline: each image alone, in 32 bits, on one thread. docs/stability.md says how
+to read the results.
 """
 
 from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import torch
 
+from benches.model.chosen import chosen_network
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
@@ -26,6 +29,31 @@ BATCH_SIZES: Final = (2, 7, 16)
 
 Computation = Callable[[torch.Tensor], torch.Tensor]
 """Range images float32 [B, 1, H, W] -> labels uint8 [B, H, W]."""
+
+
+def bench_numerical(
+    data: str, views: int = 25, runs: Sequence[Path] = (), progress: ProgressCallback = silent
+) -> dict[str, Any]:
+    """Compare computations of one network on `views` test images of `all` of the set `data`: see `numerical`.
+
+    runs: the network is in the first of them; without, it is the one that ships. Another seed computes in the same way.
+    """
+    name, trained = chosen_network(runs)
+    found = numerical(trained.network, RangeImages(data, "all", "test"), views, progress)
+    return {"network": name, **found, "tables": {"arithmetic": table(found)}}
+
+
+def table(found: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Rows of the page of tables from what `numerical` found, each a record of text."""
+    batches = ((f"{size} images together", row) for size, row in found["batches"].items())
+    return [_row(name, row) for name, row in (*found["computations"].items(), *batches)]
+
+
+def _row(name: str, row: Mapping[str, Any]) -> dict[str, str]:
+    changed, accuracy = "–", row.get("reason", "")
+    if row["changed"] is not None:
+        changed, accuracy = f"{100 * row['changed']:.3f}", f"{100 * row['accuracy_change']:+.2f}"
+    return {"computation": name, "labels changed, %": changed, "accuracy, points": accuracy}
 
 
 def numerical(

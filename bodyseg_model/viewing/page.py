@@ -1,9 +1,13 @@
-"""The page that sets and recordings share: points and devices in space, a picture of panels, facts and a legend."""
+"""The page that sets and recordings share: its server, points in space, a picture of panels, facts and a legend."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
+import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -11,16 +15,123 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BodysegError
+from bodyseg_data.core.errors import BadConfig, BodysegError
 from bodyseg_data.core.files import write_result
-from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.pages.redrawing import Redrawing
-from bodyseg_model.viewing.pages.server import close_server, open_server
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.viewing.pictures import facts_html, legend_html, sheet_of
-from bodyseg_model.viewing.space import VIEWPOINTS, name_heights, viewpoint
+from bodyseg_model.viewing.space import VIEWPOINTS, Drawing, name_heights, viewpoint
 
 if TYPE_CHECKING:
     import viser
+
+
+LOOPBACK: Final = "127.0.0.1"
+"""The address that only this machine can reach."""
+
+_PORTS_TRIED: Final = 20
+_TAKEN: Final = (errno.EADDRINUSE,)
+
+
+def free_port(host: str, port: int) -> int:
+    """The given port, or the next free one after it. 0: any. Raises BadConfig for a host that is not this machine's,
+    or if the next ports are taken, too.
+    """
+    if not 0 <= port <= 65535:
+        raise BadConfig(f"a port must be 0 to 65535, found {port}")
+    for number in range(port, min(port + _PORTS_TRIED, 65536)):
+        try:
+            family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind) as tried:
+                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                tried.bind(address)
+                return int(tried.getsockname()[1])
+        except socket.gaierror as error:
+            raise BadConfig(f"--host must be an address of this machine, found {host!r}: {error.strerror}") from error
+        except PermissionError as error:
+            raise BadConfig(f"port {number} needs more rights: give a --port of at least 1024") from error
+        except OSError as error:
+            if error.errno not in _TAKEN:
+                raise BadConfig(
+                    f"--host must be an address of this machine, found {host!r}: {error.strerror}"
+                ) from error
+    raise BadConfig(f"ports {port} to {min(port + _PORTS_TRIED, 65536) - 1} of {host} are taken: give another --port")
+
+
+def open_server(host: str, port: int, title: str) -> viser.ViserServer:
+    """Start a server. title: above the page's controls. Raises BadConfig as `free_port`, MissingLibrary."""
+    try:
+        import viser
+    except ImportError as error:
+        raise missing_library("bodyseg view", error, extra="view") from error
+
+    class Server(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> str | None:
+            """Refuse what would connect this page to a server outside."""
+            return None
+
+    chosen = free_port(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):
+        return Server(host=host, port=chosen, label=title, verbose=False)
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop a server and its threads."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+class Redrawing:
+    """Calls `draw` after requests, from one thread. Requests that arrive while it draws are answered by one more call.
+
+    least_s: time from one call to the next at least, so that a slider that is dragged does not fill a connection.
+    """
+
+    def __init__(self, draw: Callable[[], None], least_s: float = 0.1) -> None:
+        self._draw, self._least_s = draw, least_s
+        self._changed = threading.Condition()
+        self._requested = self._drawn = 0
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="redrawing", daemon=True)
+        self._thread.start()
+
+    def request(self) -> None:
+        """Ask for a drawing; returns at once."""
+        with self._changed:
+            self._requested += 1
+            self._changed.notify_all()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until all that was requested before is drawn; False if that took longer, or this is closed."""
+        with self._changed:
+            wanted = self._requested
+            self._changed.wait_for(lambda: self._closed or self._drawn >= wanted, timeout_s)
+            return self._drawn >= wanted
+
+    def close(self) -> None:
+        """End the thread after what it is drawing."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._drawn < self._requested)
+                if self._closed:
+                    return
+                begun = self._requested
+            start = time.monotonic()
+            try:
+                self._draw()
+            finally:
+                with self._changed:
+                    self._drawn = begun
+                    self._changed.notify_all()
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, max(0.0, self._least_s - (time.monotonic() - start)))
+
 
 _FOV_RAD: Final = 0.7
 _ASPECT: Final = 0.6

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from benches.model.networks.numerical import BATCH_SIZES, bench_numerical, numerical, table
 from torch import nn
 
 from bodyseg_data.artifacts.missing_data import MissingData
@@ -16,8 +17,9 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.network import Network
-from bodyseg_model.stability.numerical import BATCH_SIZES, numerical
+from bodyseg_model.networks.registry import build
 
 NOTHING = {"changed": 0.0, "accuracy_change": 0.0}
 FEWER_BITS = {"bf16, autocast", "bf16 throughout", "fp16, autocast", "fp16 throughout", "weights kept in fp16"}
@@ -155,3 +157,26 @@ def test_something_must_be_measured(shards: Path) -> None:
 def test_a_network_must_not_be_in_training(images: RangeImages) -> None:
     with pytest.raises(BadConfig, match="needs a network in evaluation mode"):
         numerical(Close().train(), images)
+
+
+def test_the_table_says_why_a_number_is_missing() -> None:
+    found = {
+        "computations": {
+            "bf16": {"changed": 0.0123, "accuracy_change": -0.001},
+            "fp16": {"changed": None, "accuracy_change": None, "reason": "not on this processor"},
+        },
+        "batches": {"7": {"changed": 0.5, "accuracy_change": 0.25}},
+    }
+    assert [[*row.values()] for row in table(found)] == [
+        ["bf16", "1.230", "-0.10"],
+        ["fp16", "–", "not on this processor"],
+        ["7 images together", "50.000", "+25.00"],
+    ]
+
+
+def test_the_bench_asks_the_first_run_about_test_images_of_all(figures_set: Path, tmp_path: Path) -> None:
+    network = build("compact", {"patch": 16, "widths": (8,), "blocks": (0,)}, 0)
+    save_network(tmp_path / "network.safetensors", network, "compact", {"variant": "all", "seed": 0})
+    found = bench_numerical(str(figures_set), 2, [tmp_path])
+    assert (found["network"], found["variant"], found["split"], found["images"]) == (tmp_path.name, "all", "test", 2)
+    assert found["tables"]["arithmetic"] == table(found)

@@ -1,4 +1,4 @@
-"""The projector's shadow behind bodies: its side and width, so the baseline, and whether frames are mirrored."""
+"""Edges before a farther surface: mixed (flying) pixels, and the projector's shadow, by its side and width."""
 
 from __future__ import annotations
 
@@ -12,8 +12,82 @@ from numpy.typing import NDArray
 
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.recordings.recording import evenly_apart
-from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding
-from bodyseg_model.sensor_fit.recording import Frame, Recording
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
+from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
+
+LEAST_EDGES: Final = 200
+"""Fewest edges at which one surface ends beside a farther one, both measured, for a verdict."""
+
+END: Final = 0.2
+"""Share of a gap at either end that counts as the end itself: limbs turn away steeply before their edge."""
+
+LEAST_MIXED_SHARE: Final = 0.05
+JUMP_M: Final = 0.03
+
+_WIDE: Final = 6.0  # jumps that a gap must have: limbs that turn away bridge smaller ones
+_NOISES: Final = 8.0
+
+Floats = NDArray[np.float64]
+
+
+def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
+    """The finding of "mixed_pixels": edges with a pixel between both ranges, against edges without one.
+
+    A position nearer than a jump or `END` to either end counts as the end; the share is corrected for these, since
+    positions are even over the gap. Edges with lost pixels between both surfaces are left out.
+    """
+    mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
+    for frame in recording.frames:
+        jump = max(JUMP_M, _NOISES * frame.noise_m)
+        for image, body in ((frame.range_m, frame.body), (frame.range_m.T, frame.body.T)):
+            gaps_mixed, gaps_plain = _edges(image.astype(np.float64), body, jump)
+            mixed += len(gaps_mixed)
+            plain += len(gaps_plain)
+            each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, END))
+            between += float(each.sum())
+            beside += float((each * 2 * jump / gaps_mixed).sum())  # so near to an end that they look like it
+        room.append(float(np.median(frame.range_m[frame.room])) if frame.room.any() else np.nan)
+    if mixed + plain < LEAST_EDGES:
+        reason = f"{mixed + plain} edges before a measured surface, {LEAST_EDGES} are needed"
+        return Finding("mixed_pixels", UNKNOWN, reason)
+    share = min(between / (between + max(plain - beside, 0.0)), 1.0) if mixed else 0.0
+    error = float(np.sqrt(max(share * (1 - share), 1e-4) / (mixed + plain)))
+    estimates = {"share": Estimate(share, error)}
+    reason = f"{mixed} of {mixed + plain} edges have a pixel between both ranges"
+    if share < LEAST_MIXED_SHARE:
+        return Finding("mixed_pixels", NOT_SEEN, reason, estimates)
+    strengths = {"share": rounded(share)}
+    if np.isfinite(room).any():
+        strengths["background_m"] = rounded(float(np.nanmedian(room)))
+    return Finding("mixed_pixels", NEEDED, reason, estimates, strengths)
+
+
+def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats, Floats]:
+    """Gaps of the edges along rows, metres: with one pixel between both ranges [N], and without [M].
+
+    Two pixels on either side must be of one surface each; the nearer is a body's.
+    """
+    step = np.diff(image, axis=1)
+    known = image > 0
+    joined = known[:, 1:] & known[:, :-1]
+    flat = joined & (np.abs(step) < jump)
+    rise, fall = joined & (step >= jump), joined & (step <= -jump)
+    found = []
+    for up, near_first in ((rise, True), (fall, False)):
+        near, far = (1, 3) if near_first else (3, 1)
+        two = flat[:, :-3] & up[:, 1:-2] & up[:, 2:-1] & flat[:, 3:]
+        gap_two = np.abs(image[:, 3:-1] - image[:, 1:-3])
+        two &= (gap_two >= _WIDE * jump) & body[:, near : near + two.shape[1]]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            position = np.abs(step[:, 1:-2]) / gap_two
+        two &= (position >= END) & (position <= 1 - END)
+        near, far = (1, 2) if near_first else (2, 1)
+        one = flat[:, :-2] & up[:, 1:-1] & flat[:, 2:]
+        gap_one = np.abs(image[:, far : far + one.shape[1]] - image[:, near : near + one.shape[1]])
+        one &= (gap_one >= _WIDE * jump) & body[:, near : near + one.shape[1]]
+        found.append((gap_two[two], gap_one[one]))
+    return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])
+
 
 Side = Literal["left", "right"]
 
@@ -28,11 +102,9 @@ _ONE_SIDED: Final = 1.25  # least ratio of the wider to the narrower shadow that
 _MIDDLE: Final = (0.2, 0.8)
 _MARGIN: Final = 3
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Shadow:
+class ProjectorShadow:
     """Gaps between bodies and the room behind. baseline_m: by side, width over focal length and difference of inverse
     range, with standard errors. width_px: by side, the median. side: of the wider gap, None if they are alike.
     gaps: rows counted.
@@ -49,7 +121,7 @@ class Shadow:
         return sum(estimate.value for estimate in self.baseline_m.values())
 
 
-def measure_shadow(recording: Recording) -> Shadow | None:
+def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
     """Measure the gaps beside bodies in all rows; None where too few rows show the room on both sides."""
     gaps: dict[Side, list[Floats]] = {"left": [], "right": []}
     for frame in recording.frames:
@@ -71,7 +143,7 @@ def measure_shadow(recording: Recording) -> Shadow | None:
         widths[side] = float(np.median(width))
     narrow, wide = sorted(baselines, key=lambda side: baselines[side].value)
     clear = baselines[wide].value > _ONE_SIDED * baselines[narrow].value
-    return Shadow(baselines, widths, wide if clear and widths[wide] >= LEAST_PX else None, count)
+    return ProjectorShadow(baselines, widths, wide if clear and widths[wide] >= LEAST_PX else None, count)
 
 
 class ShadowFrames:
@@ -80,7 +152,7 @@ class ShadowFrames:
     def __init__(self, frames: int, most: int) -> None:
         self.frames = frames
         self._chosen = {*evenly_apart(frames, most)}
-        self._kept: list[Frame] = []
+        self._kept: list[MarkedFrame] = []
 
     def add(self, number: int, name: str, range_m: NDArray[np.float32], bodies: Sequence[NDArray[np.intp]]) -> None:
         """Look at frame `number`, from 0: ranges [H, W], metres, and each body's pixels, flat indices."""
@@ -88,17 +160,17 @@ class ShadowFrames:
             body = np.zeros(range_m.shape, np.bool_)
             for pixels in bodies:
                 body.ravel()[pixels] = True
-            self._kept.append(Frame(name, np.zeros(range_m.shape, np.uint16), range_m, body & (range_m > 0)))
+            self._kept.append(MarkedFrame(name, np.zeros(range_m.shape, np.uint16), range_m, body & (range_m > 0)))
 
     def mirrored(self, camera: FrameCamera) -> bool | None:
         """As `probably_mirrored`, of the frames kept; None without a projector beside the camera."""
         if camera.projector_side is None or not self._kept:
             return None
-        shadow = measure_shadow(Recording(tuple(self._kept), camera.camera, step_m=0.001))
+        shadow = measure_shadow(MarkedRecording(tuple(self._kept), camera.camera, step_m=0.001))
         return probably_mirrored(shadow, camera.projector_side)
 
 
-def shadow_finding(shadow: Shadow | None, projector: Side | None) -> Finding:
+def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None) -> Finding:
     """The finding of "occlusion". projector: its side of the camera where the sensor is known."""
     if shadow is None:
         reason = f"fewer than {LEAST_GAPS} rows show the room behind a body on both sides"
@@ -126,7 +198,7 @@ def shadow_finding(shadow: Shadow | None, projector: Side | None) -> Finding:
     return Finding("occlusion", NEEDED, reason, estimates)
 
 
-def probably_mirrored(shadow: Shadow | None, projector: Side | None) -> bool | None:
+def probably_mirrored(shadow: ProjectorShadow | None, projector: Side | None) -> bool | None:
     """True if the wider shadow lies on the projector's own side, where it cannot; None if that cannot be told.
 
     Light from the right of the camera leaves the left of what is behind a body dark.
@@ -136,7 +208,7 @@ def probably_mirrored(shadow: Shadow | None, projector: Side | None) -> bool | N
     return shadow.side == projector
 
 
-def _gaps(frame: Frame, focal_px: float) -> dict[Side, Floats]:
+def _gaps(frame: MarkedFrame, focal_px: float) -> dict[Side, Floats]:
     """Gaps between body and room in the rows of a frame: widths in pixels and focal length times the difference of
     inverse ranges, [2, N] for each side.
     """

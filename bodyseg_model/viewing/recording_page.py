@@ -7,9 +7,9 @@ import time
 from dataclasses import replace
 from typing import Any, Final
 
-from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.pages.page import Page
+from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.recording_view import FRAME_COLOURINGS, FrameColouring, RecordingView, ShownFrame
+from bodyseg_model.viewing.space import Drawing
 
 _DRAWING_S: Final = 60.0
 

@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.sensor_fit.masks import closing, connected, dilated, holes, opening
-from bodyseg_model.sensor_fit.noise.residuals import body_surface, mean_frame
-from bodyseg_model.sensor_fit.recording import Frame, Recording
-from bodyseg_model.sensor_fit.surfaces import Surface
+from bodyseg_model.sensor_fit.recording import (
+    MarkedFrame,
+    MarkedRecording,
+    SmoothSurface,
+    closing,
+    connected,
+    dilated,
+    holes,
+    opening,
+)
+from bodyseg_model.sensor_fit.residuals import body_surface, mean_frame
 
 RINGS: Final = 6
 """Pixels from the outline inwards that are counted ring by ring; beyond is the inside."""
@@ -38,7 +45,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Outline:
+class BodyOutline:
     """The body of one frame as it would be without loss, all arrays [H, W].
 
     full: bool, its pixels; lost: bool, those without a range, shadows aside; shadow: bool, lost behind an edge of the
@@ -64,7 +71,7 @@ class Outline:
         return found
 
 
-def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[Outline]:
+def outlines_of(recording: MarkedRecording, baseline_m: float | None = None) -> list[BodyOutline]:
     """The outline of each frame's body; a still body's is that of all frames together.
 
     baseline_m: of the sensor, where it is known, which limits the width of shadows.
@@ -101,23 +108,23 @@ def outlines_of(recording: Recording, baseline_m: float | None = None) -> list[O
 
 
 def _outline(
-    frame: Frame,
+    frame: MarkedFrame,
     full: Mask,
     behind: Mask,
     rings: NDArray[np.int64],
     incidence: NDArray[np.float64],
     known: tuple[bool, bool],
-) -> Outline:
+) -> BodyOutline:
     missing = full & (frame.range_m == 0)
     shadow = missing & behind
     rows, columns = _bands(frame.body, full)
     lost = missing & ~shadow
     stripes = {"rows": missing & rows | _begun(rows, lost), "columns": missing & columns | _begun(columns.T, lost.T).T}
-    return Outline(full, lost, shadow, rings, stripes, incidence, *known)
+    return BodyOutline(full, lost, shadow, rings, stripes, incidence, *known)
 
 
 def _incidence(
-    mean: NDArray[np.float64], known: Mask, surface: Surface, sigma_m: float, camera: Camera
+    mean: NDArray[np.float64], known: Mask, surface: SmoothSurface, sigma_m: float, camera: Camera
 ) -> tuple[NDArray[np.float64], bool]:
     """Angles of incidence, degrees [H, W], and whether noise is so little that neighbouring pixels give them."""
     steps = np.where(known, np.rint(mean / _FINE_M), 0).clip(0, 65535).astype(np.uint16)
@@ -242,7 +249,7 @@ def _rings(full: Mask, range_m: NDArray[np.float64] | None) -> NDArray[np.int64]
     return ring
 
 
-def _behind_edges(frame: Frame, camera: Camera, baseline_m: float | None) -> Mask:
+def _behind_edges(frame: MarkedFrame, camera: Camera, baseline_m: float | None) -> Mask:
     """Lost pixels of rows between ranges that differ by an edge, no wider than a projector's shadow can be."""
     image = frame.range_m.astype(np.float64)
     count = image.shape[1]
