@@ -36,9 +36,7 @@ def figure_4(weights: Mapping[str, Array], range_m: Array, normalise: bool) -> A
     return convolved(x, weights["score.weight"], weights["score.bias"])
 
 
-def convolved(
-    x: Array, weight: Array, bias: Array, *, stride: int = 1, padding: int = 0, groups: int = 1
-) -> Array:
+def convolved(x: Array, weight: Array, bias: Array, *, stride: int = 1, padding: int = 0, groups: int = 1) -> Array:
     """Cross-correlation of x [C, H, W] with weight [out, C / groups, k, k], plus bias [out]."""
     size = weight.shape[-1]
     x = np.pad(x, ((0, 0), (padding, padding), (padding, padding)))

@@ -108,6 +108,27 @@ def test_baselines_deliver_what_was_stored(name: str, small_set: Path, tmp_path:
         assert folder_bytes(tmp_path) > 24 * 160 * 82 * 3 > 3 * size, "it keeps both forms"
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_loader_shuffles(name: str, small_set: Path, tmp_path: Path) -> None:
+    """In each of its passes, ours as its rivals: what is read in the order of storage is read faster."""
+    premade, known = Premade(RangeImages(small_set)), bench.baselines()
+    if name in known:
+        try:
+            (tmp_path / name).mkdir()
+            known[name].write(premade, tmp_path / name)
+        except ImportError as error:
+            pytest.skip(f"{name} is not installed: {error}")
+    there = {name: known[name]} if name in known else {}
+    batches = bench._openings(small_set, there, tmp_path, 5, 0)[name]()
+    stored = [image.key for image in premade]
+    for _ in range(2):
+        found = [key for one in batches for key in one["key"]]
+        assert sorted(found) == sorted(stored) and found != stored
+    del batches
+    if name in known:
+        known[name].close()
+
+
 def test_the_quickest_decoder_that_is_installed_is_used(small_set: Path) -> None:
     images = list(Premade(RangeImages(small_set)))[:2]
 
