@@ -13,6 +13,7 @@ import pytest
 import torch
 from fakes import FiguresEntry
 from label_networks import Places
+from pictures import decoded, marks, part
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
@@ -90,7 +91,11 @@ def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(every["curves"]["farther"]["mean"]) == 4
     assert every["mce"]["mean"] is not None and every["mrr"]["mean"] is not None
     assert figures["networks"]["all-0"]["command"] == "bodyseg train"
-    assert (made / "stability.png").stat().st_size > 10_000
+    picture = part(decoded(made / "stability.png"), down=(0, 0.85))  # without the legend
+    for number in range(4):
+        panel = part(picture, across=(number / 4, (number + 1) / 4))
+        shown = [bool(marks(panel, colour, 10)) for colour in ("#b8360f", "#8a8a8a")]
+        assert shown == [number < len(CHOSEN)] * 2, "a line of the group and the bound in every sweep's panel"
     assert sorted(path.name for path in (made / "cached_results").glob("[!.]*")) == [
         "all-0.json",
         "all-1.json",

@@ -10,6 +10,7 @@ import torch
 from benches.model.segment import windows as bench
 from benches.model.segment.windows import MARGINS, Windowed, bench_windows
 from benches.model.segment.windows_figure import draw_windows
+from pictures import decoded, marks, part
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.networks.compact import Compact, CompactSettings
@@ -56,4 +57,7 @@ def test_margins_are_compared_on_the_set_and_in_rooms(
         assert pixels == sorted(pixels) and pixels[-1] == 1
         assert (of["margins"][-1]["less"], of["margins"][-1]["less_error"]) == (0, 0)
     draw_windows(found, tmp_path / "windows.png")
-    assert (tmp_path / "windows.png").stat().st_size > 10_000
+    for half, of in zip(((0.0, 0.5), (0.5, 1.0)), found["sets"].values(), strict=True):
+        points = marks(part(decoded(tmp_path / "windows.png"), across=half), "#1f4fa8", 30)
+        times = [row["ms"] for row in of["margins"]]
+        assert max(mark.right for mark in points) - min(mark.left for mark in points) > 60 * (max(times) > min(times))
