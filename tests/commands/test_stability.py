@@ -94,7 +94,7 @@ def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = part(decoded(made / "stability.png"), down=(0, 0.85))  # without the legend
     for number in range(4):
         panel = part(picture, across=(number / 4, (number + 1) / 4))
-        shown = [bool(marks(panel, colour, 10)) for colour in ("#b8360f", "#8a8a8a")]
+        shown = [bool(marks(panel, colour, 4, within=30)) for colour in ("#b8360f", "#8a8a8a")]
         assert shown == [number < len(CHOSEN)] * 2, "a line of the group and the bound in every sweep's panel"
     assert sorted(path.name for path in (made / "cached_results").glob("[!.]*")) == [
         "all-0.json",

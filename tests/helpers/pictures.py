@@ -47,10 +47,13 @@ def decoded(path: Path) -> Picture:
     return picture
 
 
-def marks(picture: Picture, colour: Any, least: int = 12) -> list[Mark]:
-    """Pieces of exactly a colour, "#rrggbb" or three numbers, of at least so many pixels, from left to right."""
+def marks(picture: Picture, colour: Any, least: int = 12, within: int = 0) -> list[Mark]:
+    """Pieces of a colour, "#rrggbb" or three numbers, of at least so many pixels, from left to right.
+
+    within: by how much each of the three numbers may differ, for what is thin, or not quite opaque.
+    """
     rgb = [int(colour[at : at + 2], 16) for at in (1, 3, 5)] if isinstance(colour, str) else list(colour)
-    numbers, count = ndimage.label((picture == rgb).all(axis=-1), np.ones((3, 3)))
+    numbers, count = ndimage.label((abs(picture.astype(int) - rgb) <= within).all(axis=-1), np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     found = [
         Mark(columns.start, columns.stop - 1, rows.start, rows.stop - 1, int(sizes[number]))

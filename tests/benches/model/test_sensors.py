@@ -60,7 +60,9 @@ def test_every_scene_is_scored_by_every_method(figures: dict[str, Any], tmp_path
     assert in_view[0] == in_view[2] == 1 and 0.5 < in_view[1] < 0.95
     draw_sensors(figures, tmp_path / "sensors.png")
     picture = part(decoded(tmp_path / "sensors.png"), down=(0, 0.8))  # without the legend
-    near, turned = (marks(part(picture, across=half), _COLOURS["as it is"], 20) for half in ((0, 0.5), (0.5, 1)))
+    near, turned = (
+        marks(part(picture, across=half), _COLOURS["as it is"], 8, within=60) for half in ((0, 0.5), (0.5, 1))
+    )
     assert len(near) >= 2 and len(turned) >= 1, "two sensors near by, one body aside"
 
 

@@ -57,7 +57,7 @@ def test_margins_are_compared_on_the_set_and_in_rooms(
         assert pixels == sorted(pixels) and pixels[-1] == 1
         assert (of["margins"][-1]["less"], of["margins"][-1]["less_error"]) == (0, 0)
     draw_windows(found, tmp_path / "windows.png")
-    for half, of in zip(((0.0, 0.5), (0.5, 1.0)), found["sets"].values(), strict=True):
-        points = marks(part(decoded(tmp_path / "windows.png"), across=half), "#1f4fa8", 30)
-        times = [row["ms"] for row in of["margins"]]
-        assert max(mark.right for mark in points) - min(mark.left for mark in points) > 60 * (max(times) > min(times))
+    picture = decoded(tmp_path / "windows.png")
+    for half in ((0.0, 0.5), (0.5, 1.0)):
+        star = max(marks(part(picture, across=half), "#1f4fa8", 60), key=lambda mark: mark.pixels)
+        assert star.height > 14, "the whole image is a star"
