@@ -246,8 +246,7 @@ def test_the_figure_is_drawn(measured: tuple[Path, dict[str, Any]], tmp_path: Pa
     pytest.importorskip("matplotlib")
     draw_variants(measured[1], tmp_path / "variants.png")
     picture = part(decoded(tmp_path / "variants.png"), down=(0, 0.9))  # without the legend
-    for panel in ((0.0, 0.33), (0.33, 0.66)):
-        for name in ("all", "md"):  # drawn over the others
-            assert marks(part(picture, across=panel), _STYLES[name].colour, 6, within=40), (panel, name)
+    for panel in ((0.0, 0.33), (0.33, 0.66)):  # the last curve, which lies on the others
+        assert marks(part(picture, across=panel), _STYLES["all"].colour, 30, within=20), panel
     cells = np.unique(part(picture, across=(0.7, 1)).reshape(-1, 3), axis=0, return_counts=True)[1]
     assert (cells > 1500).sum() >= 4, "cells of the table are in shades"
