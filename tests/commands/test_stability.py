@@ -91,9 +91,9 @@ def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(every["curves"]["farther"]["mean"]) == 4
     assert every["mce"]["mean"] is not None and every["mrr"]["mean"] is not None
     assert figures["networks"]["all-0"]["command"] == "bodyseg train"
-    picture = part(decoded(made / "stability.png"), down=(0, 0.85))  # without the legend
+    picture = part(decoded(made / "stability.png"), down=(0.15, 0.85))  # without title and legend
     for number in range(4):
-        panel = part(picture, across=(number / 4, (number + 1) / 4))
+        panel = part(picture, across=(0.05 + 0.24 * number, 0.27 + 0.24 * number))
         shown = [bool(marks(panel, colour, 4, within=30)) for colour in ("#b8360f", "#8a8a8a")]
         assert shown == [number < len(CHOSEN)] * 2, "a line of the group and the bound in every sweep's panel"
     assert sorted(path.name for path in (made / "cached_results").glob("[!.]*")) == [
