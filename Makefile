@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-bounds test-browser check page docs lock dist audit clean
+.PHONY: install demo test test-bounds test-rivals test-browser check page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -38,6 +38,11 @@ LOOPED := tests/core tests/artifacts tests/segmentation tests/training/augmentat
 # machine code has folders of its own (bodyseg_data/core/kernels.py).
 test-bounds: install
 	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
+
+# Tests of what benches compare with, packages that `make install` leaves out: loaders, decoders, networks.
+test-rivals: install
+	tools/install_rivals
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder tests/benches tests/networks
 
 check: install
 	$(BIN)/ruff check .

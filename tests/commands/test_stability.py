@@ -13,6 +13,7 @@ import pytest
 import torch
 from fakes import FiguresEntry
 from label_networks import Places
+from pictures import decoded, marks, part
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies.sources import SOURCES
@@ -87,7 +88,11 @@ def test_what_it_writes(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert every["mce"]["mean"] is not None and every["mrr"]["mean"] is not None
     assert figures["networks"]["all-0"]["command"] == "bodyseg train"
     assert sorted(path.name for path in made.iterdir()) == ["stability.json", "stability.png"]
-    assert (made / "stability.png").stat().st_size > 10_000
+    picture = part(decoded(made / "stability.png"), down=(0.15, 0.85))  # without title and legend
+    for number in range(4):
+        panel = part(picture, across=(0.05 + 0.24 * number, 0.27 + 0.24 * number))
+        shown = [bool(marks(panel, colour, 4, within=30)) for colour in ("#b8360f", "#8a8a8a")]
+        assert shown == [number < len(CHOSEN)] * 2, "a line of the group and the bound in every sweep's panel"
 
 
 def test_accuracy_is_that_of_predictions_one_by_one(made: Path, runs: Path, figures_set: Path) -> None:

@@ -1,5 +1,6 @@
 """Folders that tests read."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -7,5 +8,5 @@ HELPERS: Final = Path(__file__).parent
 TESTS: Final = HELPERS.parent
 ROOT: Final = TESTS.parent
 GOLDEN: Final = TESTS / "golden"
-SHARED_DATA: Final = ROOT.parent / "shared" / "data"
-"""Bodies and frames whose licences keep them out of the repository; tests that need them say when they are absent."""
+SHARED_DATA: Final = Path(os.environ.get("BODYSEG_SHARED_DATA", ROOT.parent / "shared" / "data"))
+"""Bodies and frames whose licences keep them out of the repository; see the fixture `shared_data`."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from folders import SHARED_DATA
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
@@ -174,9 +172,6 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
     assert people >= 5 and things >= 5 and lost <= 1 and labelled <= things / 3
 
 
-REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
-
-
 @pytest.mark.parametrize(
     ("sequence", "names"),
     [
@@ -184,12 +179,11 @@ REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
         ("kinect_v2", ["01.png", "02.png", "03.png"]),
     ],
 )
-def test_real_people_are_kept(sequence: str, names: list[str]) -> None:
-    if not (REAL / sequence).is_dir():
-        pytest.skip(f"real frames are absent: no {sequence} in {REAL} (set BODYSEG_REAL to the folder that has it)")
+def test_real_people_are_kept(sequence: str, names: list[str], shared_data: Callable[[str], Path]) -> None:
+    folder = shared_data(f"real/{sequence}")
     camera = load_sensor(sequence).camera
     segmenter = Segmenter(shipped_network().network, camera, people=shipped_score())
     for name in names:
-        with Image.open(REAL / sequence / name) as picture:
+        with Image.open(folder / name) as picture:
             found = segmenter((np.asarray(picture) / 1000).astype(np.float32))
         assert found.bodies and len(found.bodies[0].pixels) > 19_000, name

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.surface import partition as bench
+from benches.data.surface import partition_figure
 from benches.data.surface.broken_bodies import CASES, scan, sound
 from benches.data.surface.partition import METHODS, bench_partition, wrong_surface
 from benches.data.surface.partition_figure import draw_partition
 from benches.data.surface.rival_geodesics import rivals_installed
+from pictures import decoded, marks, part
 from shapes import ball
 
 from bodyseg_data.bodies.source import Body, BodyRef
@@ -107,7 +109,11 @@ def test_every_method_is_measured_on_every_body(figures: dict[str, Any]) -> None
 
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     draw_partition(figures, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "chart.png")
+    for name in METHODS[1:]:
+        assert marks(part(picture, down=(0, 0.52)), partition_figure._GREYS[name], 40), name
+    table = part(picture, down=(0.52, 1))
+    assert sum((table == 255).all(axis=-1).ravel()) < 0.9 * table[..., 0].size, "worse cells are darker"
 
 
 def dented_ball() -> Any:
