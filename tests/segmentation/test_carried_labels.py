@@ -276,8 +276,7 @@ def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> Non
 
 
 def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("carried_loops",):
-        monkeypatch.delitem(sys.modules, f"bodyseg_model.segmentation.temporal.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "bodyseg_model.segmentation.temporal.carried_loops", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):
         CarriedLabels()

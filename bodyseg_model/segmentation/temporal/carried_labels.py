@@ -102,8 +102,8 @@ class Carrying:
 
 @dataclass(frozen=True)
 class _LastFrame:
-    """The frame before: its camera, lens and images; the cells of its bodies, and the gain of shifting
-    the parts of each, summed up over the frames so far.
+    """The frame before: its camera, lens and images; the cells of its bodies, and the gain of shifting the parts of
+    each, summed up over the frames so far.
     """
 
     camera: Camera
