@@ -241,7 +241,7 @@ def test_labels_that_slide_along_a_board_are_followed() -> None:
             labels[row : row + 36, column : column + 25] = part
         shown = [call(video, range_m, labels) for video in (followed, behind)]
     wrong, late = ((image != labels)[range_m > 0].mean() for image in shown)
-    assert wrong < 0.01 and late > 0.05
+    assert wrong < 0.03 and late > 0.05
 
 
 def test_parts_shift_by_their_middles_unless_they_are_small_or_far() -> None:
