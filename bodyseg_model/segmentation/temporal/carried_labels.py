@@ -49,7 +49,7 @@ _FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MO
 _MORE: Final = 0.01
 _REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
 _MOST_GAIN: Final = 2.0  # that is remembered, so that a body that begins to bend is soon seen to
-_BENDS: Final = 1.0  # gain from which on a body bends
+_BENDS: Final = 1.5  # gain from which on a body bends
 
 
 @dataclass(frozen=True)
@@ -293,7 +293,7 @@ def _parts(points: Points, labels: Labels) -> tuple[NDArray[np.float64], NDArray
     of range.
     """
     area = points[:, 2].astype(np.float64) ** 2
-    areas = np.bincount(labels, area, 256)
+    areas: NDArray[np.float64] = np.bincount(labels, area, 256).astype(np.float64)
     sums = np.stack([np.bincount(labels, area * along, 256) for along in points.T], axis=1)
     return sums / np.maximum(areas, 1e-6)[:, None], areas
 
