@@ -20,7 +20,7 @@ from bodyseg_data.core.views import Drawn, View, ViewGrid
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_model.networks.compact import CompactSettings
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS
 
 _RIG: Final = load_rig()

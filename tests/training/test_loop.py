@@ -20,11 +20,11 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.loss import NetworkWithLoss, class_pixels
 from bodyseg_model.training.metrics import Metrics
-from bodyseg_model.training.objective.loss import NetworkWithLoss, class_pixels
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 

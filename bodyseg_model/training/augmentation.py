@@ -1,4 +1,6 @@
-"""Geometric augmentation: images rotated, zoomed and cut, as by a tilted camera or people partly out of view."""
+"""Augmentation of the batches of a training: images mirrored; and rotated, zoomed and cut, as by a tilted camera or
+people partly out of view.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,10 @@ from importlib import import_module
 import torch
 
 from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import chance
-from bodyseg_model.networks.input.looped import in_loops
+from bodyseg_model.networks.patches import in_loops
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> t
     if in_loops(range_m):
         moved, named = torch.empty_like(range_m), torch.empty_like(labels)
         places = (tuple(each.numpy() for each in pair) for pair in (down, across))
-        loops = import_module("bodyseg_model.training.augmentation.loops")
+        loops = import_module("bodyseg_model.training.loops")
         loops.move_images(range_m[:, 0].numpy(), labels.numpy(), *places, moved[:, 0].numpy(), named.numpy())
         return moved, named
     row, column = ((by_column[:, None, :] + by_row[:, :, None]).round_() for by_column, by_row in (down, across))
@@ -100,3 +103,31 @@ def _cut_side(side: int, share: float, rows: int, columns: int) -> tuple[slice, 
     if side < 2:
         return (slice(down) if side == 0 else slice(rows - down, None)), every
     return every, (slice(across) if side == 2 else slice(columns - across, None))
+
+
+def mirror(
+    range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor, label_map: LabelMap = PARTS33
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Copies of range [B, 1, H, W] and labels uint8 [B, H, W] in which those `chosen`, bool [B], are mirrored.
+
+    A mirrored person's left hand is a right hand, so labels change sides as `label_map` says. Shadows change sides,
+    too: such an image is that of a rig whose projector is on the camera's other side.
+    """
+    if in_loops(range_m):
+        moved, named = torch.empty_like(range_m), torch.empty_like(labels)
+        arrays = (each.numpy() for each in (range_m[:, 0], labels, chosen))
+        loops = import_module("bodyseg_model.training.loops")
+        loops.mirror_images(*arrays, label_map.mirrored, moved[:, 0].numpy(), named.numpy())
+        return moved, named
+    picked = chosen.nonzero()[:, 0]
+    range_m, labels = range_m.clone(), labels.clone()
+    range_m[picked] = range_m[picked].flip(-1)
+    table = torch.from_numpy(label_map.mirrored).to(labels.device)
+    labels[picked] = table[labels[picked].flip(-1).int()]
+    return range_m, labels
+
+
+def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:
+    """Draw the samples that are mirrored, bool [B], each with a chance of one half. epochs, keys: of the B samples."""
+    drawn = (chance(seed, epoch, key, "mirror") for epoch, key in zip(epochs, keys, strict=True))
+    return torch.tensor([each < 0.5 for each in drawn], dtype=torch.bool)

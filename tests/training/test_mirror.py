@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from kernel_forms import by_both
 
-from bodyseg_model.training.augmentation.mirror import mirror, mirror_draws
+from bodyseg_model.training.augmentation import mirror, mirror_draws
 
 
 def test_chosen_images_are_mirrored() -> None:

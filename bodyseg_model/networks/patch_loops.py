@@ -1,19 +1,28 @@
-"""Patches of range images, compiled: the bits of `patches.patches_of` in PyTorch's operations."""
+"""Patches of range images and bits of bfloat16, compiled: the bits of `patches.patches_of` in PyTorch's operations."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.networks.input.bfloat16 import nearest
-from bodyseg_model.networks.input.relief import RELIEF
+from bodyseg_model.networks.patches import RELIEF
 
+BITS: Final = np.uint32(16)
+"""Bits of a bfloat16: the upper ones of float32."""
+
+_HALF_LESS_ONE, _LAST = np.uint32(0x7FFF), np.uint32(1)
 _SCALE = np.float32(RELIEF)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
+
+
+@_kernel
+def nearest(exact: Any) -> Any:
+    """Round the bits of a float32, uint32, to those of the nearest bfloat16, ties to even, as the lower ones of 32."""
+    return (exact + _HALF_LESS_ONE + ((exact >> BITS) & _LAST)) >> BITS
 
 
 @_kernel

@@ -1,20 +1,61 @@
-"""Patches of `relief.relief_of`, which the first layer of `compact` reads: compiled where that is possible.
+"""Range images as networks see them: checked, centred, averaged, and cut into the patches that `compact` reads.
 
-In PyTorch's operations every step, from centring to laying out, passes over all pixels of all images. The compiled form
-passes over them twice, image by image, to the same bits: 0.4 instead of 1.1 ms an image of 640 x 329 pixels, of some 7
-that a network in bfloat16 takes.
+In PyTorch's operations, which GPUs need, every step of cutting, from centring to laying out, passes over all pixels of
+all images. `patch_loops` pass over them twice, image by image, to the same bits: 0.4 instead of 1.1 ms an image of
+640 x 329 pixels, of some 7 that a network in bfloat16 takes.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 
-from bodyseg_model.networks.input.looped import in_loops
-from bodyseg_model.networks.input.relief import body_mean, relief_of, shrunk
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
+
+RELIEF: Final = 2.0
+"""Factor of centred ranges: they are a few decimetres, and layers learn best from numbers near one."""
+
+
+def check_range_images(range_m: torch.Tensor) -> None:
+    """Raise BadConfig unless `range_m` is [B, 1, H, W] and not empty."""
+    if range_m.ndim != 4 or range_m.shape[1] != 1 or not range_m.numel():
+        raise BadConfig(f"range images must be [B, 1, H, W], found {list(range_m.shape)}")
+
+
+def relief_of(range_m: torch.Tensor) -> torch.Tensor:
+    """Input of two channels, [B, 2, H, W]: range less its mean over what was measured, scaled; and 1 where measured.
+
+    range_m: float [B, 1, H, W], metres, 0 = nothing measured. Sums are in float32 whatever the input's type: the ranges
+    of a body are too many for float16.
+    """
+    metres, measured = range_m.float(), (range_m > 0).float()
+    mean = body_mean(metres, measured.sum((1, 2, 3), keepdim=True))
+    return torch.cat([(metres - mean) * measured * RELIEF, measured], 1).to(range_m.dtype)
+
+
+def body_mean(metres: torch.Tensor, count: torch.Tensor) -> torch.Tensor:
+    """Mean of what was measured in each image, float32 [B, 1, 1, 1], metres; 0 where nothing was.
+
+    metres: float32 [B, 1, H, W], 0 = nothing measured. count: float32 [B, 1, 1, 1], measured pixels.
+    """
+    return metres.sum((1, 2, 3), keepdim=True) / count.clamp(min=1)
+
+
+def shrunk(relief: torch.Tensor, side: int) -> torch.Tensor:
+    """Average `relief_of` over squares of `side` pixels, [B, 2, h, w]: the ranges measured in each, and their share."""
+    mean = F.avg_pool2d(relief, side)
+    return torch.cat([mean[:, :1] / mean[:, 1:].clamp(min=1 / side**2), mean[:, 1:]], 1)
+
+
+def in_loops(tensor: torch.Tensor) -> bool:
+    """True if compiled loops compute on a tensor instead of PyTorch's operations, with the same bits: on a processor,
+    where numba is installed.
+    """
+    return tensor.device.type == "cpu" and use_compiled()
 
 
 class Patches(NamedTuple):
@@ -51,7 +92,7 @@ def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:
 
 
 def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype) -> Patches:
-    loops = import_module("bodyseg_model.networks.input.patch_loops")
+    loops = import_module("bodyseg_model.networks.patch_loops")
     images, _, rows, columns = range_m.shape
     cells = images, -(-rows // side), -(-columns // side)
     values = torch.empty((*cells, 2 * side**2), dtype=layers)
