@@ -1,7 +1,7 @@
 """Corruptions of rising strength: the table of sweeps, and those sweeps that are computed from stored samples.
 
 A sweep changes one thing and leaves all else clean, so two predictions at different strengths differ because of it
-alone. Its first strength is clean. docs/stability.md describes every sweep.
+alone. Its first strength is clean. docs/results/stability.md describes every sweep.
 """
 
 from __future__ import annotations

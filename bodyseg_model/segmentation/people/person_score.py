@@ -2,7 +2,7 @@
 
 So it goes with any network, whatever classes it has, and no network is shown a thing. A small network of its own judges
 the shape; `tools/bench shapes` fits it on made rooms, and `tools/bench things` counts whom it finds in others
-(docs/things.md).
+(docs/reference/things.md).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ and range from the mean of the 3 x 3 cells around, which shows how a body is cur
 8 825 weights it takes 0.08 ms a surface, a hundredth of the network that labels bodies. Compiled loops compute it, or
 NumPy, with sums in one order: a runtime's threads would take processors from that network.
 
-`shape_network.json` holds the weights; `tools/bench shapes` fits them on made rooms (docs/things.md).
+`shape_network.json` holds the weights; `tools/bench shapes` fits them on made rooms (docs/reference/things.md).
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that sta
 
 @dataclass(frozen=True)
 class Carrying:
-    """Parameters of `CarriedLabels`; docs/steady.md has their effect.
+    """Parameters of `CarriedLabels`; docs/how-to/steady.md has their effect.
 
     motion: "parts" follows the parts of a body, "rigid" the body as a whole, "still" nothing: evidence stays at its
     pixel. keep: share of the evidence that is left after a frame, 0 to less than 1. slow: of a body that bends, it is

@@ -95,7 +95,7 @@ def test_the_tables_read_every_kind_of_result() -> None:
 
 @pytest.mark.parametrize(
     ("document", "results"),
-    [("README.md", ["compact"]), ("docs/model_card.md", ["compact", "compact_hard"])],
+    [("README.md", ["compact"]), ("docs/reference/model_card.md", ["compact", "compact_hard"])],
 )
 def test_readme_and_card_state_the_accuracy_of_the_network_that_ships(document: str, results: list[str]) -> None:
     text = (ROOT / document).read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 """`bench gpu`: loading into a GPU, times of networks on it, and training with it, measured in one run.
 
-docs/loading_speed.md and docs/variants.md say how loaders and networks are timed on a processor.
+docs/results/loading_speed.md and docs/results/variants.md say how loaders and networks are timed on a processor.
 """
 
 from __future__ import annotations

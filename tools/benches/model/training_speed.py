@@ -1,6 +1,6 @@
 """`bench training`: images a second of `bodyseg train` on the processor, by threads, processes and form of its loops.
 
-The command runs as its users call it, all ways in turns. docs/training.md has the results.
+The command runs as its users call it, all ways in turns. docs/how-to/training.md has the results.
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ def bench_loader(
 ) -> dict[str, Any]:
     """Samples a second of every loader with each number of workers, medians of seven rounds, and bytes a sample.
 
-    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys
+    views: samples in all, rounded up to whole bodies of the open set. docs/results/loading_speed.md says what the keys
     hold. A loader whose package is absent has null everywhere, and a line on standard error says so. Raises
     BadConfig if there are too few samples for so many workers.
     """

@@ -29,7 +29,7 @@ STEPS_MM: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 LIMIT: Final = 0.005
 """The largest share of wrong pixels that the default rig's step may give."""
 RESOLUTION_MM: Final = 1.0
-"""What the paper's sensor resolves (docs/rig.md): the default rig's step may not be coarser."""
+"""What the paper's sensor resolves (docs/how-to/rig.md): the default rig's step may not be coarser."""
 
 _GRAZING_SHARE: Final = 0.3  # of the foreground: lost at grazing incidence, which is computed from stored ranges
 _ROUNDS: Final = 8

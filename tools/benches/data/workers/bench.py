@@ -67,8 +67,8 @@ def bench_workers(
 ) -> dict[str, Any]:
     """Speed, processor time, peak memory and start of loaders with each number of threads and of processes.
 
-    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys hold.
-    Raises BadConfig if there are too few samples for so many workers.
+    views: samples in all, rounded up to whole bodies of the open set. docs/results/loading_speed.md says what the keys
+    hold. Raises BadConfig if there are too few samples for so many workers.
     """
     meshes = -(-views // _VIEWS_A_BODY)
     check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)

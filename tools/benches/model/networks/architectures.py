@@ -1,7 +1,7 @@
 """`bench architectures`: networks of several families, trained the same way, compared with each other.
 
 All are evaluated on the same test images of `all` and timed in turns on the same frames, a random forest of depth
-differences among them. docs/architectures.md says how to read the results.
+differences among them. docs/results/architectures.md says how to read the results.
 """
 
 from __future__ import annotations

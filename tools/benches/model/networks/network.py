@@ -1,7 +1,7 @@
 """`bench network`: how large, how quick and how accurate the networks are, measured in one run.
 
-The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/variants.md says how to read
-the results.
+The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/results/variants.md says how
+to read the results.
 """
 
 from __future__ import annotations

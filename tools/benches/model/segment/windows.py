@@ -1,6 +1,6 @@
 """`bench windows`: labels and time of a network that sees a window around each body instead of the whole image.
 
-docs/segment.md says how to read the results.
+docs/how-to/segment.md says how to read the results.
 """
 
 from __future__ import annotations
