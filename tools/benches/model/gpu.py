@@ -90,7 +90,6 @@ def bench_gpu(
     return {
         "gpu": torch.cuda.get_device_name(),
         "torch": torch.__version__,
-        "load_before": round(os.getloadavg()[0], 2),
         **measured(RangeImages(data, "all", "train"), networks, frames, "cuda", views, num_workers, steps, progress),
     }
 

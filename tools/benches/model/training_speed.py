@@ -86,7 +86,6 @@ def bench_training(data: str, steps: int = STEPS, progress: ProgressCallback = s
     return {
         "steps": steps,
         "images_a_process": _BATCH,
-        "load_before": round(os.getloadavg()[0], 2),
         **summary(named, runs),
     }
 
