@@ -6,7 +6,6 @@ docs/results/loading_speed.md and docs/results/variants.md say how loaders and n
 from __future__ import annotations
 
 import itertools
-import os
 import statistics
 import sys
 import time

@@ -6,7 +6,6 @@ The command runs as its users call it, all ways in turns. docs/how-to/training.m
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import subprocess
 import sys

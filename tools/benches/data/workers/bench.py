@@ -7,7 +7,6 @@ them for one pass, one after the other, in a new order, so that other work on th
 from __future__ import annotations
 
 import multiprocessing
-import os
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager

@@ -7,7 +7,6 @@ differences among them. docs/results/architectures.md says how to read the resul
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
