@@ -148,8 +148,15 @@ def _origins(files: Mapping[str, Any]) -> str:
         found = [content.get(what) for what in _ORIGIN]
         if not all(found):
             raise BadConfig(f"{name}.json must say its {', '.join(_ORIGIN)} to stand on the page, found {found}")
-        rows.append({"file": f"[{name}.json]({name}.json)", **dict(zip(_ORIGIN, found, strict=True))})
+        origin = dict(zip(_ORIGIN, found, strict=True))
+        rows.append({"file": f"[{name}.json]({name}.json)", **origin, "load before · after": _loads(content)})
     return _table(row | {"command": f"`{row['command']}`"} for row in rows)
+
+
+def _loads(content: Mapping[str, Any]) -> str:
+    """Load of the machine before and after a bench, as far as it was recorded."""
+    loads = [content.get(f"load_{when}") for when in ("before", "after")]
+    return "–" if loads == [None, None] else " · ".join("–" if each is None else _number(each, 2) for each in loads)
 
 
 def _line(error: Exception) -> int:
