@@ -6,7 +6,6 @@ docs/results/loading_speed.md and docs/results/variants.md say how loaders and n
 from __future__ import annotations
 
 import itertools
-import os
 import statistics
 import sys
 import time
@@ -90,7 +89,6 @@ def bench_gpu(
     return {
         "gpu": torch.cuda.get_device_name(),
         "torch": torch.__version__,
-        "load_before": round(os.getloadavg()[0], 2),
         **measured(RangeImages(data, "all", "train"), networks, frames, "cuda", views, num_workers, steps, progress),
     }
 

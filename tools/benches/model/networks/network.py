@@ -6,7 +6,6 @@ to read the results.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -72,7 +71,6 @@ def bench_network(
     """
     candidates = _candidates(runs)
     accuracies = _accuracies(scores, candidates)
-    load = round(os.getloadavg()[0], 2)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = {
@@ -106,7 +104,6 @@ def bench_network(
         "reference": REFERENCE,
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "torch": torch.__version__,
-        "load_before": load,
     }
 
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.environment import computed_by
+from benches.measuring import medians
 from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
@@ -99,7 +100,7 @@ DROPPING: Final = ("background", "shape")
 def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024.
 
-    In `ROUNDS` rounds, each way in turn; of each way that with the median of frames a second counts.
+    In `ROUNDS` rounds, each way in turn: every figure is the median of all rounds.
     """
     chosen = cameras()
     done, total = 0, len(chosen) * (views + ROUNDS * len(WAYS))
@@ -121,7 +122,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
                     rounds[way].append(_measured(facts, frames, Path(folder) / way, camera, rooms))
                     done += 1
                     progress(done, total)
-            ways = {way: _median(of_way) for way, of_way in rounds.items()}
+            ways = {way: _of_all(of_way) for way, of_way in rounds.items()}
         trained = shipped_network()
         live_ages = {
             way: live(
@@ -167,10 +168,9 @@ def made_rooms(camera: Camera, count: int) -> Iterator[Room]:
         yield makers[number % len(makers)](number)
 
 
-def _median(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Choose the round with the median of frames a second; `rounds` has the frames a second of all, ascending."""
-    by_speed = sorted(rounds, key=lambda one: one["frames_per_second"])
-    return by_speed[len(by_speed) // 2] | {"rounds": [one["frames_per_second"] for one in by_speed]}
+def _of_all(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The medians of all rounds; `rounds` has the frames a second of each."""
+    return {**medians(rounds), "rounds": [one["frames_per_second"] for one in rounds]}
 
 
 def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Room]) -> dict[str, Any]:
