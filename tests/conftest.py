@@ -28,7 +28,7 @@ from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.partition import surface_parts
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, nearest_sources
 from bodyseg_data.meshes.repair import load_pymeshlab
-from bodyseg_data.packing.engines.engine import Engine
+from bodyseg_data.packing.engines.jobs import Engine
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.pack import pack
 

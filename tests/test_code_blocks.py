@@ -37,6 +37,9 @@ ELSEWHERE: Final = {
 
 NOT_RUN: Final = {
     'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks",
+    "import webdataset as wds": "names shards of somebody else; bench loader reads by it",
+    "from streaming import": "needs MosaicML Streaming; bench loader reads by it",
+    "from litdata import": "needs LitData; bench loader reads by it",
     "import realsense": "needs a camera; tests/recordings has stand-ins for two",
 }
 """Text of a block that is not run -> why."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from statistics import NormalDist
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
@@ -55,36 +55,6 @@ class Noise(Artifact):
         sigma = steps_of(image.drawn["sigma_mm"], scene.step_m)
         noisy = add_noise(before, sigma, draws.pixels("noise", len(pixels), np.uint32))
         ranges[pixels] = np.where(before > 0, noisy, 0)
-
-
-# A segment is a float's exponent and the highest four bits of its mantissa, the rest is the offset in the segment. The
-# lowest segment begins at 0.5, the last one is 2**31 alone.
-SEGMENT_SHIFT: Final = 19
-OFFSET_MASK: Final = (1 << SEGMENT_SHIFT) - 1
-FIRST_SEGMENT: Final = (127 - 1) << 4
-_OCTAVES: Final = 32
-
-
-def _segments() -> NDArray[np.float32]:
-    """Quadratics that meet the inverse distribution function at the three Chebyshev points of every segment.
-
-    float32 [3, segments]: the factors of 1, offset and offset**2.
-    """
-    points = 0.5 - 0.5 * np.sqrt([0.75, 0.0, 0.75]) * (1, 0, -1)  # cosines of 30, 90 and 150 degrees
-    starts = np.ldexp(1 + np.arange(16) / 16, np.arange(-1, _OCTAVES - 1)[:, None]).ravel()
-    widths = np.repeat(np.ldexp(1 / 16, np.arange(-1, _OCTAVES - 1)), 16)
-    inverse = NormalDist().inv_cdf
-    a, b, c = ([-inverse(x) for x in (starts + point * widths) / 2**32] for point in points)
-    slope = np.subtract(b, a) / (points[1] - points[0])
-    bend = (np.subtract(c, b) / (points[2] - points[1]) - slope) / (points[2] - points[0])
-    constant = a - slope * points[0] + bend * points[0] * points[1]
-    linear = slope - bend * (points[0] + points[1])
-    scale = 2.0**-SEGMENT_SHIFT
-    table = np.stack([constant, linear * scale, bend * scale**2])
-    return np.ascontiguousarray(np.pad(table, ((0, 0), (0, 1))), np.float32)
-
-
-SEGMENTS: Final = _segments()
 
 
 def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:

@@ -8,17 +8,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.constants import ARCCOS, FAR, STEEPEST
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 
-FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
-
 Box = tuple[slice, slice]
 
-ARCCOS: Final = tuple(map(np.float32, (1.5707288, -0.2121144, 0.0742610, -0.0187293)))
 _RIGHT_ANGLE: Final = np.float32(np.pi / 2)
-STEEPEST: Final = np.float32(0.0871557)
-"""Cosine of 85 degrees, beyond which angles are taken to be 85: the slopes of a range image end there."""
 
 
 def box_of(image: NDArray[Any], margin: int = 0) -> Box | None:

@@ -14,8 +14,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from bodyseg_data.artifacts.constants import SEGMENTS
 from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
-from bodyseg_data.artifacts.noise import SEGMENTS, Noise, add_noise, normals, steps_of
+from bodyseg_data.artifacts.noise import Noise, add_noise, normals, steps_of
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.core.errors import BadConfig

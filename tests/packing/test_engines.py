@@ -39,7 +39,8 @@ from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.packing.engines import cluster, workers
-from bodyseg_data.packing.engines.engine import Engine, check_engine, open_engine
+from bodyseg_data.packing.engines.engine import check_engine, open_engine
+from bodyseg_data.packing.engines.jobs import Engine
 from bodyseg_data.packing.options import Packing, forget_sources
 from bodyseg_data.packing.pack import pack
 from bodyseg_data.packing.state import STATE_NAME

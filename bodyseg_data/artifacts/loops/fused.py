@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.constants import SEGMENTS
 from bodyseg_data.artifacts.loops.bounds import forget_occupied, mark_occupied, take_pieces
 from bodyseg_data.artifacts.loops.normals import draw_normals, normals_of
 from bodyseg_data.artifacts.loops.occlusion import Shadow, find_runs, mark_lit, shadow_of
@@ -23,7 +24,7 @@ from bodyseg_data.artifacts.loops.scratch import (
 )
 from bodyseg_data.artifacts.loops.surface import incidence
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
-from bodyseg_data.artifacts.noise import SEGMENTS, Noise, steps_of
+from bodyseg_data.artifacts.noise import Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, projector_views
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.randomness import Draws

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import ARCCOS, FAR, STEEPEST
+from bodyseg_data.artifacts.constants import ARCCOS, FAR, STEEPEST
 from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.rig import Camera
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.packing.engines.engine import Engine
+from bodyseg_data.packing.engines.jobs import Engine
 from bodyseg_data.packing.engines.workers import Expected, check, expected, installed, job
 from bodyseg_data.packing.options import Packing
 

@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.packing.engines.jobs import Engine
 from bodyseg_data.packing.options import Packing
 
 PROCESSES: Final = "processes"
 _DASK: Final = re.compile(r"dask://(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+):(\d{1,5})")
-
-
-@dataclass(frozen=True)
-class Engine:
-    """An executor of jobs. workers: how many to keep busy. note: one line for the user, or None."""
-
-    executor: Executor
-    workers: int
-    note: str | None = None
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import Any
 
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.system.signals import signals_held
-from bodyseg_data.packing.engines.engine import Engine
+from bodyseg_data.packing.engines.jobs import Engine
 
 
 @contextmanager

@@ -64,33 +64,18 @@ def paint(names: Any, faces: Any, begin: Any, count: Any, value: Any) -> None:
 
 
 @_kernel
-def fill_camera(
-    numbers: Any,
-    runs: Any,
-    long: Any,
-    starts: Any,
-    pixels: Any,
-    escapes: Any,
-    top: Any,
-    left: Any,
-    height: Any,
-    width: Any,
-    image: Any,
-    labels: Any,
-    facing: Any,
-    edges: Any,
-) -> Any:
+def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, facing: Any, edges: Any) -> Any:
     """Decode range, labels and facing, [H, W], whatever the images hold, and the edges of foreground.
 
-    numbers: uint8, the rows of the first frame, as many as the counts say. The box lies in the image. edges: int32,
-    room for 2 * (starts + height), receives the flat indices where foreground begins, ends, begins ...; the end of a
-    row of the box ends it, too.
+    numbers: uint8, the rows of the first frame, as many as `counts` (`CameraCounts`) says. box: a `Box` in the image.
+    edges: int32, room for 2 * (starts + height), receives the flat indices where foreground begins, ends, begins ...;
+    the end of a row of the box ends it, too.
 
     Returns the number of edges, or -1 if the numbers do not fit the counts or the box.
     """
-    runs, long, starts, escapes = np.uint64(runs), np.uint64(long), np.uint64(starts), np.uint64(escapes)
-    others = np.uint64(pixels) - starts
-    left, height, width = np.uint64(left), np.uint64(height), np.uint64(width)
+    runs, long, starts = np.uint64(counts.runs), np.uint64(counts.long), np.uint64(counts.starts)
+    others, escapes = np.uint64(counts.pixels) - starts, np.uint64(counts.escapes)
+    left, height, width = np.uint64(box.left), np.uint64(box.height), np.uint64(box.width)
     lengths_at, longs_at = runs, _2 * runs
     firsts_at = longs_at + np.uint64(4) * long
     steps_at = firsts_at + _2 * starts
@@ -101,7 +86,7 @@ def fill_camera(
     run, next_long, start, step, escape, edge = _0, _0, _0, _0, _0, _0
     value, remaining, first, here = _BACKGROUND, _0, _0, _0
     inside = False  # the pixel before belongs to the body
-    done = np.uint64(top) * columns
+    done = np.uint64(box.top) * columns
     for i in range(done):
         ranges[i] = 0
     for i in range(done):
@@ -204,12 +189,11 @@ def fill_camera(
 
 
 @_kernel
-def fill_projector(
-    numbers: Any, runs: Any, long: Any, top: Any, left: Any, height: Any, width: Any, image: Any, texels: Any, held: Any
-) -> Any:
+def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any, held: Any) -> Any:
     """Decode the occluder range, [Hp, Wp].
 
-    numbers: uint8, the rows of the second frame. The box lies in the image. texels: int32, room for all of the image:
+    numbers: uint8, the rows of the second frame, as many as `counts` (`ProjectorCounts`) says. box: a `Box` in the
+    image. texels: int32, room for all of the image:
     the flat indices of the `held` texels that the image holds; it is 0 elsewhere. Receives those that it holds then.
 
     Returns their number, or -1 if the numbers do not fit the counts or the box; the image is then empty.
@@ -217,10 +201,10 @@ def fill_projector(
     flat = image.ravel()
     for i in range(np.uint64(held)):
         flat[np.uint64(texels[i])] = 0
-    runs, long, width = np.uint64(runs), np.uint64(long), np.uint64(width)
+    runs, long, width = np.uint64(counts.runs), np.uint64(counts.long), np.uint64(box.width)
     lengths_at, longs_at = _2 * runs, (_2 + _1) * runs
-    columns, area = np.uint64(image.shape[1]), np.uint64(height) * width
-    corner = np.uint64(top) * columns + np.uint64(left)
+    columns, area = np.uint64(image.shape[1]), np.uint64(box.height) * width
+    corner = np.uint64(box.top) * columns + np.uint64(box.left)
     next_long, place, count = _0, _0, _0
     row, column = corner, _0
     sound = True

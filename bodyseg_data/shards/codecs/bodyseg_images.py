@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import zstandard
@@ -41,10 +41,40 @@ _MAGIC: Final = b"BSI2"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
 _PROJECTOR: Final = struct.Struct("<6H2I")
-_HEADER: Final = struct.Struct("<4sI6H6I6H2I")  # the three in one
+_HEADER_SIZE: Final = _START.size + _CAMERA.size + _PROJECTOR.size
 
 Range = NDArray[np.uint16]
 PixelIndices = NDArray[np.int32]
+
+
+class CameraCounts(NamedTuple):
+    """Numbers of the first frame: runs of labels, the long ones of them, stretches of foreground, pixels of foreground,
+    and steps that are escaped.
+    """
+
+    runs: int
+    long: int
+    starts: int
+    pixels: int
+    escapes: int
+
+    @property
+    def sizes(self) -> list[int]:
+        """Bytes of each row of the frame."""
+        steps = self.pixels - self.starts
+        return [self.runs, self.runs, 4 * self.long, 2 * self.starts, steps, 2 * self.escapes]
+
+
+class ProjectorCounts(NamedTuple):
+    """Numbers of the second frame: runs of the occluder range, and the long ones of them."""
+
+    runs: int
+    long: int
+
+    @property
+    def sizes(self) -> list[int]:
+        """Bytes of each row of the frame."""
+        return [2 * self.runs, self.runs, 4 * self.long]
 
 
 class BodysegImages:
@@ -105,67 +135,64 @@ def decode_images(data: bytes, projector: bool, out: tuple[Range, Bytes] | None 
 
     Raises ValueError, naming the problem, for bytes that `encode_images` did not produce.
     """
-    if len(data) < _HEADER.size:
-        raise ValueError(f"images have a header of {_HEADER.size} bytes, found {len(data)} bytes in all")
-    magic, stored, *fields = _HEADER.unpack_from(data)
+    if len(data) < _HEADER_SIZE:
+        raise ValueError(f"images have a header of {_HEADER_SIZE} bytes, found {len(data)} bytes in all")
+    magic, stored = _START.unpack_from(data)
     if magic != _MAGIC:
         raise ValueError(f"images start with {_MAGIC!r}, found {magic!r}")
     view = memoryview(data)
     computed = zlib.crc32(view[_START.size :])
     if stored != computed:
         raise ValueError(f"altered: CRC-32 {stored:08x} expected, found {computed:08x}")
-    end = _HEADER.size + fields[11]
-    image, labels, facing, edges = _decode_camera(view[_HEADER.size : end], fields[:6], fields[6:11], out)
+    rows, columns, top, left, height, width, *numbers, frame_bytes = _CAMERA.unpack_from(data, _START.size)
+    end = _HEADER_SIZE + frame_bytes
+    box, counts = Box(top, left, height, width), CameraCounts(*numbers)
+    image, labels, facing, edges = _decode_camera(view[_HEADER_SIZE:end], (rows, columns), box, counts, out)
     occluder, texels = None, None
     if projector:
-        occluder, texels = _decode_projector(view[end:], fields[12:18], fields[18:], out is not None)
+        rows, columns, top, left, height, width, *numbers = _PROJECTOR.unpack_from(data, _START.size + _CAMERA.size)
+        box, found = Box(top, left, height, width), ProjectorCounts(*numbers)
+        occluder, texels = _decode_projector(view[end:], (rows, columns), box, found, out is not None)
     return DecodedImages(image, labels, facing, occluder, edges, texels)
 
 
 def _decode_camera(
-    frame: memoryview, geometry: list[int], counts: list[int], out: tuple[Range, Bytes] | None
+    frame: memoryview, size: tuple[int, int], box: Box, counts: CameraCounts, out: tuple[Range, Bytes] | None
 ) -> tuple[Range, Bytes, NDArray[np.bool_], PixelIndices | None]:
     """Range, labels and facing, and the edges of foreground, None without the compiled loops."""
-    runs, long, starts, pixels, escapes = counts
-    _check_header(geometry, runs, long, starts, pixels, escapes)
-    sizes = [runs, runs, 4 * long, 2 * starts, pixels - starts, 2 * escapes]
-    numbers = _numbers(frame, sum(sizes))
-    images = _camera_images((geometry[0], geometry[1]), out)
+    _check_header(size, box, counts)
+    numbers = _numbers(frame, sum(counts.sizes))
+    images = _camera_images(size, out)
     if use_compiled():
-        edges = np.empty(2 * (starts + geometry[4]), np.int32)  # the end of a row divides at most one stretch
-        found = _loops().fill_camera(numbers, *counts, *geometry[2:], *images, edges)
+        edges = np.empty(2 * (counts.starts + box.height), np.int32)  # a row's end divides at most one stretch
+        found = _loops().fill_camera(numbers, counts, box, *images, edges)
         if found >= 0:
             return *images, edges[:found]
     # Numbers that the compiled loop refuses get here, too: the NumPy form says what is wrong with them.
-    values, lengths, longs, firsts, steps, large = _split(numbers, sizes)
-    box = Box(*geometry[2:])
+    values, lengths, longs, firsts, steps, large = _split(numbers, counts.sizes)
     decode_slopes(Runs(values, checked_lengths(lengths, longs, box)), Slopes(firsts, steps, large), box, *images)
     return *images, None
 
 
 def _decode_projector(
-    frame: memoryview, geometry: list[int], counts: list[int], keep: bool
+    frame: memoryview, size: tuple[int, int], box: Box, counts: ProjectorCounts, keep: bool
 ) -> tuple[Range, PixelIndices]:
     """The occluder range, and the flat indices of what it holds. keep: in this thread's memory, read-only."""
-    runs, long = counts
-    _check_header(geometry, runs, long, 0, 0, 0)
-    sizes = [2 * runs, runs, 4 * long]
-    numbers = _numbers(frame, sum(sizes))
-    rows, columns, *corner_and_size = geometry
+    _check_header(size, box, CameraCounts(counts.runs, counts.long, 0, 0, 0))
+    numbers = _numbers(frame, sum(counts.sizes))
     memory = _of_thread.occluder
-    if not keep or memory.image.shape != (rows, columns):
-        memory = OccluderMemory((rows, columns))
+    if not keep or memory.image.shape != size:
+        memory = OccluderMemory(size)
     if keep:
         _of_thread.occluder = memory
     if use_compiled():
         held, memory.held = memory.held, 0
-        found = _loops().fill_projector(numbers, runs, long, *corner_and_size, memory.image, memory.texels, held)
+        found = _loops().fill_projector(numbers, counts, box, memory.image, memory.texels, held)
         if found >= 0:
             memory.held = found
             return memory.seen(keep)
     memory.clear()
-    values, lengths, longs = _split(numbers, sizes)
-    box = Box(*corner_and_size)
+    values, lengths, longs = _split(numbers, counts.sizes)
     stored = Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box))
     memory.hold(stored.write_into(memory.image, box))
     return memory.seen(keep)
@@ -228,20 +255,20 @@ def _fits(array: NDArray[Any], size: tuple[int, int], kind: type[np.generic]) ->
     return array.dtype == kind and array.shape == size and array.flags.carray
 
 
-def _check_header(geometry: list[int], runs: int, long: int, starts: int, pixels: int, escapes: int) -> None:
-    """Raise ValueError for sizes and counts, by which memory is allocated, that no image can have.
-
-    geometry: rows and columns of the image; top, left, height and width of its box.
-    """
-    rows, columns, top, left, height, width = geometry
+def _check_header(size: tuple[int, int], box: Box, counts: CameraCounts) -> None:
+    """Raise ValueError for sizes and counts, by which memory is allocated, that no image of `size` can have."""
+    rows, columns = size
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         raise ValueError(f"an image side is 1 to {MAX_SIDE} pixels, found {rows} x {columns}")
-    if top + height > rows or left + width > columns:
-        raise ValueError(f"a box of {height} x {width} at {top}, {left} does not fit {rows} x {columns} pixels")
-    area = height * width
+    if box.top + box.height > rows or box.left + box.width > columns:
+        raise ValueError(
+            f"a box of {box.height} x {box.width} at {box.top}, {box.left} does not fit {rows} x {columns} pixels"
+        )
+    area = box.height * box.width
+    runs, long, starts, pixels, escapes = counts
     if runs > area or long * ESCAPE > area or 2 * starts > runs + 1 or not escapes <= pixels <= area or starts > pixels:
         raise ValueError(
-            f"{height} x {width} pixels cannot have {runs} runs ({long} long) and {starts} stretches of "
+            f"{box.height} x {box.width} pixels cannot have {runs} runs ({long} long) and {starts} stretches of "
             f"{pixels} pixels of body ({escapes} escaped)"
         )
 

@@ -7,7 +7,7 @@ follows among the escapes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,7 @@ Image = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """The stored part of an image, in pixels; all outside is background."""
 
     top: int
