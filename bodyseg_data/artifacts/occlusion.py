@@ -8,7 +8,7 @@ surface gap behind it. Where they straddle an edge, interpolating ranges would i
 instead ("not more than an edge's difference in front of the point") with its bilinear weight, and half the weight
 decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). With two projectors, shadow is where
 neither lights. Both thresholds belong to the format of shards (`core.sample.ShadowThresholds`).
-docs/explanation/occlusion.md measures the test beside its rivals.
+docs/results/occlusion.md has the test beside its rivals.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
 _LABELS, _OVERLAY, _UNDISTORTED = IMAGES
 _READ: Final = "read"
-_NEAR: Final = 0.7  # of the stand-off; docs/how-to/segment.md has the accuracy by distance
+_NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 

@@ -3,7 +3,7 @@
 The command runs as its users call it, on recordings of made rooms with known labels: in both precisions, by the NumPy
 forms of its loops, beside a busy program, with a label on every surface, without pictures, and with the network on
 OpenVINO. `live` gives the age of a live sensor's frames, which come as arrays, when their labels are there.
-docs/how-to/segment.md says how to read the results.
+docs/results/segment.md has the results.
 """
 
 from __future__ import annotations
