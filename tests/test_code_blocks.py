@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import shlex
 import shutil
@@ -20,6 +19,7 @@ from folders import DOCS, PAGES, ROOT
 from people_on_disk import write_by_vertex, write_mesh
 
 from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
@@ -59,14 +59,6 @@ BEFORE: Final = {
         "from pathlib import Path\nimport numpy as np\n"
         "arrays = [np.full((4, 6), 1500, np.uint16)]\npath = Path('frames.npy')\nnp.save(path, np.stack(arrays))\n"
     ),
-    "steady.md": (
-        "from bodyseg_model.networks.checkpoints import shipped_network\n"
-        "from bodyseg_model.recordings.cameras import frame_camera\n"
-        "from bodyseg_model.segmentation.people.person_score import shipped_score\n"
-        "from bodyseg_model.segmentation.segmenter import Segmenter\n"
-        "trained = shipped_network()\ncamera = frame_camera((480, 640), 'frame', None, None, (), trained.rig).camera\n"
-    ),
-    "segment.md": "import numpy as np\nrange_m = np.zeros((480, 640), np.float32)\n",
     "streaming.md": (
         "import torch\nfrom torch.utils.data import DataLoader\n"
         "from torchdata.stateful_dataloader import StatefulDataLoader\n"
@@ -152,8 +144,8 @@ SIZES: Final = {
 def read(words: list[str]) -> Any:
     """The options that a command reads from its words. Raises BadConfig."""
     name = " ".join(words[:2]) if " ".join(words[:2]) in TABLE else words[0]
-    module, summary = TABLE[name]
-    command = importlib.import_module(module)
+    place, summary = TABLE[name]
+    command = load_command(place)
     return parse(command.Options, words[len(name.split()) :], name, summary, command.EXAMPLE)
 
 

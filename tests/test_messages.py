@@ -260,7 +260,7 @@ CASES: dict[str, Case] = {
     "build an unknown network": (
         lambda: build("unet"),
         BadConfig,
-        "the network must be one of fcn_alexnet, compact, segformer, deeplab, found 'unet'",
+        "the network must be one of fcn_alexnet, compact, found 'unet'",
     ),
     "load a network from another kind of file": (
         lambda: load_network(Path("network.pth")),

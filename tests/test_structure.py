@@ -133,7 +133,7 @@ def test_rooms_are_small_enough_to_look_over() -> None:
         > 13
     }
     assert not crowded
-    long = {name: lines for name, path in modules().items() if (lines := len(path.read_text().splitlines())) > 310}
+    long = {name: lines for name, path in modules().items() if (lines := len(path.read_text().splitlines())) > 450}
     assert not long
     loose = {entry.name for package in ("bodyseg_data", "bodyseg_model") for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}

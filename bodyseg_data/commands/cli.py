@@ -29,7 +29,8 @@ COMMANDS: Final[Commands] = {
     "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
-"""Name -> (module, summary). A module is imported when its command runs, so that no command loads another's imports.
+"""Name -> (place, summary). A place is a module, or "module:Class" where one has several commands. It is imported when
+its command runs, so that no command loads another's imports.
 
 Commands of a group have a name of two words, group and command, as "sensor fit".
 """
@@ -42,7 +43,7 @@ INTERNAL_ERROR: Final = 70  # EX_SOFTWARE of sysexits.h
 
 
 class Command(Protocol):
-    """Interface of a command's module. `run` returns the exit status and raises BodysegError for bad input."""
+    """Interface of a command's module or class. `run` returns the exit status and raises BodysegError for bad input."""
 
     EXAMPLE: str
     Options: type[Any]
@@ -143,14 +144,18 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
         return 0
     if name not in commands:
         raise BadConfig(f"no such command; there are {', '.join(commands)}")
-    command, summary = _load(commands, name)
+    place, summary = commands[name]
+    command = load_command(place)
     options = parse(command.Options, words, f"{program}{name}", summary, command.EXAMPLE)
     return 0 if options is None else command.run(options)
 
 
-def _load(commands: Commands, name: str) -> tuple[Command, str]:
-    module, summary = commands[name]
-    return importlib.import_module(module), summary
+def load_command(place: str) -> Command:
+    """Import the command at a place of `COMMANDS`."""
+    module, _, name = place.partition(":")
+    found = importlib.import_module(module)
+    command: Command = getattr(found, name) if name else found
+    return command
 
 
 def _completion(program: str, commands: Commands, words: list[str]) -> str:
@@ -162,8 +167,8 @@ def _completion(program: str, commands: Commands, words: list[str]) -> str:
 
     everything = App(program.strip(), version=version_line)
     groups: dict[str, App] = {}
-    for name in commands:
-        command, summary = _load(commands, name)
+    for name, (place, summary) in commands.items():
+        command = load_command(place)
         group, _, inner = name.rpartition(" ")
         if group and group not in groups:
             groups[group] = App(group)

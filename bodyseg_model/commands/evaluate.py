@@ -36,7 +36,7 @@ from bodyseg_model.runtimes.backends import (
     put_on_backend,
     to_device,
 )
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from bodyseg_data.commands.options import option
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import (
     WEIGHTS_SHA256,
     Trained,
@@ -20,9 +18,7 @@ from bodyseg_model.networks.checkpoints import (
     shipped_network,
     write_json,
 )
-from bodyseg_model.runtimes.graphs import OPSET
-from bodyseg_model.runtimes.onnx_files import SUFFIX, OnnxModel, export_trained, write_onnx
-from bodyseg_model.runtimes.quantisation import IMAGES, calibrated
+from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, export_trained, write_onnx
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
@@ -39,9 +35,6 @@ class Options:
     scores: Path | None = option(
         "figures of `bodyseg evaluate` to put on the card, their confusion matrix in a file beside it", None
     )
-    precision: Literal["float32", "int8"] = option("arithmetic of the .onnx file", "float32")
-    calibrate: str | None = option("set of shards on whose train split int8 is calibrated", None, address=True)
-    images: int = option("how many images of it", IMAGES)
 
 
 def run(options: Options) -> int:
@@ -51,9 +44,8 @@ def run(options: Options) -> int:
     scores = {} if options.scores is None else {"scores": read_json(options.scores)}
     confusion = scores.get("scores", {}).pop("confusion", None)
     if options.onnx is not None:
-        model = _model(options, Trained(trained.network, {**trained.card, **scores}))
-        size = write_onnx(options.onnx, model)
-        sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}, {options.precision}\n")
+        size = write_onnx(options.onnx, export_trained(Trained(trained.network, {**trained.card, **scores})))
+        sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}\n")
     if options.out is not None:
         facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}
         save_network(options.out, trained.network, trained.card["network"], {**facts, **scores}, half=True)
@@ -69,15 +61,3 @@ def _check(options: Options) -> None:
     for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, SUFFIX)):
         if path is not None and path.suffix != suffix:
             raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
-    if (options.precision == "int8") != (options.calibrate is not None):
-        raise BadConfig("--precision int8 and --calibrate SET go together")
-    if options.precision == "int8" and options.onnx is None:
-        raise BadConfig("--precision is that of an .onnx file: give --onnx")
-
-
-def _model(options: Options, trained: Trained) -> OnnxModel:
-    model = export_trained(trained)
-    if options.calibrate is None:
-        return model
-    images = RangeImages(options.calibrate, trained.card.get("variant", "all"), "train", sensor=trained.sensor)
-    return calibrated(model, images, options.images)

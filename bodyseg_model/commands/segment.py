@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,50 +13,33 @@ from typing import Any, Final
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.rig import Rig, rig_names
 from bodyseg_data.core.system.machine import hardware
-from bodyseg_data.core.system.memory import keep_freed_memory, peak_mb
-from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.memory import keep_freed_memory
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
-from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
-from bodyseg_model.recordings.camera_files import FrameCameras, find_cameras
-from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.recording import Frame, Pixels, Stamp
-from bodyseg_model.recordings.skipping import Skipping
+from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.runtimes.backends import (
     BACKEND_HELP,
     FLIP_HELP,
     QUICK_PRECISION_HELP,
     BackendName,
-    backend_of,
     load_run,
-    put_on_backend,
     quick_precision,
-    to_device,
 )
-from bodyseg_model.runtimes.onnx_files import Precision
-from bodyseg_model.segmentation.files.frame_results import FrameResults, LabelledFrame
-from bodyseg_model.segmentation.files.output_folder import IMAGES, LEGEND, PREVIEW, OutputFolder
-from bodyseg_model.segmentation.files.write_behind import WriteBehind
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.pictures.overlay import Preview, draw_parts_legend
-from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmenter, Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledRecording
+from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
+from bodyseg_model.segmentation.pictures.overlay import Preview
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.sensor_fit.shadows import ShadowFrames
 from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
-_LABELS, _OVERLAY, _UNDISTORTED = IMAGES
-_READ: Final = "read"
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
@@ -102,86 +84,71 @@ def run(options: Options) -> int:
     keep_freed_memory()
     use_threads(options.threads)
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
-    frames, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
+    frames = find_frames(options.frames, options.topic, step_m)
     trained = shipped_network() if options.run is None else load_run(options.run)
-    precision = options.precision or quick_precision(trained.network, options.backend, options.device)
-    trained = put_on_backend(trained, options.backend, precision, options.flip_average)
-    label_map = trained.label_map
-    preview = None if options.no_overlay else Preview(options.fps, label_map)
-    to_device(trained.network, options.device)
-    cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig, skipping)
-    score = None if options.keep_things else shipped_score()
-    video = CarriedLabels() if options.video else None
-    segmenters = Segmenters(trained, background, options.mirrored, options.confidence, score, video)
-    _, first = segmenters.of(cameras.first.camera)  # now, as nothing is made for options that cannot be
-    written = [_LABELS, *([] if options.no_overlay else [_OVERLAY]), *([_UNDISTORTED] if cameras.bent else [])]
-    out = OutputFolder(options.out, options.frames, frames, written)
+    labeller = FrameLabeller(
+        trained,
+        background,
+        mirrored=options.mirrored,
+        least_confidence=options.confidence,
+        keep_things=options.keep_things,
+        video=options.video,
+        backend=options.backend,
+        precision=options.precision or quick_precision(trained.network, options.backend, options.device),
+        flip_average=options.flip_average,
+        device=options.device,
+    )
+    preview = None if options.no_overlay else Preview(options.fps, labeller.label_map)
+    recording = labeller.recording(
+        frames,
+        rig=options.rig,
+        focal_px=options.focal,
+        centre_px=options.centre,
+        skip_unreadable=options.skip_unreadable,
+    )
+    cameras = recording.cameras
+    images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
     shape = cameras.first.camera.rows, cameras.first.camera.columns
-    results, shadows = FrameResults(out, label_map, preview, shape), ShadowFrames(len(frames), _SHADOW_FRAMES)
-    with _labels_out(options, label_map) as messages:
-        out.begin()
-        first.prepare()
-        results.prepare()
+    results = FrameResults(
+        OutputFolder(options.out, options.frames, frames, images), labeller.label_map, preview, shape
+    )
+    shadows = ShadowFrames(len(frames), _SHADOW_FRAMES)
+    with _labels_out(options, labeller.label_map) as messages:
+        results.begin()
+        recording.prepare()
         start = time.perf_counter()
         # One thread writes results. If another reads ahead, it alone reads recordings.
-        read = (_read(file, cameras, skipping, segmenters, messages is not None) for file in frames)
         with (
-            contextlib.closing(read_ahead(read) if options.ahead else read) as coming,
+            contextlib.closing(recording.labelled(options.ahead, stamps=messages is not None)) as coming,
             Progress("segmenting", "frames") as progress,
-            WriteBehind() as behind,
+            results,
         ):
-            for number, (file, ready) in enumerate(zip(frames, coming, strict=True)):
-                if video is not None and number and file.sequence != frames[number - 1].sequence:
-                    video.restart()
-                done = partial(progress.update, number + 1, len(frames))
-                if ready is None:
-                    behind.add(done)
-                    continue
-                frame = _label(ready)
-                if frame.camera is None:
-                    shadows.add(number, file.name, frame.range_m, [body.pixels for body in frame.result.bodies])
+            done = 0
+            for labelled in coming:
+                frame, bodies = frames[labelled.number], [body.pixels for body in labelled.bodies]
+                if labelled.own_camera is None:
+                    shadows.add(labelled.number, frame.name, labelled.range_m, bodies)
                 if messages is not None:
-                    messages.add(file, frame.result.labels, ready.stamp)
-                behind.add(partial(_write, frame, results, done))
+                    messages.add(frame, labelled.labels, labelled.stamp)
+                done = labelled.number + 1
+                results.add(labelled, frame, partial(progress.update, done, len(frames)))
+            if done < len(frames):  # the last ones are skipped
+                results.then(partial(progress.update, len(frames), len(frames)))
         seconds = time.perf_counter() - start
-    labelled = len(frames) - len(skipping.skipped)
-    if preview is not None:
-        save_picture(draw_parts_legend(label_map), options.out / LEGEND)
-        write_result(options.out / PREVIEW, preview.to_gif())
-    summary = results.summary
-    facts = {
-        "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
-        "labels": {"name": label_map.name, "classes": [*label_map.names]},
-        "camera": {**cameras.to_json(), "mirrored": options.mirrored},
-        "unit_m": _units(frames),
-        "skipped": skipping.skipped,
-        "background": background.to_json(),
-        "person_score": None if first.people is None else {"cutoff": first.people.cutoff},
-        "resampling": {
-            "rig": trained.rig.name,
-            "focal_px": trained.rig.camera.focal_px,
-            "distance_m": trained.rig.stand_off_m,
-            "rule": "each body is scaled so that its median range gets the pixel size of that camera at that distance",
-        },
-        "least_confidence": options.confidence,
-        "video": None if video is None else video.carrying.to_json(),
-        "preview": None if preview is None else preview.to_json(),
-        "frames_per_second": round(labelled / seconds, 2),
-        "hardware": hardware(),
-        "device": str(device_of(trained.network)),
-        "runtime": backend_of(trained.network),
-        "peak_mb": peak_mb(),
-    }
-    out.finish({**facts, **summary.to_json()})
-    lines = _remarks(options, cameras, summary, shadows, skipping, labelled / seconds) + _too_near(summary, trained.rig)
+    per_second = (len(frames) - len(recording.skipped)) / seconds
+    results.finish(
+        {
+            "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
+            "labels": {"name": labeller.label_map.name, "classes": [*labeller.label_map.names]},
+            **recording.to_json(),
+            **labeller.to_json(),
+            "frames_per_second": round(per_second, 2),
+            "hardware": hardware(),
+        }
+    )
+    lines = _remarks(options, recording, results.summary, shadows, per_second)
     sys.stderr.write("".join(f"{line}\n" for line in lines))
     return 0
-
-
-def _units(frames: Sequence[Frame]) -> float | dict[str, float]:
-    """Metres in a step: one number, or one for the frames of each file where they differ."""
-    of = {str(frame.path): frame.step_m for frame in frames}
-    return frames[0].step_m if len(set(of.values())) == 1 else of
 
 
 def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractContextManager[LabelsOut | None]:
@@ -190,62 +157,6 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
     if options.labels_out.resolve().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--labels-out must lie outside --out, found {options.labels_out}")
     return labels_out(options.labels_out, label_map, options.fps)
-
-
-@dataclass(frozen=True)
-class _Ready:
-    """A frame that was read, [H, W], and its surfaces. camera: its entry in the summary, where it has one of its own.
-    stamp: of its message, where labels go out as messages.
-    """
-
-    file: Frame
-    pixels: Pixels
-    segmenter: Segmenter
-    found: FoundSurfaces
-    milliseconds: dict[str, float]
-    camera: dict[str, Any] | None
-    stamp: Stamp | None
-
-
-def _read(
-    file: Frame, cameras: FrameCameras, skipping: Skipping, segmenters: Segmenters, with_stamp: bool
-) -> _Ready | None:
-    """Read one frame and find its surfaces; None for one that is skipped. Raises BadConfig, naming it."""
-    watch = Stopwatch((_READ,))
-    with watch(_READ):
-        pixels = skipping.read(file)
-        if pixels is None:
-            return None
-        camera = cameras.of(file, (pixels.shape[0], pixels.shape[1]))
-        with _naming(file):
-            lens, segmenter = segmenters.of(camera.camera)
-            if lens is not None:
-                pixels = lens(pixels)
-            range_m = to_metres(pixels, file.step_m)
-    with _naming(file):
-        found = segmenter.find(range_m)
-    own = camera.to_json() if cameras.is_own(file) else None
-    return _Ready(file, pixels, segmenter, found, watch.milliseconds, own, file.stamp() if with_stamp else None)
-
-
-def _label(ready: _Ready) -> LabelledFrame:
-    """Label the surfaces of one frame. Raises BadConfig, naming it."""
-    with _naming(ready.file):
-        result = ready.segmenter.label(ready.found)
-    return LabelledFrame(ready.file, ready.pixels, ready.found.range_m, result, ready.milliseconds, ready.camera)
-
-
-@contextlib.contextmanager
-def _naming(file: Frame) -> Iterator[None]:
-    try:
-        yield
-    except BadConfig as error:
-        raise BadConfig(f"{file.where}: {error}") from error
-
-
-def _write(frame: LabelledFrame, results: FrameResults, done: Callable[[], None]) -> None:
-    results.add(frame)
-    done()
 
 
 def _background(options: Options) -> Background:
@@ -263,14 +174,13 @@ def _facts(trained: Trained) -> dict[str, Any]:
 
 def _remarks(
     options: Options,
-    cameras: FrameCameras,
+    recording: LabelledRecording,
     summary: SequenceSummary,
     shadows: ShadowFrames,
-    skipping: Skipping,
     per_second: float,
 ) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
-    frames, camera = shadows.frames - len(skipping.skipped), cameras.common or cameras.first
+    frames, camera = len(recording) - len(recording.skipped), recording.cameras.common or recording.cameras.first
     lines = [
         f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
         f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
@@ -279,8 +189,8 @@ def _remarks(
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
-    if skipping.skipped:
-        lines.append(f"{len(skipping.skipped)} frames could not be read: skipped in summary.json lists them")
+    if recording.skipped:
+        lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:
@@ -292,7 +202,7 @@ def _remarks(
             f"the projector's shadows lie on the {camera.projector_side if mirrored else 'other'} side of bodies, so "
             f"frames are probably {shown} --mirrored"
         )
-    return lines
+    return lines + _too_near(summary, recording.labeller.rig)
 
 
 def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:

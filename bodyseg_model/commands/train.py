@@ -6,6 +6,8 @@ import contextlib
 import hashlib
 import json
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,13 +20,13 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
 from bodyseg_data.artifacts.variants import VariantName, sensor_for
 from bodyseg_data.commands.options import WHERE_HELP, command_line, option
+from bodyseg_data.commands.progress import Progress, rate_text
 from bodyseg_data.commands.provenance import provenance
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.loading.image_set import ImageSet
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.commands.train_reports import reporting, silent
 from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
@@ -32,7 +34,7 @@ from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
 from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Report
+from bodyseg_model.training.metrics import Metrics, Report
 from bodyseg_model.training.objective.distillation import Teacher
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
@@ -132,7 +134,7 @@ def run(options: Options) -> int:
             teacher,
         )
         facts = provenance(command_line("bodyseg train", options))
-        report: Report = silent
+        report: Report = report_nothing
         if processes.first:
             report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every))
         training.run(options.resume, report, facts)
@@ -251,3 +253,71 @@ def _settings(text: str) -> dict[str, Any]:
     if not isinstance(settings, dict):
         raise BadConfig(f"--settings must be a JSON object, found {text!r}")
     return settings
+
+
+def report_nothing(metrics: Metrics) -> None:
+    """Report nothing."""
+
+
+@contextlib.contextmanager
+def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
+    """Report a training in `folder`: progress on standard error, and TensorBoard's log where that is installed."""
+    board = _tensorboard(folder / "tensorboard")
+    start = time.monotonic()
+    first: list[int] = []
+
+    def report(metrics: Metrics) -> None:
+        first.append(metrics.step - log_every)
+        done = metrics.step - max(0, first[0])
+        left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
+        progress.update(
+            metrics.step,
+            steps,
+            f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
+            f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}"
+            f"{_validation_text(metrics)}, {left:.0f} s left",
+        )
+        if board is not None:
+            for name, value in metrics.to_json().items():
+                if name != "step":
+                    board.add_scalar(name, value, metrics.step)
+
+    try:
+        with Progress("training", "steps") as progress:
+            yield report
+    finally:
+        if board is not None:
+            board.close()
+
+
+def _validation_text(metrics: Metrics) -> str:
+    if metrics.val_accuracy is None:
+        return ""
+    return f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
+
+
+def _tensorboard(path: Path) -> Any:
+    """TensorBoard's writer, which makes its files at the first figures; None without the package."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
+        return None
+    return _TensorBoard(path, SummaryWriter)
+
+
+class _TensorBoard:
+    """Opens the writer late: a refused training leaves nothing behind."""
+
+    def __init__(self, path: Path, writer: Any) -> None:
+        self._path, self._new = path, writer
+        self._writer: Any = None
+
+    def add_scalar(self, name: str, value: float, step: int) -> None:
+        if self._writer is None:
+            self._writer = self._new(str(self._path))
+        self._writer.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()

@@ -12,25 +12,20 @@ from typing import Final
 from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model
 from bodyseg_data.artifacts.variants import VariantName
 from bodyseg_data.commands.options import WHERE_HELP, option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target
-from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import rig_names
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
-from bodyseg_model.recordings.camera_files import find_cameras
 from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.training.distributed import find_device
 from bodyseg_model.viewing.pages.page import Page
 from bodyseg_model.viewing.pages.recording_page import RecordingPage
 from bodyseg_model.viewing.pages.server import LOOPBACK
 from bodyseg_model.viewing.pages.set_page import SetPage
 from bodyseg_model.viewing.recording_view import RecordingView
-from bodyseg_model.viewing.rerun_file import write_recording, write_set
 from bodyseg_model.viewing.set_view import SetView, Shown
 
 EXAMPLE = "bodyseg view shards"
@@ -47,8 +42,6 @@ _OF_RECORDINGS: Final = (
     "keep_things",
     "confidence",
 )
-_OF_PAGES: Final = ("host", "port", "save")
-_SAMPLES: Final = 20
 
 
 @dataclass(frozen=True)
@@ -62,10 +55,6 @@ class Options:
     host: str = option("serve on this address; any but loopback lets other machines in, without a password", LOOPBACK)
     port: int = option("serve on this port, or the next free one", 8080)
     save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
-    rrd: Path | None = option("write this file for the viewer Rerun instead (pip install rerun-sdk)", None)
-    count: int | None = option(
-        f"with --rrd: samples or frames, evenly over those chosen (default: {_SAMPLES} samples, all frames)", None
-    )
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     split: ReadSplit | None = option("sets: only this split (default: train and test)", None)
     val_share: float = option("sets: share of train that is the split val, and not train", 0.0)
@@ -86,7 +75,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Serve the page until Ctrl-C, or write a file."""
+    """Serve the page until Ctrl-C."""
     kind = "set" if is_set(options.source) else "recording"
     check_options(options, kind)
     if options.save is not None and not options.save.is_dir():
@@ -95,8 +84,6 @@ def run(options: Options) -> int:
     trained.network.to(find_device(options.device))
     view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
     first = Shown(variant=options.variant, sensor=load_sensor_model(options.sensor))
-    if options.rrd is not None:
-        return _write(options.rrd, options.count, view, first)
     page, recording = Page(options.host, options.port, "bodyseg view", options.save), None
     try:
         if isinstance(view, SetView):
@@ -144,30 +131,6 @@ def check_options(options: Options, kind: str) -> None:
         if getattr(options, name) != getattr(usual, name):
             other = "frames" if kind == "set" else "sets"
             raise BadConfig(f"--{name.replace('_', '-')} is for {other}, found it with a {kind}")
-    if options.rrd is None:
-        if options.count is not None:
-            raise BadConfig("--count is the number of samples or frames in a file: give --rrd with it")
-        return
-    for name in _OF_PAGES:
-        if getattr(options, name) != getattr(usual, name):
-            raise BadConfig(f"--{name} is for the page, found it with --rrd")
-    check_target(options.rrd, "--rrd")
-    if options.count is not None:
-        check_int("--count", options.count, 1)
-
-
-def _write(path: Path, count: int | None, view: SetView | RecordingView, shown: Shown) -> int:
-    """Write a set or a recording for Rerun, and say on standard error what is in the file."""
-    lines: list[str] = []
-    kind = "samples" if isinstance(view, SetView) else "frames"
-    with Progress("writing", kind) as progress:
-        if isinstance(view, SetView):
-            written = write_set(path, view, shown, count or _SAMPLES, progress.update)
-        else:
-            written, lines = write_recording(path, view, count or len(view), progress.update)
-    lines.append(f"wrote {written} of {len(view)} {kind} to {path}: open it with `rerun {path}`")
-    sys.stderr.write("".join(f"{line}\n" for line in lines))
-    return 0
 
 
 def _set_view(options: Options, trained: Trained) -> SetView:
@@ -191,7 +154,12 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         if not all(path.is_dir() for path in paths):
             raise
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
-    cameras = find_cameras(frames, options.rig, options.focal, options.centre, trained.rig)
-    score = None if options.keep_things else shipped_score()
-    segmenters = Segmenters(trained, Background(options.background), options.mirrored, options.confidence, score)
-    return RecordingView(frames, cameras, segmenters, trained.label_map)
+    labeller = FrameLabeller(
+        trained,
+        Background(options.background),
+        mirrored=options.mirrored,
+        least_confidence=options.confidence,
+        keep_things=options.keep_things,
+        device=options.device,
+    )
+    return RecordingView(labeller.recording(frames, rig=options.rig, focal_px=options.focal, centre_px=options.centre))

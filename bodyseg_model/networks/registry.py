@@ -32,12 +32,10 @@ class Prediction(NamedTuple):
 
 
 NETWORKS: Final[dict[str, str]] = {
-    "fcn_alexnet": "fcn_alexnet.FcnAlexnet",
-    "compact": "compact.Compact",
-    "segformer": "baselines.Segformer",
-    "deeplab": "baselines.Deeplab",
+    "fcn_alexnet": "bodyseg_model.networks.fcn_alexnet.FcnAlexnet",
+    "compact": "bodyseg_model.networks.compact.Compact",
 }
-"""Name -> "module.Class" of this folder, imported when a network of that name is built."""
+"""Name -> "package.module.Class", imported when a network of that name is built."""
 
 if TYPE_CHECKING:
     NetworkName = str
@@ -49,8 +47,8 @@ def network_class(name: str) -> type[Network]:
     """The class of the network called `name`. Raises BadConfig for an unknown name."""
     if name not in NETWORKS:
         raise BadConfig(f"the network must be one of {', '.join(NETWORKS)}, found {name!r}")
-    module, kind = NETWORKS[name].split(".")
-    found: type[Network] = getattr(import_module(f"{__package__}.{module}"), kind)
+    module, _, kind = NETWORKS[name].rpartition(".")
+    found: type[Network] = getattr(import_module(module), kind)
     return found
 
 

@@ -1,1 +1,1 @@
-"""Networks in other runtimes: ONNX files with the answer in the graph, int8, ONNX Runtime and OpenVINO."""
+"""Networks in other runtimes: ONNX files with the answer in the graph, ONNX Runtime and OpenVINO."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import torch
 
@@ -13,21 +12,17 @@ from bodyseg_data.core.system.machine import computes_bfloat16
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, load_network, trained_network
 from bodyseg_model.networks.flip_average import FlipAverage
 from bodyseg_model.networks.network import Network
-from bodyseg_model.runtimes.folding import folded
-from bodyseg_model.runtimes.onnx_files import SUFFIX, Precision, read_onnx, to_onnx
-from bodyseg_model.runtimes.runtime import Runtime, RuntimeNetwork, check_precision
-from bodyseg_model.runtimes.torch_bfloat16 import Bfloat16
+from bodyseg_model.runtimes.onnx_files import SUFFIX, read_onnx, to_onnx
+from bodyseg_model.runtimes.runtime import OnnxRuntime, OpenVino, Precision, Runtime, RuntimeNetwork, check_precision
+from bodyseg_model.runtimes.torch_forms import Bfloat16, folded
 from bodyseg_model.training.distributed import find_device
 
 TORCH: Final = "torch"
 OF_FILES: Final = "onnxruntime"
 """The backend of an ONNX file for which none is named."""
 
-RUNTIMES: Final[dict[str, str]] = {
-    "onnxruntime": "onnx_runtime.OnnxRuntime",
-    "openvino": "openvino_runtime.OpenVino",
-}
-"""Name -> "module.Class" of this folder, imported when it is used."""
+RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
+"""Name -> class, which imports its library when it is used."""
 
 BACKEND_HELP: Final = (
     "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
@@ -36,10 +31,10 @@ BACKEND_HELP: Final = (
 FLIP_HELP: Final = (
     "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
 )
-PRECISION_HELP: Final = "arithmetic of the network (default: float32; of an .onnx file, its own)"
+PRECISION_HELP: Final = "arithmetic of the network (default: float32)"
 QUICK_PRECISION_HELP: Final = (
     "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
-    "file, its own)"
+    "file, float32)"
 )
 
 if TYPE_CHECKING:
@@ -67,13 +62,11 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
         return RuntimeNetwork(network.model, name, _runtime(name), asked)
     name, chosen = backend or TORCH, precision or "float32"
     if name == TORCH:
-        if chosen == "int8":
-            raise BadConfig("torch computes in float32 or bfloat16, found int8")
+        check_precision(name, get_args(Precision), chosen)
         quick = folded(network)
         return Bfloat16(quick) if chosen == "bfloat16" else quick
     runtime = _runtime(name)
-    if chosen == "int8" or chosen not in runtime.precisions:  # before the graph is made
-        check_precision(name, runtime, "float32", chosen)
+    check_precision(name, runtime.precisions, chosen)  # before the graph is made
     runtime.version()
     return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
 
@@ -108,7 +101,7 @@ def load_run(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     model = read_onnx(path)
-    network = RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), model.facts.precision)
+    network = RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), "float32")
     return trained_network(network, model.card, path)
 
 
@@ -141,6 +134,4 @@ def _runtime(backend: str) -> type[Runtime]:
     """The class of a runtime. Raises BadConfig for an unknown name."""
     if backend not in RUNTIMES:
         raise BadConfig(f"the backend must be one of {', '.join([TORCH, *RUNTIMES])}, found {backend!r}")
-    module, kind = RUNTIMES[backend].split(".")
-    found: type[Runtime] = getattr(import_module(f"{__package__}.{module}"), kind)
-    return found
+    return RUNTIMES[backend]

@@ -1,35 +1,149 @@
-"""ONNX files of networks: the graph with its answer, and in its metadata the card and what a runtime must know."""
+"""Networks as ONNX files: the graph from range images to labels and confidences, and in its metadata the card.
+
+torch's exporter by tracing writes graphs. The one by torch.export takes 15 s of processor time for `compact` instead of
+0.3, and rounds divisions of negative sizes towards zero, as ONNX's own division does.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import warnings
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
+
+import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
+from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.files import write_result
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.networks.checkpoints import Trained, read_bytes
 from bodyseg_model.networks.network import Network
-from bodyseg_model.runtimes.graphs import OPSET, answer_graph, import_onnx, scores_part
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"
 
-Precision = Literal["float32", "bfloat16", "int8"]
+OPSET: Final = 18
+"""Version of ONNX's operators that graphs use."""
+
+RANGE: Final = "range_m"
+SCORES: Final = "scores"
+LABELS: Final = "labels"
+CONFIDENCE: Final = "confidence"
+"""Names of values: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up; labels uint8
+and confidences float32, [B, H, W]."""
+
+_EXAMPLE: Final = (1, 1, 200, 136)
+_AXES: Final = {RANGE: {0: "images", 2: "rows", 3: "columns"}} | {
+    name: {0: "images", 1: "rows", 2: "columns"} for name in (LABELS, CONFIDENCE)
+}
+
+
+class _Answer(nn.Module):
+    """All of `registry.predict`, in operations that can be traced for images of any size."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, range_m: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        network = self.network
+        measured = range_m[:, 0] > 0
+        scores = network.scores(range_m).permute(0, 2, 3, 1).contiguous()
+        full = scores.permute(0, 3, 1, 2)
+        if network.output_stride > 1:
+            full = F.interpolate(full, scale_factor=network.output_stride, mode="bilinear", align_corners=False)
+        full = full[:, :, : range_m.shape[2], : range_m.shape[3]]
+        best, label = full.max(1)
+        share = 1 / (full - best[:, None]).exp().sum(1)
+        labels = torch.where(measured, label.float(), torch.tensor(float(BACKGROUND))).to(torch.uint8)
+        return labels, torch.where(measured, share, torch.tensor(0.0)), scores
+
+
+def answer_graph(network: Network) -> Any:
+    """A network as an onnx.ModelProto: `RANGE` -> `LABELS` and `CONFIDENCE`, for any number of images of any size.
+
+    The value `SCORES` is in it by this name. network: in evaluation mode. Raises BadConfig for a
+    network that cannot be traced, MissingLibrary without onnx.
+    """
+    onnx = import_onnx()
+    if network.training:
+        raise BadConfig("a network is written as ONNX in evaluation mode: call network.eval() first")
+    example = torch.zeros(_EXAMPLE)
+    example[:, :, 20:-20, 20:-20] = 2.5
+    buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, SCORES]
+    try:
+        # Traced sizes are compared where layers check their input; that the trace fixes these checks is wanted.
+        # What it prints of a graph that it cannot write is of no use to users.
+        with torch.no_grad(), warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            torch.onnx.export(
+                _Answer(network).eval(),
+                (example,),
+                buffer,  # type: ignore[arg-type]  # the exporter by tracing writes into it
+                input_names=[RANGE],
+                output_names=names,
+                dynamic_axes=_AXES,
+                opset_version=OPSET,
+                dynamo=False,
+            )
+    except Exception as error:  # of any kind, as networks are anybody's
+        first = str(error).strip().splitlines()[:1] or [""]
+        raise BadConfig(f"{type(network).__name__} cannot be written as ONNX: {first[0]}") from error
+    model = onnx.load_from_string(buffer.getvalue())
+    del model.graph.output[2:]
+    return model
+
+
+def scores_part(model: Any) -> Any:
+    """The part of an `answer_graph` from `RANGE` to `SCORES`, an onnx.ModelProto.
+
+    Raises BadConfig for a graph that does not have these values.
+    """
+    onnx = import_onnx()
+    makes = {name: node for node in model.graph.node for name in node.output}
+    needed, open_names = set[str](), [SCORES]
+    while open_names:
+        name = open_names.pop()
+        if name not in makes or makes[name].name in needed:
+            continue
+        needed.add(makes[name].name)
+        open_names += makes[name].input
+    nodes = [node for node in model.graph.node if node.name in needed]
+    used = {name for node in nodes for name in node.input}
+    if RANGE not in used:
+        raise BadConfig(f"an ONNX file must compute {SCORES!r} from {RANGE!r}, as `bodyseg export --onnx` writes it")
+    value, kind = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
+    graph = onnx.helper.make_graph(
+        nodes,
+        SCORES,
+        [value(RANGE, kind, ["images", 1, "rows", "columns"])],
+        [value(SCORES, kind, ["images", "score_rows", "score_columns", None])],
+        [array for array in model.graph.initializer if array.name in used],
+    )
+    return onnx.helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
+
+
+def import_onnx() -> Any:
+    """The package onnx. Raises MissingLibrary."""
+    try:
+        return import_module("onnx")
+    except ImportError as error:
+        raise missing_library("the format ONNX", error, extra="onnx") from error
 
 
 @dataclass(frozen=True)
 class GraphFacts:
-    """Properties of a graph's network; see `Network`. precision: float32, or int8 for a quantised graph.
-
-    calibration: set, images and method that quantised it; empty for float32.
-    """
+    """Properties of a graph's network; see `Network`."""
 
     classes: int
     output_stride: int
-    precision: Precision = "float32"
-    calibration: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -42,14 +156,14 @@ class GraphFacts:
 
 @dataclass(frozen=True)
 class OnnxModel:
-    """A network as an ONNX graph (`graphs.answer_graph`, an onnx.ModelProto), with its card."""
+    """A network as an ONNX graph (`answer_graph`, an onnx.ModelProto), with its card."""
 
     graph: Any = field(repr=False)
     facts: GraphFacts
     card: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def scores_bytes(self) -> bytes:
-        """The part that computes scores (`graphs.scores_part`), as the bytes of an ONNX file."""
+        """The part that computes scores (`scores_part`), as the bytes of an ONNX file."""
         data: bytes = scores_part(self.graph).SerializeToString()
         return data
 

@@ -1,18 +1,26 @@
-"""Base class of runtimes: sessions that compute a network's scores, and the network that asks them."""
+"""Runtimes that compute ONNX graphs on the processor, ONNX Runtime and OpenVINO, and the network that asks them."""
 
 from __future__ import annotations
 
+import io
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.libraries import missing_library
 from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
-from bodyseg_model.runtimes.onnx_files import OnnxModel, Precision
+from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel
+
+Precision = Literal["float32", "bfloat16"]
+
+_ERRORS_ONLY: Final = 3  # of ONNX Runtime's log
 
 
 class Runtime(ABC):
@@ -25,7 +33,7 @@ class Runtime(ABC):
 
     @abstractmethod
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        """Compile a graph from `graphs.RANGE` to `graphs.SCORES` for so many threads. Raises MissingLibrary."""
+        """Compile a graph from `RANGE` to `SCORES` for so many threads. Raises MissingLibrary."""
 
     @abstractmethod
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -37,26 +45,80 @@ class Runtime(ABC):
         """Version of the library. Raises MissingLibrary if it is not installed."""
 
 
+class OnnxRuntime(Runtime):
+    """ONNX Runtime; its processor kernels know no bfloat16."""
+
+    precisions: ClassVar[tuple[Precision, ...]] = ("float32",)
+
+    def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
+        library = _runtime_library("onnxruntime", "onnx")
+        options = library.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+        options.log_severity_level = _ERRORS_ONLY
+        self._session = library.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """See `Runtime.scores`."""
+        found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
+        return found
+
+    @classmethod
+    def version(cls) -> str:
+        """See `Runtime.version`."""
+        return str(_runtime_library("onnxruntime", "onnx").__version__)
+
+
+class OpenVino(Runtime):
+    """OpenVINO."""
+
+    precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
+
+    def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
+        core = _runtime_library("openvino", "openvino").Core()
+        settings = {
+            "INFERENCE_NUM_THREADS": threads,
+            "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
+            "PERFORMANCE_HINT": "LATENCY",
+            "ENABLE_CPU_PINNING": False,  # other work of the process runs beside it
+        }
+        self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
+
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """See `Runtime.scores`."""
+        found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
+        return found
+
+    @classmethod
+    def version(cls) -> str:
+        """See `Runtime.version`."""
+        return str(_runtime_library("openvino", "openvino").__version__)
+
+
+def _runtime_library(name: str, extra: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise missing_library(f"the backend {name}", error, extra=extra) from error
+
+
 class RuntimeNetwork(Network):
     """A network whose scores a runtime computes; all else that takes a `Network` takes it, but it cannot be trained.
 
-    identity: name and version of the runtime, precision, and calibration of int8, as plain JSON. Threads are as many as
-    torch may use when scores are asked for; a session is kept for each number. Raises BadConfig for
-    a precision that the runtime or the graph does not have, MissingLibrary if the runtime is not installed.
+    identity: name and version of the runtime, and precision, as plain JSON. Threads are as many as torch may use when
+    scores are asked for; a session is kept for each number. Raises BadConfig for a precision that the runtime does not
+    have, MissingLibrary if the runtime is not installed.
     """
 
     together = False  # a runtime prepares for every shape of its input that it has not met
 
     def __init__(self, model: OnnxModel, name: str, runtime: type[Runtime], precision: Precision) -> None:
         super().__init__({}, model.facts.classes)
-        check_precision(name, runtime, model.facts.precision, precision)
+        check_precision(name, runtime.precisions, precision)
         self.output_stride = model.facts.output_stride
         self.model = model
         self._runtime, self._graph = runtime, model.scores_bytes()
         self._sessions: dict[int, Runtime] = {}
         self.identity: dict[str, Any] = {"backend": name, "version": runtime.version(), "precision": precision}
-        if model.facts.calibration:
-            self.identity["calibration"] = model.facts.calibration
         self._precision: Precision = precision
         self.eval()
 
@@ -70,12 +132,7 @@ class RuntimeNetwork(Network):
         return torch.from_numpy(found).permute(0, 3, 1, 2)
 
 
-def check_precision(name: str, runtime: type[Runtime], graph: Precision, precision: Precision) -> None:
-    """Raise BadConfig unless a runtime computes a graph of the precision `graph` in `precision`."""
-    if precision not in runtime.precisions:
-        raise BadConfig(f"{name} computes in {' or '.join(runtime.precisions)}, found {precision}")
-    if (precision == "int8") != (graph == "int8"):
-        raise BadConfig(
-            f"a network of {graph} cannot compute in {precision}: int8 needs a file that "
-            "`bodyseg export --onnx FILE --precision int8 --calibrate SET` wrote, and such a file int8"
-        )
+def check_precision(backend: str, precisions: Sequence[Precision], precision: Precision) -> None:
+    """Raise BadConfig unless a backend has a precision."""
+    if precision not in precisions:
+        raise BadConfig(f"{backend} computes in {' or '.join(precisions)}, found {precision}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,20 +16,16 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_data.core.system.divided_work import of_each
 from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.order_statistics import median
 from bodyseg_model.segmentation.people.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.views.resampling import BodyView, usual_views, view_body
-from bodyseg_model.segmentation.views.undistortion import Undistortion
-
-_KEPT: Final = 4
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -252,34 +248,3 @@ class Segmenter:
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)
-
-
-class Segmenters:
-    """The segmenter of every camera of a recording, for the rig that a network was trained for.
-
-    Options as for `Segmenter`. A few are kept, as an undistortion takes as much memory as several frames.
-    """
-
-    def __init__(
-        self,
-        trained: Trained,
-        background: Background | None = None,
-        mirrored: bool = False,
-        least_confidence: float = 0.0,
-        people: PersonScore | None = None,
-        video: CarriedLabels | None = None,
-    ) -> None:
-        self._trained, self._people, self._video = trained, people, video
-        self._options = background, mirrored, least_confidence
-        self.of = lru_cache(maxsize=_KEPT)(self._new)
-
-    def __repr__(self) -> str:
-        return f"Segmenters({self._trained!r}, for rig {self._trained.rig.name})"
-
-    def _new(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
-        """Undistortion, where the camera needs one, and segmenter of its frames. Raises BadConfig as `Segmenter`."""
-        lens = None if camera.distortion is None else Undistortion(camera)
-        ideal = camera if lens is None else lens.camera
-        return lens, Segmenter(
-            self._trained.network, ideal, *self._options, self._trained.rig, self._people, self._video
-        )

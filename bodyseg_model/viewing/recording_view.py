@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, Literal, get_args
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.core.rig import Camera
 from bodyseg_data.drawing.style import THING
 from bodyseg_data.drawing.window import window_of
-from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.recordings.camera_files import FrameCameras
-from bodyseg_model.recordings.frames import to_metres
-from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
+from bodyseg_model.segmentation.frame_labeller import LabelledFrame, LabelledRecording
 from bodyseg_model.segmentation.pictures.overlay import draw_overlay
-from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
+from bodyseg_model.segmentation.segmenter import Segmentation
 from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
 from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
@@ -61,112 +53,47 @@ class ShownFrame:
     room: bool = True
 
 
-@dataclass(frozen=True)
-class Labelled:
-    """A frame and its labels. confidence: float32 [H, W], 0 where there is no body. camera: without lens distortion.
-
-    milliseconds: of reading and of each stage of the segmentation, in all.
-    """
-
-    range_m: NDArray[np.float32] = field(repr=False)
-    segmentation: Segmentation
-    confidence: NDArray[np.float32] = field(repr=False)
-    camera: Camera
-    milliseconds: float
-
-    @property
-    def bodies(self) -> NDArray[np.intp]:
-        """Flat indices of the pixels of all bodies, int64 [N]."""
-        pixels = [body.pixels for body in self.segmentation.bodies]
-        return np.concatenate(pixels) if pixels else np.zeros(0, np.intp)
-
-    @property
-    def body_m(self) -> NDArray[np.float32]:
-        """Range of bodies alone, metres, float32 [H, W], 0 elsewhere."""
-        where = np.zeros(self.range_m.size, np.bool_)
-        where[self.bodies] = True
-        return np.where(where.reshape(self.range_m.shape), self.range_m, np.float32(0))
-
-    def body_points(self, colours: NDArray[np.uint8]) -> Points:
-        """Points of bodies, in reading order of their pixels. colours: of all pixels, sRGB uint8 [H, W, 3]."""
-        body_m = self.body_m
-        return Points(points_at(body_m, camera_alone(self.camera)), colours[body_m > 0])
-
-    def room_points(self) -> Points:
-        """Points beside bodies, one of nine, grey."""
-        thinned = np.zeros_like(self.range_m)
-        some = slice(None, None, _ROOM_STEP)
-        thinned[some, some] = np.where(self.body_m > 0, np.float32(0), self.range_m)[some, some]
-        xyz = points_at(thinned, camera_alone(self.camera))
-        return Points(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
-
-
 class RecordingView:
-    """Labels frames when they are first drawn, and keeps the last ones.
+    """Labels the frames of a recording when they are first drawn, and keeps the last ones."""
 
-    cameras, segmenters: of the frames. label_map: of the network. Raises BadConfig if there is no frame.
-    """
-
-    def __init__(
-        self,
-        frames: Sequence[Frame],
-        cameras: FrameCameras,
-        segmenters: Segmenters,
-        label_map: LabelMap,
-    ) -> None:
-        if not frames:
-            raise BadConfig("a recording must hold a frame, found none")
-        self.frames, self.label_map = frames, label_map
-        self._cameras, self._segmenters = cameras, segmenters
-        self._prepared: WeakSet[Segmenter] = WeakSet()
-        self.labelled = lru_cache(maxsize=_KEPT)(self._labelled)
+    def __init__(self, recording: LabelledRecording) -> None:
+        self.recording, self.label_map = recording, recording.labeller.label_map
+        self.labelled = lru_cache(maxsize=_KEPT)(recording.label)
 
     def __len__(self) -> int:
-        return len(self.frames)
+        return len(self.recording)
 
     def __repr__(self) -> str:
-        return f"RecordingView({len(self)} frames, {self._cameras!r})"
+        return f"RecordingView({self.recording!r})"
 
     def draw(self, shown: ShownFrame) -> Drawing:
         """Draw a frame. Raises BadConfig for one that cannot be read or does not fit its camera."""
         frame, before = self.labelled(shown.number), self.before(shown.number)
         changes = changes_of(frame, before)
         colours, legend = self._colours(shown.colouring, frame, changes)
-        bodies, room = frame.body_points(colours), frame.room_points() if shown.room else _NOTHING
+        body_m = body_range(frame)
+        bodies = Points(points_at(body_m, camera_alone(frame.camera)), colours[body_m > 0])
+        room = _room_points(frame, body_m) if shown.room else _NOTHING
         return Drawing(
             Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
             (device("camera", camera_alone(frame.camera)),),
             self._picture(frame, changes),
             self.facts(shown.number, frame, before),
-            point_gap_m(frame.body_m if len(frame.bodies) else frame.range_m, frame.camera),
+            point_gap_m(body_m if len(bodies.xyz) else frame.range_m, frame.camera),
             len(bodies.xyz),
             legend,
         )
 
-    def _labelled(self, number: int) -> Labelled:
-        file = self.frames[number]
-        watch = Stopwatch(["read"])
-        with watch("read"):
-            pixels = file.read()
-            camera = self._cameras.of(file, (pixels.shape[0], pixels.shape[1])).camera
-            lens, segmenter = self._segmenters.of(camera)
-            range_m = to_metres(pixels if lens is None else lens(pixels), file.step_m)
-        if segmenter not in self._prepared:  # else the first frame's times would be those of loading
-            segmenter.prepare()
-            self._prepared.add(segmenter)
-        found = segmenter(range_m)
-        total = watch.milliseconds["read"] + sum(found.milliseconds.values())
-        return Labelled(range_m, found, found.confidence, segmenter.camera, total)
-
-    def before(self, number: int) -> Labelled | None:
+    def before(self, number: int) -> LabelledFrame | None:
         """The frame before, if it is of the same recording and size. Raises as `draw`."""
-        if number == 0 or self.frames[number - 1].sequence != self.frames[number].sequence:
+        frames = self.recording.frames
+        if number == 0 or frames[number - 1].sequence != frames[number].sequence:
             return None
         before = self.labelled(number - 1)
         return before if before.range_m.shape == self.labelled(number).range_m.shape else None
 
     def _colours(
-        self, colouring: FrameColouring, frame: Labelled, changes: NDArray[np.uint8]
+        self, colouring: FrameColouring, frame: LabelledFrame, changes: NDArray[np.uint8]
     ) -> tuple[NDArray[np.uint8], Legend]:
         """Colours of all pixels, sRGB uint8 [H, W, 3], and their legend."""
         seen = frame.range_m > 0
@@ -174,15 +101,15 @@ class RecordingView:
             return share_image(frame.confidence, seen), CONFIDENCE_LEGEND
         if colouring == "flicker":
             return _change_image(changes), FLICKER_LEGEND
-        return label_image(frame.segmentation.labels, seen, self.label_map), class_legend(self.label_map)
+        return label_image(frame.labels, seen, self.label_map), class_legend(self.label_map)
 
-    def _picture(self, frame: Labelled, changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _picture(self, frame: LabelledFrame, changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The whole frame with its labels; below it confidence and flicker, of bodies alone where they are small."""
         found = frame.segmentation
         bodies = [body.pixels for body in found.bodies]
         overlay = draw_overlay(frame.range_m, found.labels, bodies, self.label_map)
         whole = Layout.of(1, (overlay.shape[0], overlay.shape[1]))
-        measured = frame.body_m > 0
+        measured = body_range(frame) > 0
         window = window_of([measured])
         rows, columns = measured[window].shape
         near = Layout.of(2, (rows, columns))
@@ -197,19 +124,19 @@ class RecordingView:
         above = [Panel("labels on the range image", whole.reduced(overlay), _counted(found))]
         return np.concatenate([whole.draw([above]), near.draw([below])])
 
-    def facts(self, number: int, frame: Labelled, before: Labelled | None) -> tuple[str, ...]:
+    def facts(self, number: int, frame: LabelledFrame, before: LabelledFrame | None) -> tuple[str, ...]:
         """Lines of text on a frame: its name, people and things, times, confidence and flicker."""
-        found, file = frame.segmentation, self.frames[number]
+        found = frame.segmentation
         stages = ", ".join(f"{stage} {time:.0f}" for stage, time in found.milliseconds.items())
         facts = [
-            file.name,
+            self.recording.frames[number].name,
             f"frame {number + 1} of {len(self)}: {_counted(found)}",
-            f"{frame.milliseconds:.0f} ms when it was labelled: {stages}",
+            f"{sum(frame.milliseconds.values()):.0f} ms when it was labelled: {stages}",
         ]
         if found.mean_confidence is not None:
             facts.append(f"mean confidence {found.mean_confidence:.1%}")
         if before is not None:
-            change: Flicker = flicker(before.segmentation.labels, found.labels, before.range_m, frame.range_m)
+            change: Flicker = flicker(before.labels, found.labels, before.range_m, frame.range_m)
             shares = change.to_json()
             moving, still = (shares[name] for name in ("changed", "still_changed"))
             if moving is not None:
@@ -217,21 +144,38 @@ class RecordingView:
         return tuple(facts)
 
 
-def changes_of(frame: Labelled, before: Labelled | None) -> NDArray[np.uint8]:
+def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np.uint8]:
     """Change of each pixel's label from the frame before, uint8 [H, W]: number in `FLICKER_LEGEND`, 255 without one."""
-    labels = frame.segmentation.labels
+    labels = frame.labels
     found = np.full(labels.shape, BACKGROUND, np.uint8)
     has_label = labels != BACKGROUND
     found[has_label] = 3
     if before is None:
         return found
-    old = before.segmentation.labels
+    old = before.labels
     shared = has_label & (old != BACKGROUND)
     still = np.abs(frame.range_m - before.range_m) < STILL_M
     found[shared] = 0
     found[shared & (old != labels) & ~still] = 1
     found[shared & (old != labels) & still] = 2
     return found
+
+
+def body_range(frame: LabelledFrame) -> NDArray[np.float32]:
+    """Range of the bodies alone, metres, float32 [H, W], 0 elsewhere."""
+    found = np.zeros_like(frame.range_m)
+    for body in frame.bodies:
+        found.ravel()[body.pixels] = frame.range_m.ravel()[body.pixels]
+    return found
+
+
+def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> Points:
+    """Points beside bodies, one of nine, grey."""
+    thinned = np.zeros_like(frame.range_m)
+    some = slice(None, None, _ROOM_STEP)
+    thinned[some, some] = np.where(body_m > 0, np.float32(0), frame.range_m)[some, some]
+    xyz = points_at(thinned, camera_alone(frame.camera))
+    return Points(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
 
 
 def _counted(found: Segmentation) -> str:

@@ -15,21 +15,19 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from bodyseg_data.core.errors import BodysegError
-from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.recordings.bags.camera_info import camera_of
 from bodyseg_model.recordings.bags.images import pixels
 from bodyseg_model.recordings.bags.messages import IMAGE
 from bodyseg_model.recordings.frames import to_metres
 from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, in_steps
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 
 
 class LabelNode(Node):
     def __init__(self) -> None:
         super().__init__("bodyseg")
         self.camera = None
-        self.segmenters = Segmenters(shipped_network(), people=shipped_score())
+        self.labeller = FrameLabeller()
         self.labels = self.create_publisher(Image, "labels", qos_profile_sensor_data)
         self.create_subscription(CameraInfo, "camera_info", self.on_camera, qos_profile_sensor_data)
         self.create_subscription(Image, "depth", self.on_image, qos_profile_sensor_data)
@@ -43,8 +41,7 @@ class LabelNode(Node):
         try:
             stored = pixels(message, IMAGE)
             range_m = to_metres(in_steps(stored), FLOAT_STEP_M if stored.dtype.kind == "f" else MILLIMETRE)
-            lens, segment = self.segmenters.of(self.camera.frame_camera(range_m.shape).camera)
-            labels = segment(range_m if lens is None else lens(range_m)).labels
+            labels = self.labeller(range_m, self.camera.frame_camera(range_m.shape).camera).labels
         except BodysegError as error:
             self.get_logger().error(str(error))
             return

@@ -21,7 +21,6 @@ from bodyseg_model.training.objective.loss import NetworkWithLoss, part_weights
 SMALL: dict[str, dict[str, Any]] = {
     "fcn_alexnet": {"width": 1 / 16},
     "compact": {"patch": 8, "widths": [6, 8], "blocks": [0, 1]},
-    "segformer": {"shrink": 2},
 }
 LIMBS = load_label_map("limbs14")
 

@@ -14,7 +14,6 @@ from bags import ROS2, built, camera_info, image
 from label_networks import Places
 
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.networks import checkpoints
 from bodyseg_model.networks.checkpoints import Trained
 
 NODE = Path(__file__).parents[2] / "docs" / "examples" / "label_node.py"
@@ -57,14 +56,13 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Any:
         module = ModuleType(name)
         module.__dict__.update(content)
         monkeypatch.setitem(sys.modules, name, module)
-    network = Trained(Places(axis=0, step=20), {"network": "places", "seed": 3})
-    monkeypatch.setattr(checkpoints, "shipped_network", lambda: network)
     spec = spec_from_file_location("label_node", NODE)
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     made = module.LabelNode()
-    made.segmenters = module.Segmenters(network)  # a block is no person: all bodies get labels
+    network = Trained(Places(axis=0, step=20), {"network": "places", "seed": 3})
+    made.labeller = module.FrameLabeller(network, keep_things=True)  # a block is no person: all bodies get labels
     return made
 
 

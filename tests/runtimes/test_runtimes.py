@@ -14,16 +14,25 @@ from toy_network import Toy
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.system.machine import computes_bfloat16
 from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network, save_network, shipped_network
+from bodyseg_model.networks.checkpoints import load_network, save_network, shipped_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.runtimes import backends
-from bodyseg_model.runtimes.backends import backend_of, load_run, on_backend, quick_precision, to_device
-from bodyseg_model.runtimes.folding import folded
-from bodyseg_model.runtimes.graphs import answer_graph, import_onnx, scores_part
-from bodyseg_model.runtimes.onnx_files import GraphFacts, OnnxModel, export_trained, read_onnx, to_onnx, write_onnx
-from bodyseg_model.runtimes.quantisation import quantised
-from bodyseg_model.runtimes.runtime import RuntimeNetwork
+from bodyseg_model.runtimes.backends import backend_of, on_backend, quick_precision, to_device
+from bodyseg_model.runtimes.onnx_files import (
+    GraphFacts,
+    OnnxModel,
+    answer_graph,
+    export_trained,
+    import_onnx,
+    read_onnx,
+    scores_part,
+    to_onnx,
+    write_onnx,
+)
+from bodyseg_model.runtimes.runtime import OnnxRuntime, RuntimeNetwork
+from bodyseg_model.runtimes.torch_forms import folded
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.segmenter import Segmenter
 
@@ -92,7 +101,8 @@ def test_bfloat16_is_near() -> None:
         moved = on_backend(network, backend, "bfloat16")
         assert backend_of(moved)["precision"] == "bfloat16"
         differ = (predict(moved, range_m).labels != expected.labels).sum() / (expected.labels != 255).sum()
-        assert 0 < differ < 0.1
+        # A runtime computes in float32 where the processor has no instructions for bfloat16.
+        assert differ < 0.1 and (differ > 0 or not computes_bfloat16())
 
 
 def test_the_quick_precision_is_one_that_the_backend_has(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,28 +127,6 @@ def test_weights_that_are_rounded_once_give_autocasts_bits(name: str, settings: 
     with torch.inference_mode():
         assert torch.equal(found.scores(range_m), expected)
     assert all(weight.dtype == torch.float32 for weight in network.parameters())
-
-
-def test_int8_is_near_and_says_what_it_was_calibrated_on(tmp_path: Path) -> None:
-    trained = shipped_network()
-    model = quantised(export_trained(trained), [frame[None].numpy() for frame in frames(3)], {"set": "made"})
-    assert write_onnx(tmp_path / "int8.onnx", model) < 0.8 * SHIPPED.stat().st_size  # whose filters have 16 bits
-    loaded = load_run(tmp_path / "int8.onnx")
-    expected = predict(trained.network, frames(1))
-    for backend in ["onnxruntime", *(["openvino"] if _installed("openvino") else [])]:
-        moved = on_backend(loaded.network, backend)
-        assert backend_of(moved) == {
-            "backend": backend,
-            "version": backend_of(moved)["version"],
-            "precision": "int8",
-            "calibration": {"set": "made"},
-        }
-        differ = (predict(moved, frames(1)).labels != expected.labels).sum() / (expected.labels != 255).sum()
-        assert 0 < differ < 0.15
-    with pytest.raises(BadConfig, match="quantised from float32, found int8"):
-        quantised(model, [], {})
-    with pytest.raises(BadConfig, match="a network of int8 cannot compute in float32"):
-        on_backend(loaded.network, "onnxruntime", "float32")
 
 
 def _installed(name: str) -> bool:
@@ -185,11 +173,9 @@ def test_sessions_compute_in_as_many_threads_as_torch() -> None:
 def test_the_command_writes_a_file_that_segment_and_evaluate_take(
     run: Path, small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, int8 = tmp_path / "tiny.onnx", tmp_path / "tiny-int8.onnx"
+    out = tmp_path / "tiny.onnx"
     assert main(["export", "--run", str(run), "--onnx", str(out)]) == 0
-    assert "opset 18, float32" in capsys.readouterr().err
-    calibrate = ["--precision", "int8", "--calibrate", str(small_set), "--images", "3"]
-    assert main(["export", "--run", str(run), "--onnx", str(int8), *calibrate]) == 0
+    assert "opset 18\n" in capsys.readouterr().err
     card, texts = load_network(run).card, {entry.key: entry.value for entry in onnx.load(out).metadata_props}
     assert texts["weights_sha256"] == card["weights_sha256"]
     assert {name: json.loads(texts["card"])[name] for name in card} == card
@@ -201,7 +187,6 @@ def test_the_command_writes_a_file_that_segment_and_evaluate_take(
         "torch": ["--run", str(run)],
         "file": ["--run", str(out)],
         "runtime": ["--run", str(run), "--backend", "onnxruntime"],
-        "int8": ["--run", str(int8)],
         "both": ["--run", str(run), "--flip-average"],
     }.items():
         assert main(["evaluate", *options, *words, str(tmp_path / f"{name}.json")]) == 0
@@ -210,12 +195,10 @@ def test_the_command_writes_a_file_that_segment_and_evaluate_take(
         "torch": ("torch", "float32"),
         "file": ("onnxruntime", "float32"),
         "runtime": ("onnxruntime", "float32"),
-        "int8": ("onnxruntime", "int8"),
         "both": ("torch", "float32"),
     }
     assert [name for name, each in found.items() if each["runtime"].get("flip_average")] == ["both"]
     assert found["both"]["pixel_accuracy"] != found["torch"]["pixel_accuracy"]
-    assert found["int8"]["runtime"]["calibration"]["images"] == 3
     accuracies = {name: each["pixel_accuracy"] for name, each in found.items()}
     assert accuracies["torch"] == pytest.approx(accuracies["file"], abs=1e-3)
     assert accuracies["runtime"] == accuracies["file"]
@@ -234,8 +217,6 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
     for words, message in (
         (["export"], "give the file to write"),
         (["export", "--onnx", "x.pb"], "--onnx must be a .onnx file"),
-        (["export", "--onnx", "x.onnx", "--precision", "int8"], "--precision int8 and --calibrate SET go together"),
-        (["export", "--out", "x.safetensors", "--precision", "int8", "--calibrate", "s"], "give --onnx"),
         (["export", "--run", str(run), "--onnx", str(tmp_path / "absent" / "x.onnx")], "cannot write"),
         (["evaluate", "--run", str(tmp_path / "bad.onnx"), *to], "is not a whole ONNX file"),
         (["evaluate", "--run", str(tmp_path / "bare.onnx"), *to], "the format must be 'bodyseg onnx 1', found None"),
@@ -243,9 +224,7 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
         (["evaluate", "--run", str(tmp_path / "toy.onnx"), *to], "toy.onnx: "),
         (["evaluate", "--run", str(tmp_path / "toy.onnx"), "--checkpoint", "last", *to], "is one of a run's folder"),
         (["evaluate", "--run", str(run), "--backend", "tvm", *to], "--backend"),
-        (["evaluate", "--run", str(run), "--precision", "int8", *to], "torch computes in float32 or bfloat16"),
         (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "bfloat16", *to], "found bfloat16"),
-        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "int8", *to], "--calibrate SET"),
         (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--device", "cuda", *to], "found the device cuda"),
     ):
         assert main(words) == 2
@@ -259,6 +238,8 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
         answer_graph(Toy().train())
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'tvm'"):
         on_backend(Toy().eval(), "tvm")
+    with pytest.raises(BadConfig, match="torch computes in float32 or bfloat16, found int8"):
+        on_backend(Toy().eval(), "torch", "int8")  # type: ignore[arg-type]
 
     class Odd(Toy):
         def scores(self, range_m: torch.Tensor) -> torch.Tensor:
@@ -269,7 +250,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     graph = answer_graph(Toy().eval())
     with pytest.raises(BadConfig, match="must compute 'scores' from 'range_m'"):
         scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
-    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", _runtime(), "float32")
+    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", OnnxRuntime, "float32")
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
     to_device(moved, "cpu")
@@ -282,15 +263,6 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
         patch.setitem(__import__("sys").modules, "openvino", None)
         with pytest.raises(MissingLibrary, match=r"pip install 'bodyseg\[openvino\]'"):
             on_backend(Toy().eval(), "openvino")
-        patch.setitem(__import__("sys").modules, "onnxruntime.quantization", None)
-        with pytest.raises(MissingLibrary, match="quantising needs the package 'onnxruntime'"):
-            quantised(OnnxModel(graph, GraphFacts.of(Toy())), [], {})
-
-
-def _runtime() -> Any:
-    from bodyseg_model.runtimes.onnx_runtime import OnnxRuntime
-
-    return OnnxRuntime
 
 
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:

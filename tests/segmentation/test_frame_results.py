@@ -14,7 +14,7 @@ from PIL import Image
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system import deflate
-from bodyseg_model.segmentation.files.write_behind import WriteBehind
+from bodyseg_model.segmentation.output_folder import WriteBehind
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 
 

@@ -13,7 +13,7 @@ from pngs import png
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.files.output_folder import IMAGES, OutputFolder
+from bodyseg_model.segmentation.output_folder import IMAGES, OutputFolder
 
 
 @pytest.fixture

@@ -572,3 +572,13 @@ def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: 
     body = labels != BACKGROUND
     assert body.sum() == 480 and labels[body].max() < 14
     np.testing.assert_allclose(overlay[body], limbs.colours[labels[body]], atol=1)
+
+
+def test_frames_that_are_skipped_at_the_end_are_counted(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (recording / "11.png").write_bytes(b"no picture")
+    assert run(recording, "--focal", "100", "--skip-unreadable", "1", "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().err
+    assert "segmenting: 5 of 5 frames" in said and "wrote 4 frames" in said
+    assert [frame["name"] for frame in report(tmp_path / "out")["each"]] == ["7", "8", "9", "10"]

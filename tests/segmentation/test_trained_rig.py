@@ -20,7 +20,7 @@ from bodyseg_model.networks.checkpoints import Trained, load_network, save_netwo
 from bodyseg_model.networks.registry import build
 from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.segmenter import Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.segmentation.views.resampling import STEP
 from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
@@ -34,7 +34,7 @@ LENS = frame_camera((60, 80), "a frame", focal_px=100.0).camera
 
 def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
     places = Places(axis=0, step=1)
-    _, labels_of = Segmenters(Trained(places, {"rig": SMALL.to_json()}), KEEP).of(LENS)
+    _, labels_of = FrameLabeller(Trained(places, {"rig": SMALL.to_json()}), KEEP).of(LENS)
     frame = np.zeros((60, 80), np.float32)
     frame[10:50, 34:46] = 2.0
     (body,) = labels_of(frame).bodies
@@ -47,13 +47,13 @@ def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
 
 
 def test_options_and_cameras_are_kept_by_camera() -> None:
-    segmenters = Segmenters(Trained(Places(0, 10), {"network": "places"}), KEEP, True, 0.5)
-    lens, labels_of = segmenters.of(LENS)
-    assert lens is None and segmenters.of(LENS)[1] is labels_of
+    labeller = FrameLabeller(Trained(Places(0, 10), {"network": "places"}), KEEP, mirrored=True, least_confidence=0.5)
+    lens, labels_of = labeller.of(LENS)
+    assert lens is None and labeller.of(LENS)[1] is labels_of
     assert (labels_of.mirrored, labels_of.least_confidence, labels_of.background) == (True, 0.5, KEEP)
     assert labels_of.rig == load_rig()
-    assert repr(segmenters).startswith("Segmenters(Trained(network='places', ")
-    assert repr(segmenters).endswith(", for rig paper)")
+    assert repr(labeller).startswith("FrameLabeller(Trained(network='places', ")
+    assert repr(labeller).endswith(", for rig paper)")
 
 
 def test_frames_of_the_rigs_size_are_taken_for_its_cameras() -> None:
@@ -121,7 +121,7 @@ def test_a_network_of_another_rig_labels_frames_as_well_as_its_images(small_set:
     card = load_network(tmp_path / "run").card
     scores = []
     for rig in (SMALL, load_rig()):
-        _, labels_of = Segmenters(Trained(network.eval(), {**card, "rig": rig.to_json()}), KEEP).of(SMALL.camera)
+        _, labels_of = FrameLabeller(Trained(network.eval(), {**card, "rig": rig.to_json()}), KEEP).of(SMALL.camera)
         matrix = ConfusionMatrix()
         for index in range(0, len(images), 5):
             image = images[index]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +10,19 @@ from label_networks import Places
 from pngs import png
 from small_rig import SMALL
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import COLOURS
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.camera_files import FrameCameras
-from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter, Segmenters
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame
+from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
 from bodyseg_model.viewing.recording_view import (
     CONFIDENCE_LEGEND,
     FLICKER_LEGEND,
-    Labelled,
     RecordingView,
     ShownFrame,
+    body_range,
     changes_of,
 )
 
@@ -44,9 +40,8 @@ def view_of(folder: Path, *images: np.ndarray) -> RecordingView:
     for number, image in enumerate(images):
         (folder / f"{number}.png").write_bytes(png(image))
     frames = find_frames([folder])
-    cameras = FrameCameras(frames, [None] * len(frames), lambda shape, where: FrameCamera(CAMERA, "given"))
     trained = Trained(Places(1, 8), {"rig": SMALL.to_json()})
-    return RecordingView(frames, cameras, Segmenters(trained, Background("limits")), PARTS33)
+    return RecordingView(FrameLabeller(trained, Background("limits")).recording(frames, focal_px=90.0))
 
 
 def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_path: Path) -> None:
@@ -54,9 +49,9 @@ def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_pat
     first = view.labelled(0)
     drawing = view.draw(ShownFrame())
     body = np.isclose(first.range_m, 1.5)
-    assert np.array_equal(np.flatnonzero(body), np.sort(first.bodies))
+    np.testing.assert_array_equal(body_range(first), np.where(body, first.range_m, 0))
     assert drawing.bodies == 20 * 40
-    np.testing.assert_array_equal(drawing.points.colours[:800], COLOURS[first.segmentation.labels[body]])
+    np.testing.assert_array_equal(drawing.points.colours[:800], COLOURS[first.labels[body]])
     np.testing.assert_allclose(drawing.points.xyz[:800, 2], -1.5, atol=1e-6)
     assert len(drawing.points.xyz) - 800 == np.count_nonzero(~body[::3, ::3])
     assert len(view.draw(ShownFrame(room=False)).points.xyz) == 800
@@ -71,10 +66,10 @@ def test_confidence_and_its_legend(tmp_path: Path) -> None:
     assert np.abs(drawing.points.colours.astype(int) - green).max() < 20
 
 
-def labelled(labels: list[int], range_m: list[float]) -> Labelled:
+def labelled(labels: list[int], range_m: list[float]) -> LabelledFrame:
     """A frame of one row."""
     found = Segmentation(np.array([labels], np.uint8), (), {})
-    return Labelled(np.array([range_m], np.float32), found, np.zeros((1, len(labels)), np.float32), CAMERA, 1.0)
+    return LabelledFrame(0, np.array([range_m], np.float32), CAMERA, found, {})
 
 
 def test_changes_are_told_from_movement() -> None:
@@ -106,7 +101,7 @@ def test_frames_of_other_recordings_are_not_the_frame_before(tmp_path: Path) -> 
         (tmp_path / name / "1.png").write_bytes(png(frame(10)))
         frames.append(tmp_path / name)
     view = view_of(tmp_path / "left", frame(10))
-    view.frames = find_frames(frames)
+    view.recording.frames = find_frames(frames)
     assert not any("flicker" in fact for fact in view.draw(ShownFrame(2)).facts)
 
 
@@ -144,9 +139,3 @@ def test_nobody_is_drawn_as_such(tmp_path: Path) -> None:
     assert view.draw(ShownFrame(0)).bodies == 0
     empty = view.draw(ShownFrame(1))
     assert len(empty.points.xyz) == 0 and "0 people, 0 things" in empty.facts[1]
-
-
-def test_recordings_need_a_frame() -> None:
-    nothing: Any = None
-    with pytest.raises(BadConfig, match="a recording must hold a frame, found none"):
-        RecordingView([], nothing, nothing, PARTS33)

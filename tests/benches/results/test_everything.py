@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from benches.bench import Options as BenchOptions
 from benches.chart import Options as ChartOptions
 from benches.charts.outdated import NEVER, outdated, stale_results, without_mark
 from benches.charts.page import render_page, sources_of
+from benches.model.networks.baselines import with_baselines
 from benches.results.everything import PAGES, PROCESSORS, everything
 from benches.results.records import Records
 from benches.results.running import duration
@@ -21,6 +21,7 @@ from benches.results.trainings import SEEDS
 from folders import ROOT
 from made_steps import Workshop, a_result, a_set, a_training
 
+from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
@@ -31,14 +32,15 @@ RESULTS = ROOT / "docs" / "results"
 def options_of(step: Step) -> type:
     program, name = step.words[:2]
     if program == "bodyseg":
-        return importlib.import_module(COMMANDS[name][0]).Options
+        return load_command(COMMANDS[name][0]).Options
     return {"tools/bench": BenchOptions, "tools/chart": ChartOptions}[program]
 
 
 def test_every_declared_command_can_be_read() -> None:
-    for step in everything().steps.values():
-        words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
-        assert parse(options_of(step), words, step.name, "", "") is not None, step.command
+    with with_baselines():
+        for step in everything().steps.values():
+            words = step.words[2:] if step.words[0] == "bodyseg" else step.words[1:]
+            assert parse(options_of(step), words, step.name, "", "") is not None, step.command
 
 
 def test_only_benches_that_draw_are_asked_for_a_figure() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 
 import pytest
@@ -16,6 +15,7 @@ from docutils import nodes
 from docutils.utils import new_document
 
 import bodyseg_data
+from bodyseg_data.commands.cli import load_command
 from bodyseg_model.commands.cli import COMMANDS
 
 OVERVIEW = """# Title
@@ -59,9 +59,9 @@ def test_files_beside_docs_become_pages_with_links_that_hold() -> None:
 
 def test_every_command_is_described_with_every_option_and_default() -> None:
     text = described_commands(COMMANDS)
-    for name, (module, summary) in COMMANDS.items():
+    for name, (place, summary) in COMMANDS.items():
         assert f"## bodyseg {name}\n\n{summary[0].upper()}" in text
-        assert importlib.import_module(module).EXAMPLE in text
+        assert load_command(place).EXAMPLE in text
     assert "| `--out` | path | required | " in text
     assert "| `--views` | whole number |  | " in text
     assert "| `--distances` | whole number, one or several | `215 255 295` | " in text

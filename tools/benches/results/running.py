@@ -24,7 +24,7 @@ from bodyseg_model.networks.checkpoints import NETWORK
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 PROGRAMS: Final = {
-    "bodyseg": [sys.executable, "-m", "bodyseg_model"],
+    "bodyseg": [sys.executable, "-m", "benches.model.networks.baselines"],  # `bodyseg` that knows rivals of ours, too
     "tools/bench": [sys.executable, "-m", "benches", "bench"],
     "tools/chart": [sys.executable, "-m", "benches", "chart"],
 }

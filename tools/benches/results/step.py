@@ -76,7 +76,7 @@ class Step:
             return self.modules
         program, name = self.words[:2]
         if program == "bodyseg":
-            return (COMMANDS[name][0],)
+            return (COMMANDS[name][0].partition(":")[0],)
         if program == "tools/bench":
             return (f"benches.{BENCHES[name].module}",)
         return ("benches.chart",) if program == "tools/chart" else ()

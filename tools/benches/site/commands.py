@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import types
 import typing
 from collections.abc import Iterator
 from typing import Any
 
-from bodyseg_data.commands.cli import Commands
+from bodyseg_data.commands.cli import Commands, load_command
 from bodyseg_data.commands.options import flag_of
 
 
@@ -17,8 +16,8 @@ def described_commands(commands: Commands) -> str:
     """Return Markdown with a heading, a summary, an example and a table of options for each command."""
     return "\n".join(
         line
-        for name, (module, summary) in commands.items()
-        for line in _described(f"bodyseg {name}", summary, importlib.import_module(module))
+        for name, (place, summary) in commands.items()
+        for line in _described(f"bodyseg {name}", summary, load_command(place))
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benches.model.networks.baselines import with_baselines
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
 from bodyseg_model.networks.network import Network
@@ -52,13 +53,14 @@ def groups_in(folders: Sequence[Path]) -> dict[str, list[Run]]:
     share variant `all`, images (but the seed), steps and batch; the seeds of a name share everything.
     """
     groups: dict[str, list[Run]] = {}
-    for folder in folders:
-        if not folder.is_dir():
-            raise BadConfig(f"--runs must be folders of trainings, found {folder}")
-        for path in sorted(folder.iterdir()):
-            if path.is_dir() and (named := _NAME.fullmatch(path.name)):
-                run = Run(path, named[1], int(named[2]), load_network(path))
-                groups.setdefault(run.name, []).append(run)
+    with with_baselines():
+        for folder in folders:
+            if not folder.is_dir():
+                raise BadConfig(f"--runs must be folders of trainings, found {folder}")
+            for path in sorted(folder.iterdir()):
+                if path.is_dir() and (named := _NAME.fullmatch(path.name)):
+                    run = Run(path, named[1], int(named[2]), load_network(path))
+                    groups.setdefault(run.name, []).append(run)
     if not groups:
         raise BadConfig(f"no training NAME-SEED in {', '.join(map(str, folders)) or 'no folder'}")
     first = next(iter(groups.values()))[0]

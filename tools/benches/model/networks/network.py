@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.model.networks.baselines import with_baselines
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -108,6 +109,11 @@ def bench_network(
 
 
 def _candidates(runs: Sequence[Path]) -> dict[str, _Candidate]:
+    with with_baselines():
+        return _candidates_of([*NETWORKS], runs)
+
+
+def _candidates_of(kinds: Sequence[str], runs: Sequence[Path]) -> dict[str, _Candidate]:
     given = [(path, load_network(path)) for path in runs]
     if SHIPPED.exists():
         given.append((SHIPPED, load_network(SHIPPED)))
@@ -119,16 +125,16 @@ def _candidates(runs: Sequence[Path]) -> dict[str, _Candidate]:
             first[one.kind] = one
         elif path != SHIPPED:
             name = one.run or one.kind
-            if name in further or name in NETWORKS:
+            if name in further or name in kinds:
                 raise BadConfig(f"further runs are called after their folders, found a second {name!r}: {path}")
             further[name] = one
-    for kind in NETWORKS:
+    for kind in kinds:
         if kind not in first:
             try:
                 first[kind] = _new(kind)
             except MissingLibrary as error:
                 sys.stderr.write(f"{kind} is left out: {error}\n")
-    return {kind: first[kind] for kind in NETWORKS if kind in first} | further
+    return {kind: first[kind] for kind in kinds if kind in first} | further
 
 
 def _new(kind: str) -> _Candidate:

@@ -24,15 +24,11 @@ from bodyseg_data.core.errors import MissingLibrary, check_int
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import evaluate, open_images
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.runtimes.backends import TORCH, on_backend
-from bodyseg_model.runtimes.onnx_files import Precision, export_trained
-from bodyseg_model.runtimes.onnx_runtime import OnnxRuntime
-from bodyseg_model.runtimes.quantisation import IMAGES, calibrated
-from bodyseg_model.runtimes.runtime import RuntimeNetwork
+from bodyseg_model.runtimes.runtime import Precision
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"
@@ -43,10 +39,8 @@ _WAYS: Final[tuple[tuple[str, Precision], ...]] = (
     ("torch", "float32"),
     ("torch", "bfloat16"),
     ("onnxruntime", "float32"),
-    ("onnxruntime", "int8"),
     ("openvino", "float32"),
     ("openvino", "bfloat16"),
-    ("openvino", "int8"),
 )
 
 
@@ -65,21 +59,18 @@ def bench_runtimes(
 ) -> dict[str, Any]:
     """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision.
 
-    data: set on whose train split int8 is calibrated, and on whose test images of `all` accuracy is measured, `images`
-    of them. views: typical frames to take turns with. runs: the network is in the first of them; without, it is the one
-    that ships. Each is timed with one thread and with as many as there are processors, one image at a time, in turns,
-    of which each begins untimed (`network_times` says why). Runtimes that are not installed are left
-    out. Raises BadConfig for wrong numbers or no network, MissingLibrary without Anny or onnxruntime.
+    data: set on whose test images of `all` accuracy is measured, `images` of them. views: typical frames to take turns
+    with. runs: the network is in the first of them; without, it is the one that ships. Each is timed with one thread
+    and with as many as there are processors, one image at a time, in turns, of which each begins untimed
+    (`network_times` says why). Runtimes that are not installed are left out. Raises BadConfig for wrong numbers or no
+    network, MissingLibrary without Anny.
     """
     check_int("the number of test images", images, 1)
     network_name, trained = chosen_network(runs)
     networks, left_out = _networks(trained.network), list[str]()
-    model = calibrated(export_trained(trained), RangeImages(data, "all", "train"), IMAGES)
-    int8 = RuntimeNetwork(model, "onnxruntime", OnnxRuntime, "int8")
     for backend, precision in _WAYS:
         try:
-            source: Network = int8 if precision == "int8" else trained.network
-            networks[f"{backend} {precision}"] = on_backend(source, backend, precision)
+            networks[f"{backend} {precision}"] = on_backend(trained.network, backend, precision)
         except MissingLibrary as error:
             left_out.append(f"{backend} {precision}")
             sys.stderr.write(f"{backend} is left out: {error}\n")
@@ -112,7 +103,6 @@ def bench_runtimes(
         "reference": REFERENCE,
         "papers": PAPERS,
         "left_out": left_out,
-        "calibration": model.facts.calibration,
         "test_images": min(images, len(test_images)),
         "network": network_name,
         "rows": largest.shape[0],

@@ -10,7 +10,7 @@ from bodyseg_data.drawing.style import new_chart, save_chart
 Tree = dict[str, Any]
 
 _MARKS: Final = {"torch": "o", "onnxruntime": "s", "openvino": "^"}
-_COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00", "int8": "#4d4d4d"}
+_COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00"}
 
 
 def draw_runtimes(figures: Tree, path: Path) -> None:

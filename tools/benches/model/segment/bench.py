@@ -35,7 +35,8 @@ from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.commands import segment
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.runtimes.backends import BackendName
-from bodyseg_model.runtimes.onnx_files import Precision
+from bodyseg_model.runtimes.runtime import Precision
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.segmentation.people.person_score import shipped_score
 from bodyseg_model.segmentation.pictures.picture_png import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -123,12 +124,10 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
                     done += 1
                     progress(done, total)
             ways = {way: _of_all(of_way) for way, of_way in rounds.items()}
-        trained = shipped_network()
         live_ages = {
             way: live(
-                Segmenter(
-                    trained.network, camera, rig=trained.rig, people=shipped_score(), backend=runtime, precision=bits
-                ),
+                FrameLabeller(shipped_network(), backend=runtime, precision=bits, device="cpu"),
+                camera,
                 [room.range_m for room in rooms],
             )
             for way, (runtime, bits) in LIVE.items()

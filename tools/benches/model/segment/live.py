@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 
 RATE: Final = 30.0
 """Frames a second of the sensor, as most range sensors give."""
@@ -40,7 +41,7 @@ class Sensor:
             yield self._frames[number % len(self._frames)]
 
 
-def live(segmenter: Segmenter, frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
+def live(labeller: FrameLabeller, camera: Camera, frames: Sequence[NDArray[np.float32]]) -> dict[str, Any]:
     """Age of frames when their labels are there, ms, and frames a second, with and without `ahead`, in turns.
 
     Every frame is shown `_ROUNDS` times each way; the first of each round is left out. processor_ms: processor time of
@@ -51,7 +52,7 @@ def live(segmenter: Segmenter, frames: Sequence[NDArray[np.float32]]) -> dict[st
     for _ in range(_ROUNDS):
         for ahead in ages:
             sensor = Sensor(frames, len(frames) + 1)
-            stream = segmenter.stream(sensor, ahead=ahead)
+            stream = labeller.stream(sensor, camera, ahead=ahead)
             next(stream)
             start, busy = time.perf_counter(), time.process_time()
             for number, _answer in enumerate(stream, 1):

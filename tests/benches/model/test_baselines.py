@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
+from benches.model.networks import baselines as rivals
 from onnx_answers import check_answer, frames
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.networks import baselines as rivals
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.runtimes.onnx_files import to_onnx
+
+
+@pytest.fixture(autouse=True)
+def registered() -> Iterator[None]:
+    with rivals.with_baselines():
+        yield
 
 
 def figure(rows: int, columns: int) -> torch.Tensor:

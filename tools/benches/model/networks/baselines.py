@@ -1,14 +1,18 @@
 """Baseline networks in common use: SegFormer and DeepLab, from the package transformers.
 
+`python -m benches.model.networks.baselines train --network deeplab ...` runs `bodyseg` with them in its registry.
+
 They get the input of `compact`, range less the body's mean beside validity, start from random weights, and compute
 scores on a coarser grid, which are interpolated as `compact`'s are. So a comparison differs by the network alone.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-from collections.abc import Mapping
-from typing import Any, Final
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Literal
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -16,10 +20,33 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_model.commands import train
+from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.input.relief import check_range_images, relief_of, shrunk
 from bodyseg_model.networks.network import Network, check_classes
+from bodyseg_model.networks.registry import NETWORKS
+
+BASELINES: Final = {
+    "segformer": "benches.model.networks.baselines.Segformer",
+    "deeplab": "benches.model.networks.baselines.Deeplab",
+}
+"""Name -> class, as in `NETWORKS`."""
 
 _INPUTS: Final = 2
+
+
+@contextlib.contextmanager
+def with_baselines() -> Iterator[None]:
+    """Add the baselines to `NETWORKS` while the block runs, and to the names that `bodyseg train --network` takes."""
+    before = train.NetworkName
+    NETWORKS.update(BASELINES)
+    train.NetworkName = Literal[tuple(NETWORKS)]  # type: ignore[misc]  # the command line reads it when it runs
+    try:
+        yield
+    finally:
+        train.NetworkName = before  # type: ignore[misc]
+        for name in BASELINES:
+            del NETWORKS[name]
 
 
 class Baseline(Network):
@@ -89,3 +116,8 @@ def _transformers(name: str) -> Any:
         return importlib.import_module("transformers")
     except ImportError as error:
         raise MissingLibrary(f"{name} needs the package 'transformers': pip install transformers ({error})") from error
+
+
+if __name__ == "__main__":
+    with with_baselines():
+        sys.exit(main())

@@ -1,15 +1,31 @@
-"""Folder of the results of `bodyseg segment`: it replaces no file but those of an earlier call on the same frames."""
+"""Results of `bodyseg segment`: their folder, which replaces no file but those of an earlier call on the same frames,
+and the writer of labels, overlays, preview and summary, beside the labelling of the next frames.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import queue
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import flush, write_result
+from bodyseg_data.core.labels.label_map import LabelMap
+from bodyseg_data.core.system.memory import peak_mb
+from bodyseg_data.drawing.style import save_picture
+from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.recordings.recording import Frame
+from bodyseg_model.segmentation.frame_labeller import LabelledFrame
+from bodyseg_model.segmentation.pictures.overlay import Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.pictures.picture_png import encode_picture
+from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
 FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""
@@ -20,8 +36,15 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
-IMAGES: Final = ("labels", "overlay", "undistorted")
+LABELS, OVERLAY, UNDISTORTED = IMAGES = ("labels", "overlay", "undistorted")
 """Folders of images, one a frame."""
+
+MOST_WAITING: Final = 3
+"""Jobs of `WriteBehind` that may wait, so that slow disks bound memory; then `add` waits, too."""
+
+Job = Callable[[], None]
+
+_WRITE: Final = "write"
 
 
 class OutputFolder:
@@ -152,3 +175,119 @@ def _is_frame(entry: Any) -> bool:
     """True for an entry that names a frame's results within the folder, and the frame."""
     texts = [entry.get(key) for key in ("name", "file", "path_id")] if isinstance(entry, dict) else [None]
     return all(isinstance(text, str) for text in texts) and not {"", ".", ".."} & set(entry["name"].split("/"))
+
+
+class WriteBehind:
+    """Does jobs one after another in a thread, in the order of `add`, as a context manager.
+
+    At the end of the context every job is done, also where it ends by an error or Ctrl-C. After a job fails, later
+    jobs are dropped; the error is raised by the next `add`, or at the end of the context.
+    """
+
+    def __init__(self, most_waiting: int = MOST_WAITING) -> None:
+        self._jobs: queue.Queue[Job | None] = queue.Queue(most_waiting)
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._work, name="writing")
+
+    def __repr__(self) -> str:
+        return f"WriteBehind({self._jobs.qsize()} of at most {self._jobs.maxsize} jobs wait)"
+
+    def __enter__(self) -> WriteBehind:
+        self._thread.start()
+        return self
+
+    def add(self, job: Job) -> None:
+        """Have a job done after all others. Raises the error of an earlier one."""
+        if self._error is not None:
+            raise self._error
+        self._jobs.put(job)
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            if self._error is None:
+                try:
+                    job()
+                except Exception as error:
+                    self._error = error
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._jobs.put(None)
+        self._thread.join()
+        # A job's error came before one of the frames after it, but not before Ctrl-C.
+        if self._error is not None and self._error is not error and (error is None or isinstance(error, Exception)):
+            raise self._error
+
+
+class FrameResults:
+    """Writes the results of labelled frames into a folder, in their order, by another thread: a context manager.
+
+    label_map: the network's classes. preview: None if no overlays are drawn. shape: rows and columns of the preview's
+    frames; others are left out of it. `summary` has all frames when the context has ended.
+    """
+
+    def __init__(self, out: OutputFolder, label_map: LabelMap, preview: Preview | None, shape: tuple[int, int]) -> None:
+        self.summary = SequenceSummary()
+        self._out, self._label_map, self._preview, self._shape = out, label_map, preview, shape
+        self._behind = WriteBehind()
+
+    def __repr__(self) -> str:
+        return f"FrameResults({self._out!r})"
+
+    def begin(self) -> None:
+        """Make the folders, and load the compiled loops, so that the first frame takes no longer than others."""
+        self._out.begin()
+        if self._preview is not None:
+            nothing = np.zeros((1, 1), np.float32)
+            draw_overlay(nothing, nothing.astype(np.uint8), [np.zeros(1, np.intp)], self._label_map)
+
+    def __enter__(self) -> Self:
+        self._behind.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._behind.__exit__(kind, error, trace)
+
+    def add(self, labelled: LabelledFrame, frame: Frame, done: Job) -> None:
+        """Write and count the labels of a recording's frame after all before it, then call `done`.
+
+        Raises BadConfig for an earlier frame whose files could not be written, naming the file.
+        """
+
+        def write() -> None:
+            self._write(labelled, frame)
+            done()
+
+        self._behind.add(write)
+
+    def then(self, job: Job) -> None:
+        """Call `job` when all results so far are written. Raises as `add`."""
+        self._behind.add(job)
+
+    def _write(self, labelled: LabelledFrame, frame: Frame) -> None:
+        watch, found = Stopwatch((_WRITE,)), labelled.segmentation
+        with watch(_WRITE):
+            images: dict[str, NDArray[Any]] = {LABELS: found.labels}
+            if self._preview is not None:
+                bodies = [body.pixels for body in found.bodies]
+                overlay = images[OVERLAY] = draw_overlay(labelled.range_m, found.labels, bodies, self._label_map)
+                if overlay.shape[:2] == self._shape:
+                    self._preview.add(overlay)  # an animation has frames of one size
+            if UNDISTORTED in self._out.folders and labelled.stored is not None:
+                images[UNDISTORTED] = labelled.stored
+            for folder, image in images.items():
+                self._out.write(folder, frame.name, encode_picture(image))
+        times = {**labelled.milliseconds, **watch.milliseconds}
+        camera = None if labelled.own_camera is None else labelled.own_camera.to_json()
+        self.summary.add(frame.name, frame.where, labelled.range_m, found, times, frame.sequence, camera)
+
+    def finish(self, facts: Mapping[str, Any]) -> None:
+        """Write preview, legend and summary, with `facts` of the call. Raises BadConfig."""
+        if self._preview is not None:
+            save_picture(draw_parts_legend(self._label_map), self._out.path / LEGEND)
+            write_result(self._out.path / PREVIEW, self._preview.to_gif())
+        preview = None if self._preview is None else self._preview.to_json()
+        self._out.finish({**facts, "preview": preview, "peak_mb": peak_mb(), **self.summary.to_json()})

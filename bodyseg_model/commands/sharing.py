@@ -1,0 +1,141 @@
+"""`bodyseg push` and `bodyseg pull`: copy a set or a network to an address, or from one."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.commands.options import option
+from bodyseg_data.commands.progress import Progress
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.files import parse_json
+from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.shards.stores.addresses import open_store
+from bodyseg_data.shards.stores.remote import RemoteFolder
+from bodyseg_data.shards.stores.store import LocalFolder, Store
+from bodyseg_data.transfer.bundle import Bundle, SharedFile, pages_of, read_page, set_bundle
+from bodyseg_data.transfer.targets import LocalTarget, RemoteTarget, Target
+from bodyseg_data.transfer.transfer import transfer
+
+_WEIGHTS: Final = ".safetensors"
+_LARGEST: Final = 1 << 28
+
+
+class Push:
+    """`bodyseg push`."""
+
+    EXAMPLE = "bodyseg push shards s3://bucket/shards"
+
+    @dataclass(frozen=True)
+    class Options:
+        """Options of the command."""
+
+        what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
+        address: str = option("folder or address that gets the copy", positional=True, address=True)
+        replace: bool = option("replace another set or network at the address", False)
+        sizes_only: bool = option("compare files at the address by size alone: they are not read back", False)
+
+    @staticmethod
+    def run(options: Options) -> int:
+        """Copy, and print one line on what was copied."""
+        from bodyseg_model.networks.model_card import network_file
+
+        if (options.what / MANIFEST_NAME).exists():
+            folder = options.what
+            bundle = set_bundle(LocalFolder(folder))
+        else:
+            weights = network_file(options.what)
+            folder = weights.parent
+            bundle = _network_bundle(LocalFolder(folder), weights.name)
+        store, pattern = open_store(options.address)
+        if pattern != "*":
+            raise BadConfig(f"a copy needs the address of a folder, found {pattern!r} at its end")
+        target: Target
+        if isinstance(store, RemoteFolder):
+            target = RemoteTarget(store, folder)
+        else:
+            target = LocalTarget(Path(store.name), LocalFolder(folder))
+        _copy(bundle, target, "pushing", options.replace, options.sizes_only)
+        return 0
+
+
+class Pull:
+    """`bodyseg pull`."""
+
+    EXAMPLE = "bodyseg pull https://host/shards shards"
+
+    @dataclass(frozen=True)
+    class Options:
+        """Options of the command."""
+
+        address: str = option(
+            "address of a set, of a training's folder or of a .safetensors file", positional=True, address=True
+        )
+        folder: Path = option("folder that gets the copy", positional=True)
+        replace: bool = option("replace another set or network in the folder", False)
+
+    @staticmethod
+    def run(options: Options) -> int:
+        """Copy, and print one line on what was copied."""
+        store, bundle = _bundle_at(options.address)
+        _copy(bundle, LocalTarget(options.folder, store), "pulling", options.replace)
+        return 0
+
+
+def _bundle_at(address: str) -> tuple[Store, Bundle]:
+    """Open the store at an address, and find the set or network there."""
+    from bodyseg_model.networks.checkpoints import NETWORK
+
+    path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
+    weights = path.rpartition("/")[2] if path.endswith(_WEIGHTS) else ""
+    if weights:
+        parent = path.rpartition("/")[0] if "/" in path else "."
+        store, _ = open_store(f"{parent}{mark}{query}")
+        return store, _network_bundle(store, weights)
+    store, pattern = open_store(address)
+    if pattern != "*":
+        raise BadConfig(f"a whole set is copied, found {pattern!r} at the end of its address")
+    if store.read_file(Path(NETWORK).with_suffix(".json").name, _LARGEST) is not None:
+        return store, _network_bundle(store, NETWORK)
+    return store, set_bundle(store)
+
+
+def _network_bundle(store: Store, weights: str) -> Bundle:
+    """Return the bundle of a network: weights, page and confusion matrix, card.
+
+    weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
+    OSError or Unreachable.
+    """
+    from bodyseg_model.networks.checkpoints import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file
+    from bodyseg_model.networks.model_card import page_file
+
+    file = Path(weights)
+    index = file.with_suffix(".json").name
+    data = read_page(store, index)
+    card = parse_json(data, f"{store.name}/{index}")
+    digest = card.get(WEIGHTS_SHA256)
+    if card.get("format") != FORMAT or not isinstance(digest, str):
+        raise BadConfig(f"{store.name}/{index} is no card of a network with {WEIGHTS_SHA256!r}")
+    page = "README.md" if weights == NETWORK else page_file(file).name
+    pages = pages_of(store, (page, confusion_file(file).name))
+    return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages)
+
+
+def _copy(bundle: Bundle, target: Target, title: str, replace: bool, sizes_only: bool = False) -> None:
+    """Copy a bundle with progress, and say what was done."""
+    with Progress(title, "MB") as progress:
+        total = round(bundle.size / 1e6)
+        outcome = transfer(
+            bundle,
+            target,
+            lambda done: progress.update(min(round(done / 1e6), total), total),
+            replace,
+            sizes_only,
+        )
+    files = "1 file" if outcome.files == 1 else f"{outcome.files} files"
+    sys.stdout.write(
+        f"{target.store.name}: {files} and {bundle.index}, {bundle.size / 1e6:.1f} MB: {outcome.kept} were there, "
+        f"{outcome.copied_bytes / 1e6:.1f} MB copied\n"
+    )

@@ -1,0 +1,369 @@
+"""From frames to labels: recordings and streams of frames, labelled one after another."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, TypeVar
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.rig import Camera
+from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_model.networks.checkpoints import Trained, shipped_network
+from bodyseg_model.networks.registry import device_of
+from bodyseg_model.recordings.camera_files import find_cameras
+from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_model.recordings.frames import find_frames, to_metres
+from bodyseg_model.recordings.recording import Frame, Pixels, Stamp
+from bodyseg_model.recordings.skipping import Skipping
+from bodyseg_model.runtimes.backends import BackendName, backend_of, put_on_backend, to_device
+from bodyseg_model.runtimes.runtime import Precision
+from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.read_ahead import read_ahead
+from bodyseg_model.segmentation.segmenter import FoundSurfaces, LabelledBody, Segmentation, Segmenter, Thing
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
+from bodyseg_model.segmentation.views.undistortion import Undistortion
+
+_READ: Final = "read"
+_KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames
+
+Source = TypeVar("Source")
+
+
+@dataclass(frozen=True)
+class LabelledFrame:
+    """A frame and its labels.
+
+    number: its place, from 0, among the frames of its recording or stream. range_m: float32 [H, W], metres, without
+    lens distortion, 0 = nothing measured. camera: of `range_m`. segmentation: labels, people, things and confidences.
+    milliseconds: of reading, "read", and of each of the segmenter's `STAGES`.
+
+    Of a recording's frames alone: frame, which knows name, time and file; stored: uint16 [H, W], without lens
+    distortion, in the recording's steps; own_camera: if it has one of its own; stamp: of its message, if it was asked
+    for.
+    """
+
+    number: int
+    range_m: NDArray[np.float32] = field(repr=False)
+    camera: Camera
+    segmentation: Segmentation
+    milliseconds: dict[str, float]
+    frame: Frame | None = None
+    stored: Pixels | None = field(default=None, repr=False)
+    own_camera: FrameCamera | None = None
+    stamp: Stamp | None = None
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """Classes of the network on people, uint8 [H, W], 255 elsewhere."""
+        return self.segmentation.labels
+
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """Confidence of every pixel, float32 [H, W], 0 to 1; 0 where there is no body."""
+        return self.segmentation.confidence
+
+    @property
+    def bodies(self) -> tuple[LabelledBody, ...]:
+        """The people, with pixels, range and confidences of each, the largest first."""
+        return self.segmentation.bodies
+
+    @property
+    def things(self) -> tuple[Thing, ...]:
+        """Surfaces of a body's size that are no person, which have no labels."""
+        return self.segmentation.things
+
+
+@dataclass(frozen=True)
+class _FoundFrame:
+    """A frame whose surfaces are found: all that may be done while the frame before it is labelled."""
+
+    where: str
+    segmenter: Segmenter
+    found: FoundSurfaces
+    read_ms: float
+    stored: Pixels | None = None
+    own_camera: FrameCamera | None = None
+    stamp: Stamp | None = None
+
+
+class FrameLabeller:
+    """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
+
+    A frame is undistorted, its surfaces are found and told apart by their shape, people are resampled for the network
+    and labelled, and labels mapped back (`Segmenter`, one for each camera).
+
+    trained: the network with its card, by default the one that ships. background: rule for removing the background, by
+    default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
+    pixels of less get no label. keep_things: label chairs, boxes and other things of a body's size like people. video:
+    frames follow each other in time, and labels are steadied by those of the frames before. backend, precision: what
+    computes the network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and
+    average. device: "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one.
+
+    Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, or as `on_backend` and `to_device`;
+    MissingLibrary.
+    """
+
+    def __init__(
+        self,
+        trained: Trained | None = None,
+        background: Background | None = None,
+        *,
+        mirrored: bool = False,
+        least_confidence: float = 0.0,
+        keep_things: bool = False,
+        video: bool = False,
+        backend: BackendName | None = None,
+        precision: Precision | None = None,
+        flip_average: bool = False,
+        device: str | None = None,
+    ) -> None:
+        self.trained = put_on_backend(trained or shipped_network(), backend, precision, flip_average)
+        to_device(self.trained.network, device)
+        self.label_map, self.rig = self.trained.label_map, self.trained.rig
+        self.background = background or Background()
+        self.mirrored, self.least_confidence = mirrored, least_confidence
+        self.video = CarriedLabels() if video else None
+        self._people = None if keep_things else shipped_score()
+        self.of = lru_cache(maxsize=_KEPT)(self._new_segmenter)
+
+    def __repr__(self) -> str:
+        return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
+
+    def _new_segmenter(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
+        """Undistortion, where the camera needs one, and segmenter of its frames, as `of`. Raises BadConfig."""
+        lens = None if camera.distortion is None else Undistortion(camera)
+        return lens, Segmenter(
+            self.trained.network,
+            camera if lens is None else lens.camera,
+            self.background,
+            self.mirrored,
+            self.least_confidence,
+            self.rig,
+            self._people,
+            self.video,
+        )
+
+    def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
+        """Label one frame, float32 [H, W], metres along the optical axis, 0 = nothing measured.
+
+        camera: that took it, with or without lens distortion. With `video`, frames come in order; `restart` begins
+        another recording. Raises BadConfig for a frame of another size than the camera's, or a body too large for a
+        view.
+        """
+        return _label_found(self._find_in_array(range_m, camera), 0)
+
+    def restart(self) -> None:
+        """Begin another recording: with `video`, nothing is carried over from frames before."""
+        if self.video is not None:
+            self.video.restart()
+
+    def stream(
+        self, frames: Iterable[NDArray[np.float32]], camera: Camera, ahead: bool = False
+    ) -> Generator[LabelledFrame, None, None]:
+        """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
+        next.
+
+        frames: float32 [H, W], metres, 0 = nothing measured; they may never end. camera: that takes them, with or
+        without lens distortion. Before the first frame is asked for, compiled loops are loaded and usual views are
+        labelled. ahead: a thread asks for the next frame and finds its surfaces while this one is labelled; the same
+        answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
+        own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
+        """
+        self.of(camera)[1].prepare()
+        self.restart()
+        found = (self._find_in_array(range_m, camera, f"frame {number}") for number, range_m in enumerate(frames))
+        with contextlib.closing(_coming(found, ahead)) as coming:
+            for number, each in enumerate(coming):
+                yield _label_found(each, number)
+
+    def _find_in_array(self, range_m: NDArray[np.float32], camera: Camera, where: str = "") -> _FoundFrame:
+        watch = Stopwatch((_READ,))
+        with _naming_frame(where):
+            with watch(_READ):
+                lens, segmenter = self.of(camera)
+                ideal = range_m if lens is None else lens(range_m)
+            return _FoundFrame(where, segmenter, segmenter.find(ideal), watch.milliseconds[_READ])
+
+    def recording(
+        self,
+        source: str | Path | Sequence[str | Path | Frame],
+        *,
+        topic: str | None = None,
+        step_m: float | None = None,
+        rig: str | None = None,
+        focal_px: float | None = None,
+        centre_px: tuple[float, ...] = (),
+        skip_unreadable: int = 0,
+    ) -> LabelledRecording:
+        """Open recordings to label their frames.
+
+        source: a path, or several, of PNGs, folders or recordings, as `find_frames` takes them with `topic` and
+        `step_m`; or frames that it found. rig, focal_px, centre_px: the camera (`frame_camera`); by default the one
+        that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
+        frames that cannot be read. Raises BadConfig as `find_frames` and `find_cameras`; MissingLibrary.
+        """
+        given = [source] if isinstance(source, (str, Path)) else source
+        paths = [Path(each) for each in given if isinstance(each, (str, Path))]
+        frames = [each for each in given if not isinstance(each, (str, Path))]
+        if paths:
+            frames += find_frames(paths, topic, step_m)
+        return LabelledRecording(self, frames, rig, focal_px, centre_px, Skipping(skip_unreadable))
+
+    def to_json(self) -> dict[str, Any]:
+        """What labels depend on but network and frames, as plain JSON."""
+        camera, people = self.rig.camera, self._people if self.background.mode == "people" else None
+        return {
+            "background": self.background.to_json(),
+            "person_score": None if people is None else {"cutoff": people.cutoff},
+            "resampling": {
+                "rig": self.rig.name,
+                "focal_px": camera.focal_px,
+                "distance_m": self.rig.stand_off_m,
+                "rule": "each body is scaled so that its median range gets the pixel size of that camera at that "
+                "distance",
+            },
+            "least_confidence": self.least_confidence,
+            "video": None if self.video is None else self.video.carrying.to_json(),
+            "device": str(device_of(self.trained.network)),
+            "runtime": backend_of(self.trained.network),
+        }
+
+
+class LabelledRecording:
+    """The frames of recordings, read and labelled when they are asked for: all in order by iteration, any by `label`.
+
+    frames: all of them. cameras: of each. `FrameLabeller.recording` makes it. Raises BadConfig if there is no frame.
+    """
+
+    def __init__(
+        self,
+        labeller: FrameLabeller,
+        frames: Sequence[Frame],
+        rig: str | None,
+        focal_px: float | None,
+        centre_px: tuple[float, ...],
+        skipping: Skipping,
+    ) -> None:
+        if not frames:
+            raise BadConfig("a recording must hold a frame, found none")
+        self.labeller, self.frames = labeller, frames
+        self.cameras = find_cameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
+        self._skipping = skipping
+        self._prepared: WeakSet[Segmenter] = WeakSet()
+        labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __repr__(self) -> str:
+        return f"LabelledRecording({len(self)} frames, {self.cameras!r})"
+
+    def __iter__(self) -> Iterator[LabelledFrame]:
+        return self.labelled()
+
+    @property
+    def skipped(self) -> list[dict[str, str]]:
+        """Name, file and error of each frame that could not be read so far, in the order of reading."""
+        return self._skipping.skipped
+
+    def prepare(self) -> None:
+        """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
+        self._prepare(self.labeller.of(self.cameras.first.camera)[1])
+
+    def labelled(self, ahead: bool = False, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
+        """Label the frames in order; those that are skipped are left out, as their numbers tell.
+
+        ahead: as of `FrameLabeller.stream`; recordings are then read in that thread alone. stamps: read the headers of
+        frames' messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
+        """
+        found = (self._find_unless_skipped(number, stamps) for number in range(len(self)))
+        with contextlib.closing(_coming(found, ahead)) as coming:
+            for number, each in enumerate(coming):
+                if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
+                    self.labeller.restart()
+                if each is not None:
+                    yield _label_found(each, number, self.frames[number])
+
+    def label(self, number: int) -> LabelledFrame:
+        """Label one frame, as the first of a video. Raises BadConfig, naming it, also if it cannot be read.
+
+        A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
+        """
+        watch, frame = Stopwatch((_READ,)), self.frames[number]
+        with watch(_READ):
+            pixels = frame.read()
+        found = self._find_in_frame(number, pixels, watch, prepare=True)
+        self.labeller.restart()
+        return _label_found(found, number, frame)
+
+    def _prepare(self, segmenter: Segmenter) -> None:
+        if segmenter not in self._prepared:
+            segmenter.prepare()
+            self._prepared.add(segmenter)
+
+    def _find_unless_skipped(self, number: int, stamps: bool) -> _FoundFrame | None:
+        """Read a frame and find its surfaces; None for one that cannot be read and is skipped."""
+        watch = Stopwatch((_READ,))
+        with watch(_READ):
+            pixels = self._skipping.read(self.frames[number])
+        return None if pixels is None else self._find_in_frame(number, pixels, watch, stamps=stamps)
+
+    def _find_in_frame(
+        self, number: int, pixels: Pixels, watch: Stopwatch, prepare: bool = False, stamps: bool = False
+    ) -> _FoundFrame:
+        frame = self.frames[number]
+        with watch(_READ):
+            camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
+            with _naming_frame(frame.where):
+                lens, segmenter = self.labeller.of(camera.camera)
+                if lens is not None:
+                    pixels = lens(pixels)
+                range_m = to_metres(pixels, frame.step_m)
+        if prepare:
+            self._prepare(segmenter)
+        with _naming_frame(frame.where):
+            found = segmenter.find(range_m)
+        own_camera = camera if self.cameras.is_own(frame) else None
+        stamp = frame.stamp() if stamps else None
+        return _FoundFrame(frame.where, segmenter, found, watch.milliseconds[_READ], pixels, own_camera, stamp)
+
+    def to_json(self) -> dict[str, Any]:
+        """The frames' camera and unit, and those that were skipped, as plain JSON."""
+        steps_m = {str(frame.path): frame.step_m for frame in self.frames}
+        one = len(set(steps_m.values())) == 1
+        return {
+            "camera": {**self.cameras.to_json(), "mirrored": self.labeller.mirrored},
+            "unit_m": self.frames[0].step_m if one else steps_m,
+            "skipped": self.skipped,
+        }
+
+
+@contextlib.contextmanager
+def _naming_frame(where: str) -> Iterator[None]:
+    """Put the name of a frame, if it has one, before the text of a BadConfig that the block raises."""
+    try:
+        yield
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}" if where else str(error)) from error
+
+
+def _coming(found: Generator[Source, None, None], ahead: bool) -> Generator[Source, None, None]:
+    return read_ahead(found) if ahead else found
+
+
+def _label_found(each: _FoundFrame, number: int, frame: Frame | None = None) -> LabelledFrame:
+    """Label the surfaces of a frame. Raises BadConfig, naming it."""
+    with _naming_frame(each.where):
+        segmentation = each.segmenter.label(each.found)
+    times = {_READ: each.read_ms, **segmentation.milliseconds}
+    range_m, camera = each.found.range_m, each.segmenter.camera
+    return LabelledFrame(number, range_m, camera, segmentation, times, frame, each.stored, each.own_camera, each.stamp)

@@ -1,0 +1,179 @@
+"""From frames to labels: arrays, streams and recordings, as one object labels them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from label_networks import Places
+from numpy.typing import NDArray
+from pngs import png
+from small_rig import SMALL
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.rig import Camera
+from bodyseg_data.core.rigs.distortion import Distortion
+from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.recordings.frames import find_frames
+from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame
+from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
+from bodyseg_model.segmentation.views.undistortion import Undistortion
+
+CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+BENT = replace(CAMERA, distortion=Distortion(k1=0.1))
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Images this small are no work for two."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def labeller(video: bool = False) -> FrameLabeller:
+    """Blocks are no people, and are labelled all the same."""
+    return FrameLabeller(Trained(Places(0, 5), {"rig": SMALL.to_json()}), keep_things=True, video=video)
+
+
+def standing(x: int, z: float = 2.0) -> NDArray[np.float32]:
+    """A block before a wall."""
+    frame = np.full((60, 80), 4.0, np.float32)
+    frame[10:50, x : x + 12] = z
+    return frame
+
+
+def recording(folder: Path, *columns: int) -> Path:
+    folder.mkdir()
+    for number, column in enumerate(columns):
+        (folder / f"{number}.png").write_bytes(png(np.rint(1000 * standing(column)).astype(np.uint16)))
+    return folder
+
+
+def test_an_array_gets_the_labels_of_a_segmenter() -> None:
+    found = labeller()(standing(30), CAMERA)
+    expected = Segmenter(Places(0, 5), CAMERA, rig=SMALL)(standing(30))
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(found.confidence, expected.confidence)
+    np.testing.assert_array_equal(found.labels != BACKGROUND, standing(30) == 2)
+    assert len(found.bodies) == 1 and found.things == () and found.camera == CAMERA
+    assert tuple(found.milliseconds) == ("read", *STAGES)
+    assert found.frame is None and found.stored is None
+
+
+def test_a_camera_with_distortion_has_its_frames_undistorted() -> None:
+    lens = Undistortion(BENT)
+    for found in (labeller()(standing(30), BENT), *labeller().stream([standing(30)], BENT)):
+        np.testing.assert_array_equal(found.range_m, lens(standing(30)))
+        np.testing.assert_array_equal(found.labels != BACKGROUND, found.range_m == 2)
+        assert found.camera == lens.camera
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_stream_answers_each_frame_with_its_number(ahead: bool) -> None:
+    taken: list[str] = []
+
+    def live() -> Iterator[NDArray[np.float32]]:
+        for column in (20, 24, 28):
+            taken.append(threading.current_thread().name)
+            yield standing(column)
+
+    label = labeller()
+    for number, found in enumerate(label.stream(live(), CAMERA, ahead)):
+        assert found.number == number
+        np.testing.assert_array_equal(found.labels, label(standing(20 + 4 * number), CAMERA).labels)
+        assert ahead or len(taken) == number + 1, "an answer before the next frame is asked for"
+    assert all((name == "MainThread") != ahead for name in taken)
+
+
+def test_a_bad_frame_of_a_stream_is_named() -> None:
+    answers = labeller().stream([standing(20), standing(20).T], CAMERA)
+    assert next(answers).bodies
+    with pytest.raises(BadConfig, match="^frame 1: a frame must have .* 60 x 80, found 80 x 60$"):
+        next(answers)
+    with pytest.raises(BadConfig, match="^a frame must have the camera's size"):
+        labeller()(standing(20).T, CAMERA)
+
+
+def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
+    folder, label = recording(tmp_path / "frames", 20, 24), labeller()
+    opened = label.recording(folder, focal_px=100.0)
+    assert len(opened) == 2 and repr(opened).startswith("LabelledRecording(2 frames, FrameCameras(")
+    for _ in range(2):  # it may be read again
+        found = list(opened)
+        assert [(each.number, each.frame.name if each.frame else "") for each in found] == [(0, "0"), (1, "1")]
+        for each, column in zip(found, (20, 24), strict=True):
+            np.testing.assert_array_equal(each.labels, label(standing(column), CAMERA).labels)
+            assert each.stored is not None and each.stored.dtype == np.uint16 and each.own_camera is None
+    for source in (str(folder), [folder], find_frames([folder]), [folder / "0.png", str(folder / "1.png")]):
+        again = list(label.recording(source, focal_px=100.0))
+        assert all(np.array_equal(one.labels, other.labels) for one, other in zip(again, found, strict=True))
+    np.testing.assert_array_equal(opened.label(1).labels, found[1].labels)
+    with pytest.raises(BadConfig, match="no sensor is assumed for frames of 60 x 80 pixels"):
+        label.recording(folder)
+    with pytest.raises(BadConfig, match="a recording must hold a frame, found none"):
+        label.recording([])
+
+
+def test_frames_that_cannot_be_read_are_skipped_and_listed(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "frames", 20, 24, 28)
+    (folder / "1.png").write_bytes(b"no picture")
+    opened = labeller().recording(folder, focal_px=100.0, skip_unreadable=1)
+    assert [found.number for found in opened] == [0, 2]
+    assert [entry["name"] for entry in opened.skipped] == ["1"]
+    with pytest.raises(BadConfig, match=r"1\.png"):
+        opened.label(1)
+    with pytest.raises(BadConfig, match=r"1\.png"):
+        list(labeller().recording(folder, focal_px=100.0))
+
+
+def test_a_video_begins_anew_with_each_recording_and_stream(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    label = labeller(video=True)
+    carried: list[int] = []
+    assert label.video is not None
+    monkeypatch.setattr(label.video, "restart", lambda: carried.append(-1))
+    monkeypatch.setattr(Segmenter, "prepare", lambda segmenter: None)
+    paths = [recording(tmp_path / "one", 20, 24), recording(tmp_path / "two", 28, 30)]
+
+    def noted(frames: Iterator[LabelledFrame]) -> None:
+        carried.extend(frame.number for frame in frames)
+
+    noted(iter(label.recording(paths, focal_px=100.0)))
+    noted(label.stream([standing(20), standing(24)], CAMERA))
+    label(standing(20), CAMERA)
+    assert carried == [-1, 0, 1, -1, 2, 3, -1, 0, 1], "a call carries on"
+    label.restart()
+    assert carried[-1] == -1
+    labeller().restart()  # nothing is carried over without video
+
+
+def test_leaving_early_leaves_no_thread(tmp_path: Path) -> None:
+    opened = labeller().recording(recording(tmp_path / "frames", *range(20, 40, 2)), focal_px=100.0)
+    frames = opened.labelled(ahead=True)
+    next(frames)
+    frames.close()
+    assert not any(thread.name.startswith("reading") for thread in threading.enumerate())
+
+
+def test_headers_are_read_where_they_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = labeller().recording(recording(tmp_path / "frames", 20), focal_px=100.0)
+    monkeypatch.setattr(type(opened.frames[0]), "stamp", lambda frame: "header")
+    assert [[each.stamp for each in opened.labelled(stamps=stamps)] for stamps in (False, True)] == [[None], ["header"]]
+
+
+def test_what_a_labeller_refuses(tmp_path: Path) -> None:
+    folder = recording(tmp_path / "frames", 20)
+    trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
+    with pytest.raises(BadConfig, match="^a confidence must be 0 to 1, found 70$"):
+        FrameLabeller(trained, least_confidence=70).recording(folder, focal_px=100.0)
+    with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'caffe'"):
+        FrameLabeller(trained, backend="caffe")
+    with pytest.raises(BadConfig, match="--skip-unreadable"):
+        labeller().recording(folder, focal_px=100.0, skip_unreadable=-1)
