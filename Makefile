@@ -56,7 +56,7 @@ test-browser: install
 
 # Charts and page of results from the JSON in docs/results.
 page: install
-	tools/chart --in docs/results --out docs/results/charts --page docs/results/index.md docs/results/tables.md
+	tools/chart --in docs/results --out docs/results/charts --page $(patsubst %.in,%,$(wildcard docs/results/*.md.in))
 
 # Documentation as a site, docs/_build/html/index.html; a minute of processor time.
 docs: install

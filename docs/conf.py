@@ -9,7 +9,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 project = "bodyseg"
 html_show_copyright = False
 extensions = ["myst_parser", "sphinx.ext.autodoc", "benches.site.extension"]
-exclude_patterns = ["_build", "results/index.md.in", "results/tables.md.in", "**/.ipynb_checkpoints"]
+exclude_patterns = ["_build", "results/*.md.in", "**/.ipynb_checkpoints"]
 
 myst_heading_anchors = 4
 smartquotes = False  # two hyphens begin an option

@@ -16,14 +16,13 @@ from benches.__main__ import main as tools_main
 from benches.bench import BENCHES
 from benches.site.contents import OUTSIDE, sections
 from benches.site.notebooks import as_markdown
+from folders import DOCS, MADE_PAGES, PAGES, ROOT
 
 from bodyseg_model.commands.cli import COMMANDS
 from bodyseg_model.commands.cli import main as bodyseg_main
 
-ROOT = Path(__file__).parents[1]
-
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "decisions").glob("*.md")])
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES, *(DOCS / "decisions").glob("*.md")])
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 HOMES = {"bodyseg_data": ROOT, "bodyseg_model": ROOT, "benches": ROOT / "tools"}
 """Package -> the folder that holds it."""
@@ -177,13 +176,13 @@ See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.s
 `bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
 [a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loader.py`,
 `loader.py`, `bodyseg_data.loading.loader.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
-[a page](architecture.md#rooms), [a heading](#one-heading) and `tools/bench codec`.
+[a page](glossary.md#glossary), [a heading](#one-heading) and `tools/bench codec`.
 
 ```python
 from bodyseg_data.loading.loader import Loader, Nothing
 ```
 """
-    assert wrong_names(text, ROOT / "docs") == [
+    assert wrong_names(text, DOCS) == [
         "file bodyseg_data/loading/nowhere.py",
         "file tools/nothing",
         "file bodyseg_data/loading/nowhere.py",
@@ -199,17 +198,15 @@ from bodyseg_data.loading.loader import Loader, Nothing
 
 
 def test_every_decision_is_in_the_index() -> None:
-    folder = ROOT / "docs" / "decisions"
+    folder = DOCS / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
-    assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../architecture.md"}
+    assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../explanation/architecture.md"}
 
 
 def test_the_front_page_lists_every_page_of_the_site() -> None:
-    folder = ROOT / "docs"
+    folder = DOCS
     listed = [page for pages in sections((folder / "index.md").read_text()).values() for page in pages]
-    there = {*folder.glob("*.md"), *folder.glob("notebooks/*.ipynb"), *folder.glob("results/*.md")} - {
-        folder / "index.md"
-    }
+    there = {*PAGES, *MADE_PAGES, *folder.glob("notebooks/*.ipynb")} - {folder / "index.md"}
     there |= {folder / "decisions" / "README.md", *(ROOT / name for name in OUTSIDE)}
     assert len(listed) == len(set(listed))
     assert {(folder / page).resolve() for page in listed} == there

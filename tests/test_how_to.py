@@ -1,4 +1,4 @@
-"""The examples of docs/how_to.md run as they are written."""
+"""The examples of docs/how-to/add_your_own.md run as they are written."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 from folders import ROOT
 
-EXAMPLES = re.findall(r"^## (.+?)$.*?```python\n(.*?)```", (ROOT / "docs" / "how_to.md").read_text(), re.M | re.S)
+EXAMPLES = re.findall(
+    r"^## (.+?)$.*?```python\n(.*?)```", (ROOT / "docs" / "how-to" / "add_your_own.md").read_text(), re.M | re.S
+)
 
 
 @pytest.mark.parametrize(("title", "code"), EXAMPLES, ids=[title for title, _ in EXAMPLES])

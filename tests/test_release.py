@@ -91,3 +91,11 @@ def test_versions_are_exact(name: str) -> None:
 def test_what_builds_and_checks_a_release_is_listed() -> None:
     listed = (ROOT / "tools" / "requirements-release.lock").read_text()
     assert all(f"\n{name}==" in listed for name in ("build", "twine", "pip_audit"))
+
+
+def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
+    told = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert (str(told["version"]), told["license"]) == (project["version"], project["license"])
+    (paper,) = told["references"]
+    assert paper["type"] == "conference-paper" and paper["authors"] and paper["title"].startswith("Increasing the")

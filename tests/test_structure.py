@@ -39,8 +39,8 @@ HEAVY = [
 
 
 def listed_rooms() -> list[str]:
-    """The rooms in the order of docs/architecture.md, where it is written: a room imports only from those above it."""
-    text = (ROOT / "docs" / "architecture.md").read_text()
+    """The rooms in the order that docs/explanation/architecture.md gives: a room imports only from those above it."""
+    text = (ROOT / "docs" / "explanation" / "architecture.md").read_text()
     (block,) = re.findall(r"```rooms\n(.*?)```", text, re.DOTALL)
     rooms, package = [], ""
     for line in block.splitlines():
@@ -163,7 +163,9 @@ def test_an_installed_package_names_nothing_that_only_a_checkout_has(tmp_path: P
     assert sum(map(len, texts.values())) > 5000
     wrong = {str(path): [text for text in said if CHECKOUT_ONLY.search(text)] for path, said in texts.items()}
     assert not {path: found for path, found in wrong.items() if found}
-    (tmp_path / "said.py").write_text('"""See docs/noise.md."""\nraise E(f"{x}: run make install, see docs/x.md")\n')
+    (tmp_path / "said.py").write_text(
+        '"""See docs/explanation/noise.md."""\nraise E(f"{x}: run make install, see docs/x.md")\n'
+    )
     assert [text for text in said(tmp_path / "said.py") if CHECKOUT_ONLY.search(text)] == [
         ": run make install, see docs/x.md"
     ]
@@ -247,7 +249,7 @@ def test_pymeshlab_is_installed_and_imported_by_choice_alone() -> None:
 def test_every_dependency_is_pinned_and_explained() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     pinned = {line.partition("==")[0].lower() for line in (ROOT / "tools/requirements.lock").read_text().splitlines()}
-    explained = (ROOT / "docs" / "dependencies.md").read_text()
+    explained = (ROOT / "docs" / "reference" / "dependencies.md").read_text()
     extras = [name for extra in project["optional-dependencies"].values() for name in extra if "bodyseg[" not in name]
     for needed in [*project["dependencies"], *extras]:
         name = needed.partition(">")[0].partition("=")[0].partition("[")[0]

@@ -34,7 +34,7 @@ except ImportError:
 """
 
 
-TOP = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md")
+TOP = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md")
 
 
 @pytest.fixture(scope="module")

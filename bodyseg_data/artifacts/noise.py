@@ -1,6 +1,6 @@
 """Measurement noise: additive Gaussian on the foreground, one standard deviation an image (paper, section 3.2).
 
-Normals are made of 32 random bits each, by the inverse of their distribution function (docs/noise.md).
+Normals are made of 32 random bits each, by the inverse of their distribution function (docs/explanation/noise.md).
 """
 
 from __future__ import annotations

@@ -216,7 +216,7 @@ def rig_names() -> tuple[str, ...]:
 
 
 def load_rig(name_or_path: str | Path = PAPER) -> Rig:
-    """Read a rig by the name of one that ships with the package, or from a TOML file (docs/rig.md).
+    """Read a rig by the name of one that ships with the package, or from a TOML file (docs/how-to/rig.md).
 
     Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """

@@ -25,7 +25,7 @@ class ShadowThresholds:
     """The thresholds of the shadow test that the stored projector range is made for.
 
     With these, and only with these, that range gives the same shadows as the exact one; so they belong to the format of
-    shards (docs/shard_format.md), and packing and the shadow test read them here.
+    shards (docs/reference/shard_format.md), and packing and the shadow test read them here.
 
     surface_gap_m: how far behind the surface that the projector sees a point may lie and still belong to it.
     edge_m: the difference in range from which on neighbouring texels show two surfaces and not one.
@@ -58,8 +58,8 @@ class SampleInfo:
     """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
 
     distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`. things: "before", "behind" or "both" where
-    things stand around the body (docs/things.md), `HELD` where it only holds one, else ""; hidden_pct: percent of the
-    body's pixels that things around it hide.
+    things stand around the body (docs/reference/things.md), `HELD` where it only holds one, else ""; hidden_pct:
+    percent of the body's pixels that things around it hide.
     """
 
     source: str

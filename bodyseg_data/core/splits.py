@@ -1,6 +1,6 @@
 """Train/test protocol of the paper (section 3.5): split by mesh, so that no mesh has views in both.
 
-Splits are stored in shards. The split "val" is not: it is chosen out of train when a set is read (docs/splits.md).
+Splits are stored in shards. The split "val" is not: it is chosen out of train while reading (docs/how-to/splits.md).
 
 | subset          | train                           | test               |
 | --------------- | ------------------------------- | ------------------ |

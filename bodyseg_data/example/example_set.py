@@ -1,4 +1,4 @@
-"""The example set: 48 samples of 16 open bodies, made by the commands in docs/open_bodies.md."""
+"""The example set: 48 samples of 16 open bodies, made by the commands in docs/reference/open_bodies.md."""
 
 from __future__ import annotations
 

@@ -56,15 +56,16 @@ class RangeImages(Dataset[dict[str, Any]]):
     address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
     "train", "test", "val" (with `val_share`), or None for train and test. seed: of all draws and of the order. epoch:
     the first epoch. sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that
-    ships with the package, or a TOML file (docs/sensors.md). transform: of the samples, applied in the workers, one or
-    several in their order (docs/transforms.md). labels: classes that take the place of the 33 parts: a map, the name of
-    one that ships with the package, or a TOML file (docs/label_maps.md). only: patterns as for file names
-    ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
-    "distance_cm<=255", one or several, which a sample's description must all meet (docs/streaming.md). val_share: share
-    of train, 0 to 1, that is read as "val" and not as "train": whole people and motions (docs/splits.md).
+    ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of the samples, applied in the workers,
+    one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the 33 parts: a
+    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md). only: patterns as for
+    file names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
+    "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md).
+    val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and motions
+    (docs/how-to/splits.md).
 
-    For remote sets (docs/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache
-    folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
+    For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
+    cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
     retry_policy: limits of retries and of waiting.
 
     Raises BadConfig for an unknown name, a bad sensor or an empty selection, BadShard for a set that is damaged or

@@ -13,7 +13,7 @@ from bodyseg_data.core.errors import BadConfig, WorkerLost
 WorkerMethod = Literal["process", "thread"]
 
 DEFAULT_WORKER_METHOD: Final[WorkerMethod] = "thread"
-"""Chosen by measurement: docs/loading_speed.md."""
+"""Chosen by measurement: docs/results/loading_speed.md."""
 
 _WORKER_METHODS: Final[tuple[WorkerMethod, ...]] = ("process", "thread")
 

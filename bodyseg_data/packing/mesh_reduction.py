@@ -29,7 +29,7 @@ TOLERANCE_M: Final = 2e-4
 
 PAYS_FROM: Final = 150_000
 """Triangles from which reducing a mesh, smooth or noisy, costs less than it saves over 54 views
-(docs/mesh_resolution.md)."""
+(docs/explanation/mesh_resolution.md)."""
 
 WITHIN: Final = 95
 """Per cent of the pixels whose range must be right to the tolerance. The others lie beside edges that hide something:

@@ -33,7 +33,7 @@ class Packing:
     source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). meshes: how many of them,
     taken evenly from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
     shard. geodesics: how distances along the surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be
-    (`reduced_body`). things: where things stand around the bodies (docs/things.md).
+    (`reduced_body`). things: where things stand around the bodies (docs/reference/things.md).
     """
 
     source: str

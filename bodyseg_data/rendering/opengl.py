@@ -1,4 +1,4 @@
-"""Rasterisation with OpenGL through pyrender: the fast renderer on a graphics card (docs/renderers.md).
+"""Rasterisation with OpenGL through pyrender: the fast renderer on a graphics card (docs/explanation/renderers.md).
 
 Needs the system libraries libEGL and libGL; without them, importing this module raises MissingLibrary. pyrender selects
 the platform by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, it is EGL.

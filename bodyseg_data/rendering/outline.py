@@ -16,7 +16,7 @@ from bodyseg_data.core.rig import PlacedCamera
 from bodyseg_data.meshes.mesh import Mesh
 
 BLOCK_PX: Final = 2
-"""Side of a block. Smaller blocks fit the outline more closely, larger ones are faster (docs/renderers.md)."""
+"""Side of a block. Smaller blocks fit the outline better, larger ones are faster (docs/explanation/renderers.md)."""
 
 _NEAR_PLANE_M: Final = 1e-3
 

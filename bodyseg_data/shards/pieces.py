@@ -1,6 +1,6 @@
 """Pieces of an index: the records of single shards as a few columns of numbers, from which one sample is found at once.
 
-docs/shard_format.md describes the bytes.
+docs/reference/shard_format.md describes the bytes.
 """
 
 from __future__ import annotations

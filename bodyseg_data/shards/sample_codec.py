@@ -2,7 +2,7 @@
 
 A sample is stored as tar members: `json`, and the images in one of two codecs, identified by the member names.
 
-    bsi   one member of that name, "bodyseg images": runs, slopes, zstd (the default; docs/shard_format.md)
+    bsi   one member of that name, "bodyseg images": runs, slopes, zstd (the default; docs/reference/shard_format.md)
     png   range.png, projector.png, labels.png: for shards that any image tool opens
 """
 

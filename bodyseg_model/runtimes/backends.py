@@ -73,7 +73,7 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
 
 def quick_precision(network: Network, backend: BackendName | None, device: str | None) -> Precision | None:
     """The precision for those who ask for none and want speed: bfloat16, as accurate in 0.6 to 0.8 of the time
-    (docs/runtimes.md), where a processor with instructions for it computes; else None, the default of `on_backend`.
+    (docs/how-to/runtimes.md), where a processor with instructions for it computes; else None: `on_backend` chooses.
 
     device: as of `to_device`. Raises as that and `on_backend` for an unknown backend or device.
     """

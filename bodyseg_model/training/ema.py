@@ -14,7 +14,7 @@ class AveragedNetwork:
 
     After step t, counted from 0, average = d average + (1 - d) weights with d = min(decay, (1 + t) / (10 + t)), so that
     the first weights, which are random, are soon forgotten. The statistics of batch normalisation are averaged like the
-    weights (docs/training.md has the comparison); whole numbers are copied.
+    weights (docs/how-to/training.md has the comparison); whole numbers are copied.
 
     network: the averaged network, in evaluation mode. decay: the largest share that the average keeps in a step.
     """

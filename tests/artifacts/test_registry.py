@@ -115,7 +115,7 @@ def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Sen
 
 
 def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "noise.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "noise.md").read_text()
     block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `sensor=")]
     names: dict[str, Any] = dict(globals())
     exec(textwrap.dedent(block), names)

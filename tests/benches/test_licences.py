@@ -62,7 +62,7 @@ def test_gpl_code_comes_with_one_extra_alone() -> None:
 
 def test_documents_name_the_licences_of_what_is_installed() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    lines = (ROOT / "docs" / "dependencies.md").read_text().splitlines()
+    lines = (ROOT / "docs" / "reference" / "dependencies.md").read_text().splitlines()
     needed = [
         *project["dependencies"],
         *(name for extra in project["optional-dependencies"].values() for name in extra),

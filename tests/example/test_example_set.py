@@ -26,8 +26,8 @@ MOST_BYTES = 1_600_000
 
 
 def command_of(name: str) -> list[str]:
-    """The words after the name of a command that makes the set, as docs/open_bodies.md has it."""
-    text = (ROOT / "docs" / "open_bodies.md").read_text()
+    """The words after the name of a command that makes the set, as docs/reference/open_bodies.md has it."""
+    text = (ROOT / "docs" / "reference" / "open_bodies.md").read_text()
     (line,) = re.findall(rf"^    bodyseg {name} (.* ?bodyseg_data/example/shards.*)$", text, re.MULTILINE)
     return shlex.split(line)
 

@@ -265,12 +265,12 @@ def test_what_is_no_transform_is_refused(figures_set: Path, given: Any, message:
 
 
 def test_the_examples_of_the_documentation_run(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (ROOT / "docs" / "transforms.md").read_text().replace('"shards"', repr(str(figures_set)))
+    text = (ROOT / "docs" / "how-to" / "transforms.md").read_text().replace('"shards"', repr(str(figures_set)))
     use, function, whole_class = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     module = types.ModuleType("examples")
     monkeypatch.setitem(sys.modules, "examples", module)  # dataclasses look their module up
     for example in (use, function, whole_class):
-        exec(compile("from __future__ import annotations\n" + example, "docs/transforms.md", "exec"), module.__dict__)
+        exec(compile("from __future__ import annotations\n" + example, "transforms.md", "exec"), module.__dict__)
         if example is use:
             assert module.images.shape == (512, 256) and next(iter(module.batches))["range"].shape[2:] == (512, 256)
         if example is function:

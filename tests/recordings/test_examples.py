@@ -1,4 +1,4 @@
-"""The examples of docs/recordings.md run as they stand."""
+"""The examples of docs/how-to/recordings.md run as they stand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bags import image, write_mcap
 from fake_cameras import FakeRealSense
 from pngs import RAMP
 
-PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "recordings.md"
 
 
 def test_every_example_runs(

@@ -1,6 +1,7 @@
 """What both renderers see, against exact geometry and against each other.
 
-`BODYSEG_FULL=1 pytest tests/rendering/test_renderers.py -k agree -rP` prints the table of docs/renderers.md.
+`BODYSEG_FULL=1 pytest tests/rendering/test_renderers.py -k agree -rP` prints the table of
+docs/explanation/renderers.md.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
 
 
 def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[Labels]:
-    """Labels shown, [H, W], of a board that stays in place, by the rule in docs/steady.md, in whole numbers."""
+    """Labels shown, [H, W], of a board that stays in place, by the rule in docs/how-to/steady.md, in whole numbers."""
     keeps = round(1024 * rule.keep), round(1024 * rule.stiff_border_share * rule.keep)
     margin, reach = round(rule.margin * UNIT), rule.stiff_border
     rows, columns = frames[0][0].shape

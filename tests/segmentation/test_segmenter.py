@@ -195,7 +195,8 @@ def test_a_stream_may_find_the_next_frames_surfaces_ahead() -> None:
 
 
 def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs" / "segment.md").read_text(), re.S)
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "segment.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
     names: dict[str, Any] = {}
     exec("\n".join(blocks), names)
     assert len(blocks) == 2 and isinstance(names["label"], FrameLabeller)

@@ -145,7 +145,7 @@ def test_the_stored_bytes_are_pinned(choice: str) -> None:
 
 
 def test_a_reader_written_from_the_format_alone_agrees() -> None:
-    """A pixel at a time, as docs/shard_format.md has it."""
+    """A pixel at a time, as docs/reference/shard_format.md has it."""
     images = figure_images()
     decoded = _by_the_book(encode_images(*images))
     for image, expected in zip(decoded, images, strict=True):

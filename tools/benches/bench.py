@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benches.charts.processors import FOLDER, folder_name
+from benches.measuring import Conditions
 from bodyseg_data.commands.options import flag_of, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.provenance import check_target, provenance, write_figures
@@ -193,9 +194,11 @@ def run(options: Options) -> int:
     shown = [f"{_FLAGS[name]} {_shown(value)}".removesuffix(" True") for name, value in given.items()]
     shown += [f"{_FLAGS[name]} {path}" for name in ("json", "figure", "results") if (path := getattr(options, name))]
     origin = provenance(" ".join(["tools/bench", options.what, *shown]))  # before: files may change meanwhile
+    conditions = Conditions()
     measuring = importlib.import_module(f"benches.{bench.module}")
     with Progress("measuring", "steps") as progress:
         figures: dict[str, Any] = getattr(measuring, f"bench_{options.what}")(progress=progress.update, **given)
+    figures = {**conditions.to_json(), **figures}
     if json_file is None:
         sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
     else:

@@ -2,7 +2,7 @@
 
 A wardrobe cuts an outfit to a person once. Worn in a pose, the cloth is the body's surface, smoothed so that details of
 the body do not show, moved outwards by the width of the garment, more below a limb than above, and folded: deepest
-where the pose shortens the surface. `docs/clothes.md` lists what is modelled and what is not.
+where the pose shortens the surface. `docs/reference/clothes.md` lists what is modelled and what is not.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ LOADED_WRIST: Final = (-88.0, 65.0)
 LEG: Final[Ranges] = {
     "flex": (-25, 128), "abduct": (-28, 45), "twist": (-40, 45), "knee": (0, 135), "ankle": (-25, 48),
 }  # fmt: skip
-"""With those of the arm: ranges of healthy adults (docs/open_bodies.md), a little narrower."""
+"""With those of the arm: ranges of healthy adults (docs/reference/open_bodies.md), a little narrower."""
 
 CROSSED_TWIST: Final = (-40.0, 75.0)
 """Outward turn of the hips of people who sit with crossed legs, which goes beyond that of a straight leg."""

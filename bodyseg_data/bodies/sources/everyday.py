@@ -1,9 +1,9 @@
 """The source `everyday`: people for training whose hands, forearms, soles and shins touch their own body or the floor.
 
-Networks trained on `open` and `wide` fail where limbs meet the body (docs/failures.md). Each of these people holds
-another pose, drawn by `bodyseg_data.bodies.contacts.sampler`: a stance, then each limb sent to a place. Everything is
-drawn from the body's name. The angles come from a search on the person's own skin, so a pose takes a while to draw and
-is drawn when its body is built, not when bodies are listed.
+Networks trained on `open` and `wide` fail where limbs meet the body (docs/results/failures.md). Each of these people
+holds another pose, drawn by `bodyseg_data.bodies.contacts.sampler`: a stance, then each limb sent to a place.
+Everything is drawn from the body's name. The angles come from a search on the person's own skin, so a pose takes a
+while to draw and is drawn when its body is built, not when bodies are listed.
 """
 
 from __future__ import annotations

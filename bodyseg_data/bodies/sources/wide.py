@@ -1,9 +1,9 @@
 """The source `wide`: the open bodies, and 900 more people for training in randomly drawn postures.
 
-Networks trained on `open` fail on unseen poses: on the floor, with arms before the trunk (docs/failures.md). Each drawn
-posture is a stance and two arms, independent of one another, every joint uniform within a range. So people who crouch
-cross their arms as well as people who stand, and no posture is copied from `hard`, which remains a test set. No floor
-or chair is modelled, and limbs may touch or intersect a little.
+Networks trained on `open` fail on unseen poses: on the floor, with arms before the trunk (docs/results/failures.md).
+Each drawn posture is a stance and two arms, independent of one another, every joint uniform within a range. So people
+who crouch cross their arms as well as people who stand, and no posture is copied from `hard`, which remains a test set.
+No floor or chair is modelled, and limbs may touch or intersect a little.
 """
 
 from __future__ import annotations

@@ -12,8 +12,7 @@ def wait_briefly() -> None:
 
     The user's own GOMP_SPINCOUNT or OMP_WAIT_POLICY is left as it is. A thread that waits busily takes a processor from
     the very thread it waits for, as soon as another program is running: the network of bodies then takes 0.4 s a frame
-    instead of 0.04 (docs/segment.md, Speed). GNU's OpenMP reads the variable when it is loaded, so this comes before
-    `import torch`.
+    instead of 0.04. GNU's OpenMP reads the variable when it is loaded, so this comes before `import torch`.
     """
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", "10000")

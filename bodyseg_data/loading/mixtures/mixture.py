@@ -1,4 +1,4 @@
-"""Mixture of several sets of shards with weights, read by the same loader as one set (docs/mixtures.md)."""
+"""Mixture of several sets of shards with weights, read by the same loader as one set (docs/how-to/mixtures.md)."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Selection:
 
     pattern: of the shards' names. split: "train", "val", "test", or None for train and test. only: patterns as for file
     names; a sample's key must match one of them, if there are any. where: conditions, all of which a sample must meet.
-    val_share: share of train that is read as "val" and not as "train" (docs/splits.md).
+    val_share: share of train that is read as "val" and not as "train" (docs/how-to/splits.md).
     """
 
     pattern: str

@@ -1,6 +1,6 @@
 """The part of a set's train split to validate on: whole groups of bodies, chosen from the descriptions alone.
 
-docs/splits.md has the rule in words.
+docs/how-to/splits.md has the rule in words.
 """
 
 from __future__ import annotations

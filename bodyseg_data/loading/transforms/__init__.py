@@ -2,7 +2,7 @@
 
     from bodyseg_data.loading.transforms import Crop, Flip, Roll
 
-A transform of your own is a function or a class derived from `Transform` (docs/transforms.md).
+A transform of your own is a function or a class derived from `Transform` (docs/how-to/transforms.md).
 """
 
 from bodyseg_data.loading.transforms.body_crop import BodyCrop

@@ -1,7 +1,7 @@
 """Distances along a surface to the nearest of many sources, by an exact method and two approximate ones.
 
 Surfaces on which the exact method's library would crash, hang or give wrong results are refused beforehand.
-`docs/partition.md` compares the methods.
+`docs/explanation/partition.md` compares the methods.
 """
 
 from __future__ import annotations

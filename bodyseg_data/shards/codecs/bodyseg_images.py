@@ -1,4 +1,4 @@
-"""The default codec: a sample's three images in one file (docs/shard_format.md).
+"""The default codec: a sample's three images in one file (docs/reference/shard_format.md).
 
 Labels are stored as runs, ranges as residuals of the surface's slope, the occluder range as runs. Each sequence of
 numbers is a zstd block with its own Huffman table, in two frames, so that the occluder range need not be decoded. A

@@ -87,7 +87,8 @@ def open_transport(address: str, options: Mapping[str, Any], stall_s: float, tot
 class _HttpTransport:
     """Streaming through aiohttp, in fsspec's session and thread, that keeps the bytes before a broken connection.
 
-    fsspec's own `cat_file` and `open` lose these, and do not check the received range (figures: docs/dependencies.md).
+    fsspec's own `cat_file` and `open` lose these, and do not check the received range (figures:
+    docs/reference/dependencies.md).
     """
 
     def __init__(self, filesystem: Filesystem, stall_s: float) -> None:

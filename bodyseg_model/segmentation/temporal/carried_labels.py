@@ -54,7 +54,7 @@ _BENDS: Final = 1.5  # gain from which on a body bends
 
 @dataclass(frozen=True)
 class Carrying:
-    """Parameters of `CarriedLabels`; docs/steady.md has their effect.
+    """Parameters of `CarriedLabels`; docs/how-to/steady.md has their effect.
 
     motion: "parts" follows the parts of a body, "rigid" the body as a whole, "still" nothing: evidence stays at its
     pixel. keep: share of the evidence that is left after a frame, 0 to less than 1; bending_keep: of a body that bends,

@@ -144,9 +144,17 @@ def test_tables_are_made_of_records(folder: Path) -> None:
 
 
 def test_every_file_says_where_it_is_from(folder: Path) -> None:
-    (folder / "b.json").write_text('{"x": 1, "command": "tools/bench b", "commit": "0123", "hardware": "2 cores"}')
+    origin = '"command": "tools/bench b", "commit": "0123", "hardware": "2 cores"'
+    (folder / "b.json").write_text(f'{{"x": 1, {origin}}}')
     table = render_page("{{ b.x | number }}\n{{ sources }}", folder).splitlines()
-    assert table[1] == "| file | command | commit | hardware |"
-    assert table[3] == "| [b.json](b.json) | `tools/bench b` | 0123 | 2 cores |"
+    assert table[1] == "| file | command | commit | hardware | load before · after |"
+    assert table[3] == "| [b.json](b.json) | `tools/bench b` | 0123 | 2 cores | – |"
+    for loads, shown in {
+        '"load_before": 0.254': "0.25 · –",
+        '"load_before": 0, "load_after": 2': "0.00 · 2.00",
+    }.items():
+        (folder / "b.json").write_text(f'{{"x": 1, {origin}, {loads}}}')
+        row = render_page("{{ b.x | number }}\n{{ sources }}", folder).splitlines()[3]
+        assert row == f"| [b.json](b.json) | `tools/bench b` | 0123 | 2 cores | {shown} |"
     with pytest.raises(BadConfig, match="a.json must say its command, commit, hardware"):
         render_page("{{ a.share | percent }} {{ sources }}", folder)

@@ -11,7 +11,7 @@ import torch
 from benches.data.loader import bench
 from benches.data.loader import limits as loader_limits
 from benches.data.loader import mds as loader_mds
-from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
+from benches.data.loader.baselines import STEP_M, InThreads, Premade, folder_bytes
 from benches.data.loader.figure import draw_loader
 from benches.data.loader.limits import limits, ratio
 from benches.data.loader.passes import _check, checksum_of
@@ -66,7 +66,8 @@ def test_every_loader_is_measured_or_null(figures: dict[str, Any]) -> None:
             if name in figures["missing"]:
                 assert found == {"0": None, "2": None}
             elif table == "worker_mb":
-                threads = name.startswith("ours") and not name.startswith("ours_all_")  # have no memory of their own
+                ours = name.startswith("ours") and not name.startswith("ours_all_")
+                threads = ours or name.endswith("_threads")  # have no memory of their own
                 assert found["0"] is None and (found["2"] is None) == threads
             elif table == "rounds_of":
                 assert all(len(rates) == 2 and min(rates) > 0 for rates in found.values())
@@ -81,10 +82,25 @@ def test_every_loader_is_measured_or_null(figures: dict[str, Any]) -> None:
 def test_bytes_are_those_on_disk(figures: dict[str, Any], small_set: Path) -> None:
     sizes = figures["bytes_per_sample"]
     assert sizes["ours_all"] == sizes["ours_none"] == round(folder_bytes(small_set) / 24)
-    assert sizes["memory"] == 160 * 82 * 5
+    assert sizes["memory"] == sizes["memory_threads"] == 160 * 82 * 5
+    assert sizes["webdataset_raw"] > 160 * 82 * 3 > sizes["webdataset_zstd"]
     assert sizes["png_files"] < sizes["webdataset_png"] < sizes["png_files"] + 12_000, "tars are padded"
     assert figures["five_png_bytes_per_sample"] > 2.4 * sizes["png_files"], "other variants have less noise in them"
     assert figures["kept_bytes_per_sample"] == sizes
+
+
+def test_threads_share_a_set_and_pass_errors_on() -> None:
+    """Each thread has its own samples; one that fails ends the pass."""
+
+    def failing() -> Iterator[Batch]:
+        yield {"key": ["a"]}  # type: ignore[typeddict-item]
+        raise ValueError("a damaged file")
+
+    two = InThreads(lambda: [[{"key": ["a"]}], [{"key": ["b"]}, {"key": ["c"]}]])  # type: ignore[list-item]
+    for _ in range(2):
+        assert sorted(batch["key"][0] for batch in two) == ["a", "b", "c"]
+    with pytest.raises(ValueError, match="a damaged file"):
+        list(InThreads(lambda: [failing(), failing()]))
 
 
 @pytest.mark.parametrize("name", bench.baselines())

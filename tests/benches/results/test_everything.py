@@ -10,10 +10,10 @@ from benches.__main__ import main
 from benches.bench import BENCHES
 from benches.bench import Options as BenchOptions
 from benches.chart import Options as ChartOptions
-from benches.charts.outdated import landmarks_digest, outdated
+from benches.charts.outdated import NEVER, outdated, stale_results, without_mark
 from benches.charts.page import render_page, sources_of
 from benches.model.networks.baselines import with_baselines
-from benches.results.everything import everything
+from benches.results.everything import PAGES, PROCESSORS, everything
 from benches.results.records import Records
 from benches.results.running import duration
 from benches.results.step import Graph, Places, Step
@@ -27,9 +27,6 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
 
 RESULTS = ROOT / "docs" / "results"
-
-OF_SPEED = {"codec", "occlusion", "partition", "reduction"}
-"""Results on the page that tell of speed: they are measured by hand, on a machine that does nothing else."""
 
 
 def options_of(step: Step) -> type:
@@ -51,12 +48,28 @@ def test_only_benches_that_draw_are_asked_for_a_figure() -> None:
     assert asked and not {name for name in asked if BENCHES[name].figure is None}
 
 
-def test_every_result_on_the_page_is_of_a_step_but_those_of_speed() -> None:
+def test_every_result_is_of_a_step() -> None:
+    """Whatever a document quotes can become stale, and `--list` says so."""
     made = {name for step in everything().steps.values() for _, name in step.results}
-    on_page = {*sources_of((RESULTS / "tables.md.in").read_text())} - {f"{name}.json" for name in OF_SPEED}
-    assert on_page <= made
-    pictures = {path.name for path in RESULTS.glob("*.png")} & {f"{Path(name).stem}.png" for name in on_page}
+    kept = {path.relative_to(RESULTS).as_posix() for path in RESULTS.rglob("*.json") if path.parent.name != "charts"}
+    assert kept - {"steps.json"} <= made
+    for page in PAGES:
+        assert {*sources_of((RESULTS / f"{page}.in").read_text())} <= made
+    pictures = {path.name for path in RESULTS.glob("*.png")} & {f"{Path(name).stem}.png" for name in made}
     assert pictures <= made
+
+
+def test_what_a_processor_decides_is_measured_on_that_processor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = [step for step in everything().steps.values() if step.processor]
+    assert {step.processor for step in steps} == {*PROCESSORS} and all(step.alone for step in steps)
+    assert all(step.name.startswith(f"processors/{step.processor}/") for step in steps)
+    elsewhere = Step("x", "results", ("true",), (("results/x.json", "x.json"),), processor="another")
+    shop = Workshop(tmp_path)
+    shop.steps = [elsewhere]
+    assert shop.run(list=True) == 1
+    assert "needs the processor another" in capsys.readouterr().out
 
 
 def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -> None:
@@ -77,7 +90,7 @@ def test_steps_read_what_their_commands_name() -> None:
     assert {"runs/variants/all-2", "runs/networks/deeplab_half-0"} <= {*architectures}
     ablation = graph.inputs(graph.steps["ablation"])
     assert {"runs/variants/all-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
-    assert graph.external(graph.steps["page"]) == ("docs/results/index.md.in", "docs/results/tables.md.in")
+    assert graph.external(graph.steps["page"]) == tuple(f"docs/results/{page}.in" for page in PAGES)
 
 
 def test_code_is_that_of_the_command() -> None:
@@ -155,19 +168,24 @@ def test_times_have_two_digits(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-def test_the_page_names_results_with_other_labels(tmp_path: Path) -> None:
+def test_a_page_names_what_the_code_of_today_did_not_make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a", "b", "c"):
         (tmp_path / f"{name}.json").write_text('{"n": 1}')
-    template = "{{ outdated }}{{ a.n | number }}{{ b.n | number }}{{ c.n | number }}\n"
-    assert render_page(template, tmp_path) == "111\n", "nothing is known of them"
-    steps = {
-        "first": {"landmarks": "others", "made": {"a.json": "", "a.png": ""}},
-        "second": {"landmarks": landmarks_digest(), "made": {"b.json": ""}},
-    }
-    (tmp_path / "steps.json").write_text(json.dumps({"steps": steps}))
-    first, *_, last = render_page(template, tmp_path).splitlines()
-    assert "landmarks" in first and "[a.json](a.json)." in first and last == "111"
-    assert outdated(tmp_path, ["b.json", "c.json"]) == ""
+    template = "{{ outdated }}\n{{ a.n | number }}{{ b.n | number }}{{ c.n | number }}\n"
+    stale = {"a.json": "the code has changed", "b.json": NEVER, "other.json": NEVER}
+    monkeypatch.setattr("benches.charts.page.stale_results", lambda folder: stale)
+    page = render_page(template, tmp_path)
+    first, *_, last = page.splitlines()
+    assert "changed since: [a.json](a.json); " in first and "by hand" in first and "[b.json](b.json)." in first
+    assert "c.json" not in first and "other" not in first and last == "111"
+    assert without_mark(page) == render_page(template, tmp_path, {"outdated": ""}) == "\n111\n"
+    assert outdated(stale, ["c.json"]) == ""
+
+
+def test_a_result_without_a_record_is_stale(tmp_path: Path) -> None:
+    found = stale_results(tmp_path)
+    assert found["occlusion.json"] == found["compact.json"] == NEVER
+    assert "index.md" not in found, "the pages are made of what is there"
 
 
 def test_the_records_that_are_committed_are_of_declared_steps() -> None:

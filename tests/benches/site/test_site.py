@@ -53,8 +53,8 @@ def test_links_out_of_docs_lead_to_pages_of_the_site(before: str, after: str) ->
 
 
 def test_files_beside_docs_become_pages_with_links_that_hold() -> None:
-    text = "[a](docs/rig.md), [b](CHANGELOG.md), [c](README.md#ten-lines)"
-    assert moved_inside(text) == "[a](../rig.md), [b](changelog.md), [c](../index.md)"
+    text = "[a](docs/how-to/rig.md), [b](CHANGELOG.md), [c](README.md#ten-lines)"
+    assert moved_inside(text) == "[a](../how-to/rig.md), [b](changelog.md), [c](../index.md)"
 
 
 def test_every_command_is_described_with_every_option_and_default() -> None:

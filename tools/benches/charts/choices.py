@@ -24,6 +24,10 @@ _LOADERS: Final = {
     "ours_all": "bodyseg, all\nmade on the fly",
     "ours_all_batch_sampler": "bodyseg, all\nin PyTorch's DataLoader",
     "webdataset_png": "WebDataset, PNG",
+    "webdataset_raw": "WebDataset, raw",
+    "webdataset_zstd": "WebDataset, zstd",
+    "webdataset_png_threads": "WebDataset, PNG,\nin threads",
+    "webdataset_raw_threads": "WebDataset, raw,\nin threads",
     "hf_webdataset": "Hugging Face datasets,\ntars of PNG",
     "hf_parquet": "Hugging Face datasets,\nParquet, raw",
     "mds_raw": "MosaicML Streaming, raw",
@@ -31,7 +35,11 @@ _LOADERS: Final = {
     "litdata": "LitData, raw",
     "png_files": "loose PNG files",
 }
-_LOADER_LIMITS: Final = {"ours_none": "bodyseg, no artifacts", "memory": "tensors in memory"}
+_LOADER_LIMITS: Final = {
+    "ours_none": "bodyseg, no artifacts",
+    "memory": "tensors in memory",
+    "memory_threads": "tensors in memory,\nby threads",
+}
 
 _LABEL_LETTERS: Final = 24  # of a line of a long name
 
@@ -159,7 +167,7 @@ def _loader(figures: Field) -> tuple[Panel, ...]:
             for name, rate in found.items()
             if rate is not None and name in _LOADER_LIMITS
         ]
-        title = "no worker processes" if workers == "0" else f"{workers} worker processes"
+        title = "no workers" if workers == "0" else f"{workers} workers"
         panels.append(Panel(title, tuple(points), "ours_all", tuple(limits)))
     return tuple(panels)
 

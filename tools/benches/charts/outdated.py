@@ -1,54 +1,57 @@
-"""Results whose labels are not those of today: the landmarks of the open body have changed since."""
+"""Results that are not what the code, the commands and the data of today would give."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from benches.result_cache import json_digest
-from bodyseg_data.core.errors import BadConfig
+from benches.results.everything import everything
+from benches.results.records import Records
+from benches.results.step import Places
+from benches.results.survey import Survey
 
-RECORDS: Final = "steps.json"
-"""In the folder of results: the step that made each of them, see `benches.results.records`."""
+NEVER: Final = "never made"
+"""The reason of a result without a record: `tools/bench all` has not made it, and nothing says by which code it was."""
+
+MARK: Final = "**Not measured by the code of today"
+"""Begins the paragraph that names them on a page."""
+
+_NOWHERE: Final = Path("no work folder")
 
 
 @cache
-def landmarks_digest() -> str:
-    """Digest of the open body's landmarks, from which its labels follow."""
-    data = (files("bodyseg_data.meshes.landmarks") / "sets" / "open.json").read_bytes()
-    return json_digest(json.loads(data))
-
-
-def read_records(path: Path) -> dict[str, Any]:
-    """Step -> record as JSON; none if there is no such file. Raises BadConfig for a file that holds no records."""
-    if not path.exists():
-        return {}
-    try:
-        steps = json.loads(path.read_text(encoding="utf-8"))["steps"]
-        if not all(isinstance(record["made"], dict) for record in steps.values()):
-            raise TypeError("made must be a table")
-    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
-        raise BadConfig(f"{path} holds no records of steps: {error!r}") from error
-    return dict(steps)
-
-
-def outdated(folder: Path, results: Iterable[str]) -> str:
-    """A sentence that names those of `results` (JSON files of `folder`) that have other labels; "" if none has."""
-    landmarks = landmarks_digest()
-    old = {
-        file
-        for record in read_records(folder / RECORDS).values()
-        if record.get("landmarks") != landmarks
-        for file in record["made"]
+def stale_results(folder: Path) -> dict[str, str]:
+    """File of a folder of results -> why it is stale, as `tools/bench all --list` says it in a fresh checkout."""
+    graph = everything()
+    places = Places(_NOWHERE, _NOWHERE, folder.absolute())
+    records = Records(graph, places)
+    statuses = Survey(graph, places, records).statuses()
+    return {
+        name: NEVER if records.get(step) is None else statuses[step.name].reason
+        for step in graph.steps.values()
+        if step.kind == "results" and statuses[step.name].state not in ("fresh", "absent")
+        for _, name in step.results
     }
-    names = [f"[{name}]({name})" for name in results if name in old]
-    if not names:
+
+
+def outdated(stale: Mapping[str, str], results: Iterable[str]) -> str:
+    """A paragraph that names those of `results` that are stale; "" if none is."""
+    links = {name: f"[{name}]({name})" for name in results if name in stale}
+    if not links:
         return ""
-    return (
-        "**Made before the last change of the open body's landmarks**, and so with other labels than a set that is "
-        f"packed today: {', '.join(names)}. `tools/bench all` makes them anew.\n"
-    )
+    unknown = [link for name, link in links.items() if stale[name] == NEVER]
+    parts = []
+    if known := [link for name, link in links.items() if stale[name] != NEVER]:
+        parts.append(f"the code, a command or the data has changed since: {', '.join(known)}")
+    if unknown:
+        parts.append(f"measured by hand, so that nothing records the code: {', '.join(unknown)}")
+    return f"{MARK}**, and to be measured anew: {'; '.join(parts)}. `tools/bench all --list` says why.\n"
+
+
+def without_mark(page: str) -> str:
+    """A page without that paragraph, which follows from the code and not from the results."""
+    lines = page.split("\n")
+    kept = [number for number, line in enumerate(lines) if not line.startswith(MARK)]
+    return "\n".join(lines[number] for number in kept)

@@ -10,7 +10,7 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ charts.left_out[0] }}                                    what `tools/chart` writes into charts.json
     {{ processors | each("loader", "ours_all_over", "mds_raw", "2") | span(1) }}        least and most over processors
     {{ sources }}                                               a table of all files read: command, commit, hardware
-    {{ outdated }}                                              a sentence on files with other labels than today's
+    {{ outdated }}                                              a paragraph on files that the code of today did not make
 
 Files of `bodyseg stability` have their numbers as `tables` of text as well.
 
@@ -30,7 +30,7 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
-from benches.charts.outdated import outdated
+from benches.charts.outdated import outdated, stale_results
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from benches.charts.stability_tables import FORMAT, tables
@@ -63,8 +63,8 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
         if name not in HEAD
     }
     sources = {_SOURCES: _origins(read)} if _SOURCES in names else {}
-    if _OUTDATED in names:
-        sources[_OUTDATED] = outdated(folder, [f"{name}.json" for name in read])
+    if _OUTDATED in names and _OUTDATED not in given:
+        sources[_OUTDATED] = outdated(stale_results(folder), [f"{name}.json" for name in read])
     try:
         return _environment().from_string(template).render(files | given | sources)
     except (TemplateError, AttributeError, LookupError, TypeError, ValueError, ZeroDivisionError) as error:
@@ -158,8 +158,15 @@ def _origins(files: Mapping[str, Any]) -> str:
         found = [content.get(what) for what in _ORIGIN]
         if not all(found):
             raise BadConfig(f"{name}.json must say its {', '.join(_ORIGIN)} to stand on the page, found {found}")
-        rows.append({"file": f"[{name}.json]({name}.json)", **dict(zip(_ORIGIN, found, strict=True))})
+        origin = dict(zip(_ORIGIN, found, strict=True))
+        rows.append({"file": f"[{name}.json]({name}.json)", **origin, "load before · after": _loads(content)})
     return _table(row | {"command": f"`{row['command']}`"} for row in rows)
+
+
+def _loads(content: Mapping[str, Any]) -> str:
+    """Load of the machine before and after a bench, as far as it was recorded."""
+    loads = [content.get(f"load_{when}") for when in ("before", "after")]
+    return "–" if loads == [None, None] else " · ".join("–" if each is None else _number(each, 2) for each in loads)
 
 
 def _line(error: Exception) -> int:

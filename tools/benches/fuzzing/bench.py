@@ -1,4 +1,4 @@
-"""`bench reliability`: the promises of docs/reliability.md at full length: damage, hostile input, interruptions."""
+"""`bench reliability`: the promises of docs/reference/reliability.md at full length: damage, hostile input, faults."""
 
 from __future__ import annotations
 

@@ -1,12 +1,11 @@
 """`bench gpu`: loading into a GPU, times of networks on it, and training with it, measured in one run.
 
-docs/loading_speed.md and docs/variants.md say how loaders and networks are timed on a processor.
+docs/results/loading_speed.md and docs/results/variants.md say how loaders and networks are timed on a processor.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 import statistics
 import sys
 import time
@@ -90,7 +89,6 @@ def bench_gpu(
     return {
         "gpu": torch.cuda.get_device_name(),
         "torch": torch.__version__,
-        "load_before": round(os.getloadavg()[0], 2),
         **measured(RangeImages(data, "all", "train"), networks, frames, "cuda", views, num_workers, steps, progress),
     }
 

@@ -1,12 +1,11 @@
 """`bench training`: images a second of `bodyseg train` on the processor, by threads, processes and form of its loops.
 
-The command runs as its users call it, all ways in turns. docs/training.md has the results.
+The command runs as its users call it, all ways in turns. docs/how-to/training.md has the results.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -86,7 +85,6 @@ def bench_training(data: str, steps: int = STEPS, progress: ProgressCallback = s
     return {
         "steps": steps,
         "images_a_process": _BATCH,
-        "load_before": round(os.getloadavg()[0], 2),
         **summary(named, runs),
     }
 

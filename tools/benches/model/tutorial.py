@@ -1,4 +1,4 @@
-"""`bench tutorial`: the commands of docs/tutorial.md, one after the other, on a simulated recording; times and scores.
+"""`bench tutorial`: the commands of docs/tutorials/your_camera.md, on a simulated recording: times, scores.
 
 The commands and files are read from the document, so that what is measured and tested is what a reader types.
 """
@@ -28,7 +28,7 @@ from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 
-DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorial.md"
+DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorials" / "your_camera.md"
 
 SENSOR: Final = "realsense_d435"
 """The sensor that the simulated recording is made with."""

@@ -1,8 +1,9 @@
-"""All steps that make docs/results, as far as they tell of accuracy: sets, trainings, results, the page."""
+"""All steps that make docs/results: sets, trainings, results on accuracy, results on speed, the pages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final
 
 from benches.results.step import RESULTS, SHIPPED, Graph, Step
@@ -18,6 +19,7 @@ from benches.results.trainings import (
     LOSSES_RUNS,
     NETWORK_RUNS,
     OPEN,
+    READ,
     REFERENCE_RUNS,
     SMALLER_LINKS,
     VARIANT_RUNS,
@@ -31,8 +33,17 @@ FAUST: Final = "data/faust"
 KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
 
-PAGES: Final = ("index.md", "tables.md")
-"""The pages of results, each with a template beside it."""
+PROCESSORS: Final = ("amd-epyc-2-cores", "intel-xeon-processor-with-amx-2-cores")
+"""Those whose results are published, as `benches.charts.processors.folder_name` names them."""
+
+
+def pages(results: Path) -> tuple[str, ...]:
+    """Names of the pages of results in a folder: those with a template, NAME.in, beside them."""
+    return tuple(sorted(path.name.removesuffix(".in") for path in results.glob("*.md.in")))
+
+
+PAGES: Final = pages(Path(__file__).parents[3] / RESULTS)
+"""The pages of this checkout."""
 
 _STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
 _MOTION: Final = ("--parts", "temporal", "--threads", "1")
@@ -40,7 +51,7 @@ _MOTION: Final = ("--parts", "temporal", "--threads", "1")
 
 def everything() -> Graph:
     """The graph of `tools/bench all`."""
-    steps = [*sets(), *trainings(), *_landmarks(), *_shipped(), *_trained(), *_stability()]
+    steps = [*sets(), *trainings(), *_landmarks(), *_shipped(), *_trained(), *_stability(), *_speed(), *_by_processor()]
     names = [f"{RESULTS}/{name}" for step in steps for _, name in step.results]
     return Graph([*steps, _page(names)])
 
@@ -110,6 +121,42 @@ def _trained() -> Iterator[Step]:
     yield _bench("ablation", *sets_read, *rows, drawn=True, links=ABLATION_LINKS, alone=True)
     rows = ("--runs", "runs/sensors", "--images", "40")
     yield _bench("ablation", "--data", DRESSED, *rows, to="ablation_sensors", alone=True)
+
+
+def _speed() -> Iterator[Step]:
+    """What is measured on one machine: methods side by side, each with its error."""
+    yield _bench("occlusion", drawn=True, more=("occlusion_errors.png",), alone=True)
+    yield _bench("quantisation", "--views", "40", drawn=True, alone=True)
+    yield _bench("partition", "--mit", MIT, drawn=True, alone=True)
+    yield _bench("reduction", "--views", "4", "--mit", MIT, drawn=True, alone=True)
+    yield _bench("codec", drawn=True, alone=True)
+    yield _bench("workers", "--views", "324", drawn=True, alone=True)
+    yield _bench("scaling", alone=True)
+    yield _bench("cluster", alone=True)
+    yield _bench("reading", "--data", READ, alone=True)
+    yield _bench("sensor_fit", drawn=True, alone=True)
+    yield _bench("reliability")
+    for name, source in (("packing", "open"), ("packing_hard", "hard")):
+        words = ("bodyseg", "shard", "--source", source, "--workers", "2", "--out", f"reported/{source}")
+        report = f"results/{name}.json"
+        yield Step(name, "results", (*words, "--report", report), ((report, f"{name}.json"),), alone=True)
+
+
+def _by_processor() -> Iterator[Step]:
+    """What a processor decides, on each of `PROCESSORS`."""
+    for processor in PROCESSORS:
+        for name, words in {
+            "loader": (),
+            "network": ("--scores", f"{RESULTS}/compact.json"),
+            "render": (),
+            "runtimes": ("--data", OPEN, "--images", "200"),
+            "segment": ("--views", "40"),
+            "training": ("--data", OPEN),
+        }.items():
+            to = f"processors/{processor}/{name}"
+            drawn = name != "training"
+            reads = () if name in ("loader", "render") else (SHIPPED,)
+            yield _bench(name, *words, to=to, drawn=drawn, reads=reads, alone=True, processor=processor)
 
 
 def _stability() -> Iterator[Step]:

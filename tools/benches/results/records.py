@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from benches.charts.outdated import RECORDS, landmarks_digest, read_records
 from benches.results.step import Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import write_result
 
 FORMAT: Final = "bodyseg steps 1"
+RECORDS: Final = "steps.json"
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,7 @@ class Record:
     """One run of a step.
 
     code: digest of the modules; None: not known. inputs: step or external product -> digest of what was read.
-    made: product -> digest. seconds: it took; None: not known. landmarks: digest of the open body's, which decide the
-    labels.
+    made: product -> digest. seconds: it took; None: not known.
     """
 
     command: str
@@ -36,7 +35,6 @@ class Record:
     seconds: float | None
     commit: str
     hardware: str
-    landmarks: str
 
     @classmethod
     def from_json(cls, tree: Any, where: str) -> Record:
@@ -88,7 +86,7 @@ class Records:
         self._write("results")
 
     def _read(self, file: Path) -> dict[str, Record]:
-        return {name: Record.from_json(tree, f"{file}: {name}") for name, tree in read_records(file).items()}
+        return {name: Record.from_json(tree, f"{file}: {name}") for name, tree in _read_records(file).items()}
 
     def _read_begun(self) -> dict[str, str]:
         file = self._files["work"]
@@ -104,5 +102,18 @@ class Records:
 
 
 def record_of(step: Step, code: str, inputs: Mapping[str, str], made: Mapping[str, str], **facts: Any) -> Record:
-    """The record of a run with the landmarks of today. facts: seconds, commit, hardware."""
-    return Record(step.command, code, dict(inputs), dict(made), landmarks=landmarks_digest(), **facts)
+    """The record of a run. facts: seconds, commit, hardware."""
+    return Record(step.command, code, dict(inputs), dict(made), **facts)
+
+
+def _read_records(path: Path) -> dict[str, Any]:
+    """Step -> record as JSON; none if there is no such file. Raises BadConfig for a file that holds no records."""
+    if not path.exists():
+        return {}
+    try:
+        steps = json.loads(path.read_text(encoding="utf-8"))["steps"]
+        if not all(isinstance(record["made"], dict) for record in steps.values()):
+            raise TypeError("made must be a table")
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        raise BadConfig(f"{path} holds no records of steps: {error!r}") from error
+    return dict(steps)

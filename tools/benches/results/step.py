@@ -46,8 +46,8 @@ class Step:
     `tools/chart` stand for the checkout's, and names of files are as `Places.path` reads them. results: (file or
     folder that the command writes, its name in docs/results). links: (folder of a run, the training that it is another
     name of), made before the command runs. reads: further products that no word names, such as `SHIPPED`. alone: no
-    other step may run beside it, because it takes times. gpu: needs one. modules: that compute the product; those of
-    the command unless given.
+    other step may run beside it, because it takes times. gpu: needs one. processor: the only one that it may run on, as
+    `folder_name` names it; "" for any. modules: that compute the product; those of the command unless given.
     """
 
     name: str
@@ -58,6 +58,7 @@ class Step:
     reads: tuple[str, ...] = ()
     alone: bool = False
     gpu: bool = False
+    processor: str = ""
     modules: tuple[str, ...] = ()
 
     @property

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
+from benches.charts.processors import folder_name
 from benches.result_cache import code_digest, json_digest
 from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
 from benches.results.step import SHIPPED, Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.system.machine import hardware
 
 State = Literal["fresh", "stale", "absent", "blocked"]
 """absent: made as it would be made today, but not in this work folder; needed only where a stale step reads it."""
@@ -138,6 +140,8 @@ class Survey:
                 return f"{name if name == SHIPPED else self._places.path(name)} is not there"
         if step.gpu and not _has_gpu():
             return "needs a GPU"
+        if step.processor and step.processor != folder_name(hardware()):
+            return f"needs the processor {step.processor}"
         if step.kind == "page":
             return ""
         blocked = [name for name in self._graph.inputs(step) if earlier[name].blocked]

@@ -17,12 +17,14 @@ OPEN: Final = "sets/open18"
 HARD: Final = "sets/hard18"
 DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
+READ: Final = "sets/open200"
 
 SETS: Final = {
     OPEN: ("open",),
     HARD: ("hard",),
     DRESSED: ("open", "--meshes", "233"),
     BARE: ("bare", "--meshes", "233"),
+    READ: ("open", "--meshes", "200", "--views", "54"),
 }
 """Folder -> source, and further options of `bodyseg shard`."""
 
@@ -95,9 +97,10 @@ ABLATION_LINKS: Final[Links] = (
 
 
 def sets() -> Iterator[Step]:
-    """Steps that pack sets, of 18 views a body."""
+    """Steps that pack sets, of 18 views a body where their options name no other number."""
     for name, (source, *more) in SETS.items():
-        yield Step(name, "set", ("bodyseg", "shard", "--source", source, *more, "--views", "18", "--out", name))
+        views = () if "--views" in more else ("--views", "18")
+        yield Step(name, "set", ("bodyseg", "shard", "--source", source, *more, *views, "--out", name))
 
 
 def trainings() -> Iterator[Step]:

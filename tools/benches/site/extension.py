@@ -77,7 +77,7 @@ def fill_page(_: Sphinx, name: str, source: list[str]) -> None:
     if _NAMES_MARK in text:
         text = text.replace(_NAMES_MARK, public_names())
     if _ROOMS_MARK in text:
-        pages = "\n".join(f"{GENERATED}/{room}" for room in rooms())
+        pages = "\n".join(f"/{GENERATED}/{room}" for room in rooms())
         text = text.replace(_ROOMS_MARK, f"```{{toctree}}\n:maxdepth: 1\n\n{pages}\n```")
     source[0] = text
 

@@ -1,6 +1,6 @@
 """`bench codec`: bytes and time of every way to store a sample's images, on views of bare and dressed open bodies.
 
-All times are of the processor, the best of several rounds in which the codecs take turns.
+All times are of the processor, medians of several rounds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
 from benches.environment import computed_by
-from benches.measuring import least_time, mixed
+from benches.measuring import median_time, mixed
 from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 from bodyseg_data.bodies.sources import open_source
@@ -124,8 +124,8 @@ def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> No
     several: list[NDArray[Any]] = [*images]
     for kind, image, background in zip(_IMAGES, several, (0, 255, 0), strict=True):
         rounds = 1 if "effort" in baseline.name else _ROUNDS  # slow ones' times need no polish
-        encode_s, data = least_time(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
-        decode_s, decoded = least_time(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
+        encode_s, data = median_time(lambda image=image, background=background: baseline.encode(image, background), 1)  # type: ignore[misc]
+        decode_s, decoded = median_time(lambda data=data: baseline.decode(data), rounds)  # type: ignore[misc]
         if not np.array_equal(decoded, image):
             raise AssertionError(f"{baseline.name} is not lossless")
         cost = costs[kind]
@@ -140,9 +140,9 @@ def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
     nothing = np.zeros_like(projector)
     before = 0, 0.0, 0.0
     for kind, occluder in (("range and labels", nothing), ("projector", projector)):
-        encode_s, data = least_time(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
+        encode_s, data = median_time(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
         wanted = kind == "projector"
-        decode_s, _ = least_time(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
+        decode_s, _ = median_time(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
         costs[kind].bytes.append(len(data) - before[0])
         costs[kind].encode_s.append(encode_s - before[1])
         costs[kind].decode_s.append(decode_s - before[2])
@@ -189,7 +189,7 @@ class _Rounding:
         self._seconds: list[float] = []
 
     def add(self, sample: Sample, image: NDArray[np.uint16], *points: Any) -> None:
-        seconds, coarse = least_time(lambda: coarsened(self._test, image, *points), _ROUNDS)
+        seconds, coarse = median_time(lambda: coarsened(self._test, image, *points), _ROUNDS)
         self._seconds.append(seconds)
         self._exact += len(encode_sample(replace(sample, projector_range=image))["bsi"])
         self._coarse += len(encode_sample(sample)["bsi"])

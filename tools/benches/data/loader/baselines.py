@@ -6,11 +6,13 @@ shuffled as for training. Metres are made where their documentation puts a trans
 
 from __future__ import annotations
 
+import queue
+import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import torch
@@ -76,13 +78,82 @@ def allow_read_only() -> None:
     warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
 
 
+class InThreads:
+    """Batches made by threads of this process, for comparison with a loader whose workers are threads: each thread has
+    its own part of the set, and all put their batches into one queue of two a thread. One part: without a thread.
+
+    parts: opens the parts anew for each pass.
+    """
+
+    def __init__(self, parts: Callable[[], Sequence[Iterable[Batch]]]) -> None:
+        self._parts = parts
+
+    def __iter__(self) -> Iterator[Batch]:
+        parts = self._parts()
+        if len(parts) == 1:
+            yield from parts[0]
+            return
+        made: queue.Queue[Batch | BaseException | None] = queue.Queue(2 * len(parts))
+        for part in parts:
+            threading.Thread(target=_put_all, args=(part, made), daemon=True).start()
+        left = len(parts)
+        while left:
+            batch = made.get()
+            if isinstance(batch, BaseException):
+                raise batch
+            if batch is None:
+                left -= 1
+            else:
+                yield batch
+
+
+def _put_all(part: Iterable[Batch], made: queue.Queue[Batch | BaseException | None]) -> None:
+    try:
+        for batch in part:
+            made.put(batch)
+        made.put(None)
+    except BaseException as error:
+        made.put(error)
+
+
+class _Shuffled:
+    """Collated batches of a share of a data set's samples, in a new order each time."""
+
+    def __init__(self, dataset: Dataset[Any], batch: int, numbers: Sequence[int]) -> None:
+        self._dataset, self._batch, self._numbers = dataset, batch, numbers
+
+    def __iter__(self) -> Iterator[Batch]:
+        for start in range(0, len(self._numbers), self._batch):
+            yield default_collate([self._dataset[number] for number in self._numbers[start : start + self._batch]])
+
+
+def thread_loader(dataset: Dataset[Any], batch: int, threads: int) -> InThreads:
+    """What `torch_loader` gives, by threads in place of processes."""
+    count: int = len(dataset)  # type: ignore[arg-type]  # all that are measured have a length
+
+    def parts() -> list[Iterable[Batch]]:
+        order: list[int] = torch.randperm(count).tolist()
+        # In whole batches, so that no thread has a short one but the last.
+        starts = np.array_split(np.arange(0, count, batch), max(1, threads))
+        chosen = [order[int(part[0]) : int(part[-1]) + batch] for part in starts if len(part)]
+        return [_Shuffled(dataset, batch, numbers) for numbers in chosen]
+
+    return InThreads(parts)
+
+
 def folder_bytes(folder: Path) -> int:
     """Bytes of all files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 class Memory(Dataset[dict[str, Any]]):
-    """The limit: tensors in memory, float32 and uint8, that workers inherit when they are forked."""
+    """The limit: tensors in memory, float32 and uint8, that workers inherit when they are forked.
+
+    threads: workers are threads of this process.
+    """
+
+    def __init__(self, threads: bool = False) -> None:
+        self._threads = threads
 
     def write(self, images: Premade, folder: Path) -> int:
         """Nothing is written; the bytes are those of the tensors."""
@@ -93,7 +164,9 @@ class Memory(Dataset[dict[str, Any]]):
         return self._ranges.nbytes + self._labels.nbytes
 
     def open(self, folder: Path, batch: int, workers: int) -> Iterable[Batch]:
-        """A plain DataLoader."""
+        """A plain DataLoader, or as many threads."""
+        if self._threads:
+            return thread_loader(self, batch, workers)
         return torch_loader(self, batch, workers, shuffle=True)
 
     def close(self) -> None:
@@ -142,20 +215,28 @@ class _PngFolder(Dataset[dict[str, Any]]):
 
 
 class Webdataset:
-    """Tars of PNG files, decoded in a map: webdataset's own decoders cut 16 bits down to 8."""
+    """Tars of PNG files or of raw arrays, decoded in a map: webdataset's own decoders cut PNG's 16 bits down to 8.
 
-    def __init__(self, decode: Decode = by_pillow) -> None:
-        self._decode = decode
+    stored: what the tars hold; raw and zstd are the arrays' bytes, whose shape the reader knows. threads: workers are
+    threads of this process, each with its own tars.
+    """
+
+    def __init__(self, decode: Decode = by_pillow, stored: Stored = "png", threads: bool = False) -> None:
+        self._decode, self._stored, self._threads = decode, stored, threads
+        self._suffix = "png" if stored == "png" else "bin"
+        self._shape: tuple[int, ...] = ()
 
     def write(self, images: Premade, folder: Path) -> int:
         """Sixteen shards of nearly equal length."""
         import webdataset
 
+        encode, suffix = _ENCODERS[self._stored], self._suffix
+        self._shape = images[0].range.shape
         for shard, chunk in enumerate(np.array_split(np.arange(len(images)), min(SHARDS, len(images)))):
             with webdataset.TarWriter(str(folder / f"all-{shard:03d}.tar")) as tar:
                 for index in chunk.tolist():
                     image = images[index]
-                    members = {"range.png": png(image.range), "labels.png": png(image.labels)}
+                    members = {f"range.{suffix}": encode(image.range), f"labels.{suffix}": encode(image.labels)}
                     tar.write({"__key__": image.key, **members})
         return folder_bytes(folder)
 
@@ -163,12 +244,20 @@ class Webdataset:
         """Batched in the workers, as its documentation recommends for speed."""
         import webdataset
 
+        allow_read_only()
         shards = [str(path) for path in sorted(folder.glob("*.tar"))]
-        decoded = partial(_decoded, self._decode)
-        images = webdataset.WebDataset(shards, shardshuffle=len(shards)).shuffle(100).map(decoded)
-        batches = images.batched(batch, collation_fn=default_collate)
+        decode = self._decode if self._stored == "png" else _Arrays(self._stored, self._shape)
+        decoded = partial(_decoded, decode, self._suffix)
+
+        def batches(of: list[str]) -> Any:
+            images = webdataset.WebDataset(of, shardshuffle=len(of)).shuffle(100).map(decoded)
+            return images.batched(batch, collation_fn=default_collate)
+
+        if self._threads:
+            count = max(1, min(workers, len(shards)))
+            return InThreads(lambda: [batches(shards[number::count]) for number in range(count)])
         loader: Iterable[Batch] = webdataset.WebLoader(
-            batches, batch_size=None, num_workers=workers, persistent_workers=workers > 0
+            batches(shards), batch_size=None, num_workers=workers, persistent_workers=workers > 0
         )
         return loader
 
@@ -176,5 +265,36 @@ class Webdataset:
         """Nothing is held."""
 
 
-def _decoded(decode: Decode, raw: dict[str, Any]) -> dict[str, Any]:
-    return example(raw["__key__"], decode(raw["range.png"]), decode(raw["labels.png"]))
+Stored = Literal["png", "raw", "zstd"]
+
+
+def _raw(array: NDArray[Any]) -> bytes:
+    return array.tobytes()
+
+
+def _zstd(array: NDArray[Any]) -> bytes:
+    import zstandard
+
+    return zstandard.ZstdCompressor().compress(array.tobytes())
+
+
+_ENCODERS: Final[Mapping[Stored, Callable[[NDArray[Any]], bytes]]] = {"png": png, "raw": _raw, "zstd": _zstd}
+
+
+class _Arrays:
+    """Makes [H, W] of an array's bytes: uint16 where there are two bytes a pixel, else uint8."""
+
+    def __init__(self, stored: Stored, shape: tuple[int, ...]) -> None:
+        self._stored, self._shape = stored, shape
+
+    def __call__(self, data: bytes) -> NDArray[Any]:
+        if self._stored == "zstd":
+            import zstandard
+
+            data = zstandard.ZstdDecompressor().decompress(data)
+        pixels = self._shape[0] * self._shape[1]
+        return np.frombuffer(data, np.uint16 if len(data) == 2 * pixels else np.uint8).reshape(self._shape)
+
+
+def _decoded(decode: Decode, suffix: str, raw: dict[str, Any]) -> dict[str, Any]:
+    return example(raw["__key__"], decode(raw[f"range.{suffix}"]), decode(raw[f"labels.{suffix}"]))

@@ -9,7 +9,6 @@ is no part of it.
 
 from __future__ import annotations
 
-import os
 import statistics
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -98,6 +97,10 @@ def baselines(decode: Decode = by_pillow) -> dict[str, Baseline]:
     """The baselines by name. decode: for those that store PNG images."""
     return {
         "webdataset_png": Webdataset(decode),
+        "webdataset_raw": Webdataset(stored="raw"),
+        "webdataset_zstd": Webdataset(stored="zstd"),
+        "webdataset_png_threads": Webdataset(decode, threads=True),
+        "webdataset_raw_threads": Webdataset(stored="raw", threads=True),
         "hf_webdataset": HfWebdataset(decode),
         "hf_parquet": HfParquet(),
         "mds_raw": Mds(),
@@ -105,6 +108,7 @@ def baselines(decode: Decode = by_pillow) -> dict[str, Baseline]:
         "litdata": LitData(),
         "png_files": PngFiles(decode),
         "memory": Memory(),
+        "memory_threads": Memory(threads=True),
     }
 
 
@@ -113,19 +117,17 @@ def bench_loader(
 ) -> dict[str, Any]:
     """Samples a second of every loader with each number of workers, medians of seven rounds, and bytes a sample.
 
-    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys
+    views: samples in all, rounded up to whole bodies of the open set. docs/results/loading_speed.md says what the keys
     hold. A loader whose package is absent has null everywhere, and a line on standard error says so. Raises
     BadConfig if there are too few samples for so many workers.
     """
     meshes = -(-views // _VIEWS_A_BODY)
     check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)
     packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
-    load = round(os.getloadavg()[0], 2)
     with TemporaryDirectory(prefix="bodyseg-loader-") as folder:
         with open_engine(PROCESSES, None, packing) as on:
             pack(packing, Path(folder) / "ours", on.executor, on.workers)
-        found = measure(Path(folder) / "ours", Path(folder), num_workers, progress=progress)
-    return {**found, "load_before": load}
+        return measure(Path(folder) / "ours", Path(folder), num_workers, progress=progress)
 
 
 def check_counts(samples: int, batch: int, num_workers: Sequence[int]) -> None:
@@ -175,7 +177,7 @@ def measure(
                 for baseline in there.values():
                     baseline.close()
     progress(total, total)
-    kept = stored | {name: folder_bytes(scratch / name) for name in there if name != "memory"}
+    kept = stored | {name: folder_bytes(scratch / name) for name in there if not name.startswith("memory")}
     counts = {"samples": len(images["all"]), "batch": batch, "rounds": rounds, "threads": threads}
     return _results(found, stored, kept, five_pngs, counts) | {"png_decoders": decoders.to_json()}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from benches.measuring import least_time
+from benches.measuring import median_time
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.core.errors import BadSample
 
@@ -71,12 +72,12 @@ class Timed:
 
 
 def time_decoders(images: Sequence[RangeImage], decoders: Mapping[str, Decode] = DECODERS) -> Timed:
-    """Decode range and labels of all images with each library in turn, five times over; the least time counts.
+    """Decode range and labels of all images with each library in turn, five times over; the median time counts.
 
     Raises BadSample if a library changes a pixel.
     """
     stored = [(png(image.range), png(image.labels)) for image in images]
-    least: dict[str, float | None] = dict.fromkeys(decoders)
+    rounds: dict[str, list[float]] = {}
     for name, decode in decoders.items():
         try:
             for image, (range_png, labels_png) in zip(images, stored, strict=True):
@@ -84,13 +85,12 @@ def time_decoders(images: Sequence[RangeImage], decoders: Mapping[str, Decode] =
                 _check(f"{name}: {image.key}", image.labels, decode(labels_png))
         except ImportError:
             continue
-        least[name] = float("inf")
+        rounds[name] = []
     for _ in range(_ROUNDS):
-        for name, best in least.items():
-            if best is not None:
-                seconds, _ = least_time(partial(_decode_all, decoders[name], stored))
-                least[name] = min(best, seconds)
-    return Timed({name: None if s is None else round(s / len(images) * 1e3, 4) for name, s in least.items()})
+        for name, seconds in rounds.items():
+            seconds.append(median_time(partial(_decode_all, decoders[name], stored))[0])
+    ms = {name: round(statistics.median(seconds) / len(images) * 1e3, 4) for name, seconds in rounds.items()}
+    return Timed({name: ms.get(name) for name in decoders})
 
 
 def _decode_all(decode: Decode, stored: Sequence[tuple[bytes, bytes]]) -> None:

@@ -40,7 +40,7 @@ def bench_occlusion(views: int = 60, progress: ProgressCallback = silent) -> dic
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all ordinary
     views pooled; worst_view: the largest share in one of them; scenes: wrong_pixels in each scene. bytes: what the
     method adds to a sample, projector image and facing bit. us_per_view: processor time to decode that image
-    (decode_us) and to make the mask (test_us; form: in NumPy or compiled), the median over views of the best of sixteen
+    (decode_us) and to make the mask (test_us; form: in NumPy or compiled), the median over views of those of sixteen
     runs, all methods in turn. default: the form that runs, compiled where numba is installed. Raises BadConfig for no
     views.
     """

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.tallies import share
 from benches.data.occlusion.views import ExactView, exact_views, postures
-from benches.measuring import least_time
+from benches.measuring import median_time
 from bodyseg_data.artifacts.losses import lost_grazing
 from bodyseg_data.artifacts.occlusion import ShadowTest
 from bodyseg_data.core.errors import BadConfig
@@ -29,7 +29,7 @@ STEPS_MM: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 LIMIT: Final = 0.005
 """The largest share of wrong pixels that the default rig's step may give."""
 RESOLUTION_MM: Final = 1.0
-"""What the paper's sensor resolves (docs/rig.md): the default rig's step may not be coarser."""
+"""What the paper's sensor resolves (docs/how-to/rig.md): the default rig's step may not be coarser."""
 
 _GRAZING_SHARE: Final = 0.3  # of the foreground: lost at grazing incidence, which is computed from stored ranges
 _ROUNDS: Final = 8
@@ -83,7 +83,7 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
     """Every step in `STEPS_MM` of the default rig on the same `views` ordinary views of `bench occlusion`.
 
     steps: step in millimetres -> mean bytes of a sample's images and of the projector's among them; decode_ms:
-    processor time to decode them, mean over views of the best of eight rounds in which the steps take turns;
+    processor time to decode them, mean over views of the median of eight rounds in which the steps take turns;
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all views
     pooled; worst_view: the largest share in one of them. other_grazing: of the pixels that `losses.lost_grazing` takes,
     30 % of the foreground, the share that it does not take at the finest step. best: the step of fewest bytes with at
@@ -118,11 +118,11 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
 
 
 def _decoding_times(data: dict[float, list[bytes]]) -> dict[float, list[float]]:
-    """Processor seconds to decode each view of each step, the least of the rounds; the steps take turns."""
-    found = {step_mm: [float("inf")] * len(encoded) for step_mm, encoded in data.items()}
+    """Processor seconds to decode each view of each step, the median of the rounds; the steps take turns."""
+    rounds: dict[float, list[list[float]]] = {step_mm: [[] for _ in encoded] for step_mm, encoded in data.items()}
     for turn in range(_ROUNDS * len(data)):
         step_mm = list(data)[turn % len(data)]
         for number, encoded in enumerate(data[step_mm]):
-            seconds, _ = least_time(lambda encoded=encoded: decode_images(encoded, True))  # type: ignore[misc]
-            found[step_mm][number] = min(found[step_mm][number], seconds)
-    return found
+            seconds, _ = median_time(lambda encoded=encoded: decode_images(encoded, True))  # type: ignore[misc]
+            rounds[step_mm][number].append(seconds)
+    return {step_mm: [*map(statistics.median, views)] for step_mm, views in rounds.items()}

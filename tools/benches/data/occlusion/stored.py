@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
-from benches.measuring import least_time
+from benches.measuring import median_time
 from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import FARTHEST_STEPS
@@ -28,7 +28,7 @@ _UNLABELLED: Final = np.full((1, 1), BACKGROUND, np.uint8)
 _EMPTY_BYTES: Final = len(encode_images(_NOTHING, _UNLABELLED, _NOTHING))
 
 Cost = tuple[int, float]
-"""Bytes, and seconds of processor to decode them: the least of four times."""
+"""Bytes, and seconds of processor to decode them: the median of four times."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StoredImage:
 def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
     """Bytes that the shards' codec needs for these images beyond those of empty ones, and seconds to decode them."""
     data = encode_images(camera, labels, projector)
-    return len(data) - _EMPTY_BYTES, least_time(lambda: decode_images(data, True), _ROUNDS)[0]
+    return len(data) - _EMPTY_BYTES, median_time(lambda: decode_images(data, True), _ROUNDS)[0]
 
 
 @dataclass
@@ -183,7 +183,7 @@ def exact_masks(view: ExactView) -> dict[str, Cost]:
 
     in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
     return {
-        "bit of the label byte": (in_labels, least_time(lambda: split_labels(byte), _ROUNDS)[0]),
+        "bit of the label byte": (in_labels, median_time(lambda: split_labels(byte), _ROUNDS)[0]),
         MASK_IMAGE: coded(_NOTHING, _UNLABELLED, lit.astype(np.uint16)),
-        "packed bits, zstd": (len(packed), least_time(from_packed, _ROUNDS)[0]),
+        "packed bits, zstd": (len(packed), median_time(from_packed, _ROUNDS)[0]),
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benches.data.occlusion.baselines import DEFAULT, METHODS, NEAREST, Images, Method
 from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
-from benches.measuring import least_time
+from benches.measuring import median_time
 from bodyseg_data.artifacts.occlusion import ShadowTest
 
 WORST_CROP: Final = 100, 80
@@ -80,8 +80,8 @@ class Tally:
         self._bytes.append(size)
 
     def seconds(self, storage: Storage) -> float:
-        """Processor time of the test in one view, the least of four runs."""
-        return least_time(lambda: self._lit(storage, storage.of(self.method)), _RUNS)[0]
+        """Processor time of the test in one view, the median of four runs."""
+        return median_time(lambda: self._lit(storage, storage.of(self.method)), _RUNS)[0]
 
     def row(self, facing_bytes: int) -> dict[str, Any]:
         """The method's row of the JSON."""
@@ -118,13 +118,13 @@ def time_all(tallies: list[Tally], storage: Storage, start: int) -> None:
 
     Each is run four times at a time, so that it finds its own data in the processor's caches and not its neighbour's.
     """
-    least = [float("inf")] * len(tallies)
+    rounds: list[list[float]] = [[] for _ in tallies]
     for turn in range(_ROUNDS):
         for offset in range(len(tallies)):
             index = (offset + start + turn * len(tallies) // _ROUNDS) % len(tallies)
-            least[index] = min(least[index], tallies[index].seconds(storage))
-    for tally, seconds in zip(tallies, least, strict=True):
-        tally.note_cost(storage, seconds)
+            rounds[index].append(tallies[index].seconds(storage))
+    for tally, seconds in zip(tallies, rounds, strict=True):
+        tally.note_cost(storage, statistics.median(seconds))
 
 
 class Compiled:
@@ -154,7 +154,7 @@ class Compiled:
             images = storage.view.range, stored.image, storage.view.facing
             self._differing[method] += int((lit(test, images) != method.lit(test, images)).sum())
             forms = [partial(form, test, images) for form in (lit, method.lit)]
-            fast, plain = (least_time(form, _ROUNDS * _RUNS)[0] for form in forms)
+            fast, plain = (median_time(form, _ROUNDS * _RUNS)[0] for form in forms)
             self._times[method].append((fast, plain, stored.cost[1]))
 
     def rows(self, plain: dict[Method, dict[str, Any]]) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ The renderers are those of `bodyseg shard --renderer` and plain pyrender (`plain
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -93,7 +94,7 @@ def measure_renderers(
         mesh = packing.opened().build(ref).mesh
         wanted = [true_range(mesh, packing.rig.placed(mesh.centre, view)[0]) for view in checked]
         seen += sum(int((image > 0).sum()) for image in wanted)
-        best: dict[str, float] = {}
+        rounds: dict[str, list[float]] = {}
         for turn in range(ROUNDS):
             for name in [name for name in openers if name not in missing]:
                 # A copy, so that what a mesh works out once is worked out, and counted, for every way.
@@ -106,12 +107,12 @@ def measure_renderers(
                     continue
                 for view in views:
                     renderer.render(view)
-                best[name] = min(best.get(name, np.inf), time.process_time() - start)
+                rounds.setdefault(name, []).append(time.process_time() - start)
                 if turn == 0:
                     _compare(tallies.setdefault(name, _Tally()), [renderer.render(view) for view in checked], wanted)
                 renderer.close()
-        for name, seconds in best.items():
-            tallies[name].seconds += seconds
+        for name, seconds in rounds.items():
+            tallies[name].seconds += statistics.median(seconds)
     renderers = {}
     for name, tally in tallies.items():
         apart = np.concatenate(tally.apart)

@@ -5,6 +5,7 @@ All times are of the processor, so that other work on the machine disturbs them 
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -154,21 +155,21 @@ def _steps() -> list[_Step]:
 
 
 def measure_steps(packing: Packing, refs: Sequence[BodyRef], views: Sequence[View]) -> list[dict[str, Any]]:
-    """Rendering, labelling and encoding a view in each step's way: ms (the best of three, mean over views), bytes."""
+    """Rendering, labelling and encoding a view in each step's way: ms (the median of three, mean over views), bytes."""
     chain = _steps()
     spent, sizes, count = [0.0] * len(chain), [0] * len(chain), 0
     for ref in refs:
         scene = _Scene(packing.rig, packing.opened(), ref)
         for view in views:
-            best = [float("inf")] * len(chain)
+            rounds: list[list[float]] = [[] for _ in chain]
             for turn in range(ROUNDS * len(chain)):
                 number = turn % len(chain)
                 start = time.process_time()
                 size = chain[number].store(chain[number].images(scene, view))
-                best[number] = min(best[number], time.process_time() - start)
+                rounds[number].append(time.process_time() - start)
                 if turn < len(chain):
                     sizes[number] += size
-            spent = [total + one for total, one in zip(spent, best, strict=True)]
+            spent = [total + one for total, one in zip(spent, map(statistics.median, rounds), strict=True)]
             count += 1
     return [
         {"name": step.name, "ms_per_view": round(1e3 * total / count, 2), "bytes_per_view": round(size / count)}

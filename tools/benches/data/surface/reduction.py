@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import scan, sound
-from benches.measuring import least_time
+from benches.measuring import median_time
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig
@@ -136,7 +136,7 @@ class _Reference:
     def __init__(self, body: Body, views: int) -> None:
         self.body, self.rig = body, load_rig()
         self.views = list(ViewGrid(span_deg=360, count=views))
-        self.partition_s, self.parts = least_time(body.partition)
+        self.partition_s, self.parts = median_time(body.partition)
         self.seen = self.see(body.mesh, self.parts)
 
     def see(self, mesh: Mesh, parts: Partition) -> list[tuple[NDArray[Any], ...]]:
@@ -179,18 +179,18 @@ class _Reference:
     def row(self, mesh: Mesh, landmarks: NDArray[np.int64], reduce_s: float) -> Row:
         """Errors, times and views a second with a coarser mesh that took `reduce_s` to make."""
         whole = mesh is self.body.mesh
-        part_s, parts = (self.partition_s, self.parts) if whole else least_time(lambda: partition(mesh, landmarks))
+        part_s, parts = (self.partition_s, self.parts) if whole else median_time(lambda: partition(mesh, landmarks))
         # A copy, so that what a mesh works out once is worked out, and counted, for every row.
         copy = Mesh(mesh.name, mesh.vertices, mesh.faces)
         rays = EmbreeRenderer(copy)
-        tree_s, renderer = least_time(lambda: open_renderer(Packing.renderer, copy))
-        sampler_s, sampler = least_time(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
+        tree_s, renderer = median_time(lambda: open_renderer(Packing.renderer, copy))
+        sampler_s, sampler = median_time(lambda: Sampler(renderer, self.rig, copy, parts, "open", _REF))
         cameras = [self.rig.placed(copy.centre, view)[0] for view in self.views]
         pass_s, rays_s = (
-            statistics.median(least_time(partial(one.render, camera), 2)[0] for camera in cameras)
+            statistics.median(median_time(partial(one.render, camera), 2)[0] for camera in cameras)
             for one in (renderer, rays)
         )
-        view_s = statistics.median(least_time(partial(_encoded, sampler, view), 2)[0] for view in self.views)
+        view_s = statistics.median(median_time(partial(_encoded, sampler, view), 2)[0] for view in self.views)
         body_s = reduce_s + part_s + tree_s + sampler_s + VIEWS_A_BODY * view_s
         seconds = {
             "reduce": reduce_s,
@@ -226,7 +226,7 @@ def _by_share(whole: _Reference) -> list[Row]:
     for share in SHARES:
         if share < 1:
             count = round(len(whole.body.mesh.faces) * share)
-            more, (mesh, landmarks) = least_time(partial(edges_collapsed, mesh, landmarks, count))
+            more, (mesh, landmarks) = median_time(partial(edges_collapsed, mesh, landmarks, count))
             seconds += more
         rows.append(whole.row(mesh, landmarks, seconds))
     return rows
@@ -234,7 +234,7 @@ def _by_share(whole: _Reference) -> list[Row]:
 
 def _reduced(whole: _Reference, tolerance_m: float) -> Row:
     body = whole.body
-    seconds, reduction = least_time(lambda: reduce(body.mesh, body.landmarks, tolerance_m, whole.rig))
+    seconds, reduction = median_time(lambda: reduce(body.mesh, body.landmarks, tolerance_m, whole.rig))
     return whole.row(reduction.mesh, reduction.landmarks, seconds)
 
 

@@ -7,7 +7,6 @@ them for one pass, one after the other, in a new order, so that other work on th
 from __future__ import annotations
 
 import multiprocessing
-import os
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -67,18 +66,17 @@ def bench_workers(
 ) -> dict[str, Any]:
     """Speed, processor time, peak memory and start of loaders with each number of threads and of processes.
 
-    views: samples in all, rounded up to whole bodies of the open set. docs/loading_speed.md says what the keys hold.
-    Raises BadConfig if there are too few samples for so many workers.
+    views: samples in all, rounded up to whole bodies of the open set. docs/results/loading_speed.md says what the keys
+    hold. Raises BadConfig if there are too few samples for so many workers.
     """
     meshes = -(-views // _VIEWS_A_BODY)
     check_counts(meshes * _VIEWS_A_BODY, _BATCH, num_workers)
     packing = Packing("open", meshes=meshes, views=ViewGrid(count=_VIEWS_A_BODY))
-    load = round(os.getloadavg()[0], 2)
     with TemporaryDirectory(prefix="bodyseg-workers-") as folder:
         packed = Path(folder) / "set"
         with open_engine(PROCESSES, None, packing) as on:
             pack(packing, packed, on.executor, on.workers)
-        return {**measure(packed, num_workers, progress=progress), "load_before": load}
+        return measure(packed, num_workers, progress=progress)
 
 
 def measure(

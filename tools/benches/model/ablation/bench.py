@@ -1,7 +1,7 @@
 """`bench ablation`: the gain and cost of each modelled effect, and how many bodies and views suffice.
 
 Trainings are RUNS/NAME-SEED, made by `bodyseg train`, each with one effect left out of, or added to, those of all-SEED.
-docs/ablation.md says how to read the results.
+docs/results/ablation.md says how to read the results.
 """
 
 from __future__ import annotations

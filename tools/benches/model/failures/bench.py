@@ -1,6 +1,6 @@
 """`bench failures`: where a network fails: a cause for every wrong pixel, the worst images, postures by name.
 
-docs/failures.md says how to read the results.
+docs/results/failures.md says how to read the results.
 """
 
 from __future__ import annotations

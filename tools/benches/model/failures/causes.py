@@ -1,4 +1,4 @@
-"""Causes of wrong pixels: eleven, each an exact rule; docs/failures.md says why they are tried in this order.
+"""Causes of wrong pixels: eleven, each an exact rule; docs/results/failures.md says why they are tried in this order.
 
 Rules about a place depend on the clean sample and on what the variant left of it; rules about a mistake on the
 network's prediction; rules about an image hold for all of its pixels or for none.

@@ -164,7 +164,7 @@ class FailureCounts:
         }
 
     def _cause(self, number: int) -> Tree:
-        """See docs/failures.md for what each number means."""
+        """See docs/results/failures.md for what each number means."""
         cause, total, held = CAUSES[number], self._total.counts, self._held[number]
         claimed = self._claimed[number]
         wrong, wrong_held = _wrong(total), _wrong(held)

@@ -1,13 +1,12 @@
 """`bench architectures`: networks of several families, trained the same way, compared with each other.
 
 All are evaluated on the same test images of `all` and timed in turns on the same frames, a random forest of depth
-differences among them. docs/architectures.md says how to read the results.
+differences among them. docs/results/architectures.md says how to read the results.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
@@ -83,7 +82,6 @@ def bench_architectures(
     def did(note: str) -> None:
         progress(next(numbers), total, note)
 
-    load = round(os.getloadavg()[0], 2)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = {FILLED: [stretched(largest, *largest.shape)], TYPICAL: typical}
@@ -128,7 +126,6 @@ def bench_architectures(
         "times": times,
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "torch": torch.__version__,
-        "load_before": load,
     }
 
 

@@ -1,12 +1,11 @@
 """`bench network`: how large, how quick and how accurate the networks are, measured in one run.
 
-The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/variants.md says how to read
-the results.
+The images are in memory, on the device that computes, as in section 4.5 of the paper. docs/results/variants.md says how
+to read the results.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -73,7 +72,6 @@ def bench_network(
     """
     candidates = _candidates(runs)
     accuracies = _accuracies(scores, candidates)
-    load = round(os.getloadavg()[0], 2)
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = {
@@ -107,7 +105,6 @@ def bench_network(
         "reference": REFERENCE,
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "torch": torch.__version__,
-        "load_before": load,
     }
 
 

@@ -1,6 +1,6 @@
 """`bench runtimes`: one network on every backend in every precision, time beside accuracy, measured in one run.
 
-docs/runtimes.md says how to read the results.
+docs/how-to/runtimes.md says how to read the results.
 """
 
 from __future__ import annotations

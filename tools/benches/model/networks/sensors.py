@@ -1,7 +1,7 @@
 """`bench sensors`: accuracy of a network on frames of other cameras, by how the frames are resampled before.
 
 Bodies of the open set's test split are drawn as each camera would see them, with nothing round them and no artifact:
-what is measured is geometry alone. docs/segment.md says how to read the results.
+what is measured is geometry alone. docs/results/segment.md has the results.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`bench people`: landmarks and labels of real people, whose landmarks were annotated, in any folder of their meshes.
 
-docs/landmarks.md says how to read the results.
+docs/how-to/landmarks.md says how to read the results.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`bench real`: a network's score on real range images of a person seen from all round.
 
-docs/real_frames.md says how to read the results.
+docs/results/real_frames.md says how to read the results.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ LANDMARK_FILE: Final = "landmarks.json"
 """Landmarks in a recording's own folder, which come before those that the bench brings along."""
 
 KINECT_V1: Final = Path(__file__).with_name("kinect_v1.json")
-"""Landmarks of the recording that docs/real_frames.md describes, placed by hand on its fused surface."""
+"""Landmarks of the recording that docs/results/real_frames.md describes, placed by hand on its fused surface."""
 
 OFF_SURFACE_M: Final = 0.03
 """Landmarks farther from the surface are refused."""

@@ -1,7 +1,7 @@
 """`bench steady`: how often labels change from frame to frame, each frame alone and with evidence carried along.
 
 Of a still person, the points of the surface that a real recording's frames show together; of moving bodies, the points
-of `stability`. docs/steady.md says how to read the results.
+of `stability`. docs/how-to/steady.md says how to read the results.
 """
 
 from __future__ import annotations

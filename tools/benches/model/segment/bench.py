@@ -3,7 +3,7 @@
 The command runs as its users call it, on recordings of made rooms with known labels: in both precisions,
 beside a busy program, with a label on every surface, without pictures, and with the network on
 OpenVINO. `live` gives the age of a live sensor's frames, which come as arrays, when their labels are there.
-docs/segment.md says how to read the results.
+docs/results/segment.md has the results.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
+from benches.measuring import medians
 from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.parts import BACKGROUND
@@ -96,7 +97,7 @@ DROPPING: Final = ("background", "shape")
 def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024.
 
-    In `ROUNDS` rounds, each way in turn; of each way that with the median of frames a second counts.
+    In `ROUNDS` rounds, each way in turn: every figure is the median of all rounds.
     """
     chosen = cameras()
     done, total = 0, len(chosen) * (views + ROUNDS * len(WAYS))
@@ -118,7 +119,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
                     rounds[way].append(_measured(facts, frames, Path(folder) / way, camera, rooms))
                     done += 1
                     progress(done, total)
-            ways = {way: _median(of_way) for way, of_way in rounds.items()}
+            ways = {way: _of_all(of_way) for way, of_way in rounds.items()}
         live_ages = {
             way: live(
                 FrameLabeller(shipped_network(), backend=runtime, precision=bits, device="cpu"),
@@ -162,10 +163,9 @@ def made_rooms(camera: Camera, count: int) -> Iterator[Room]:
         yield makers[number % len(makers)](number)
 
 
-def _median(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Choose the round with the median of frames a second; `rounds` has the frames a second of all, ascending."""
-    by_speed = sorted(rounds, key=lambda one: one["frames_per_second"])
-    return by_speed[len(by_speed) // 2] | {"rounds": [one["frames_per_second"] for one in by_speed]}
+def _of_all(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The medians of all rounds; `rounds` has the frames a second of each."""
+    return {**medians(rounds), "rounds": [one["frames_per_second"] for one in rounds]}
 
 
 def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Room]) -> dict[str, Any]:

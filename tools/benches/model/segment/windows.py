@@ -1,6 +1,6 @@
 """`bench windows`: labels and time of a network that sees a window around each body instead of the whole image.
 
-docs/segment.md says how to read the results.
+docs/results/segment.md has the results.
 """
 
 from __future__ import annotations

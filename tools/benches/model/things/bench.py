@@ -1,6 +1,6 @@
 """`bench things`: whom the score of people finds in made rooms that it was not fitted to, and what it drops.
 
-docs/things.md says how to read the results.
+docs/reference/things.md says how to read the results.
 """
 
 from __future__ import annotations

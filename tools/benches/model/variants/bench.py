@@ -1,7 +1,7 @@
 """`bench variants`: the gain of training with each artifact, and the robustness that it gives (Figs. 7 and 8).
 
 One network for each of the five variants and each seed, alike in everything else, is evaluated on the test images of
-all five variants and on two sweeps of exact strengths. docs/variants.md says how to read the results.
+all five variants and on two sweeps of exact strengths. docs/results/variants.md says how to read the results.
 """
 
 from __future__ import annotations
