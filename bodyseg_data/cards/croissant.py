@@ -10,9 +10,16 @@ from __future__ import annotations
 import json
 from typing import Any, Final
 
-from bodyseg_data.cards import texts
 from bodyseg_data.cards.set_facts import SetFacts
-from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
+from bodyseg_data.cards.texts import (
+    LIMITS,
+    MEMBERS,
+    UNKNOWN_LICENCE,
+    Publication,
+    bodies_text,
+    people_text,
+    summary_text,
+)
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.splits import Split
 from bodyseg_data.shards.codecs import CODECS
@@ -64,13 +71,13 @@ _KEY_PATTERN: Final = r"^([^.]+)[.].*$"
 def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
     """Return the content of a set's Croissant file as plain JSON."""
     members = [*CODECS[facts.codec].members, "json"]
-    bodies = texts.bodies(facts)
+    bodies = bodies_text(facts)
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": [CROISSANT, "http://mlcommons.org/croissant/RAI/1.0"],
         "name": publication.title,
-        "description": " ".join([texts.summary(facts), *bodies]),
+        "description": " ".join([summary_text(facts), *bodies]),
         **_licence(publication.licence),
         **({"creator": {"@type": "sc:Person", "name": publication.author}} if publication.author else {}),
         **({"url": publication.url} if publication.url else {}),
@@ -80,8 +87,8 @@ def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
         "citeAs": ", ".join([*filter(None, [publication.author]), publication.title, f"version {facts.version}"]),
         "keywords": ["range image", "depth", "body part segmentation", "structured light", "webdataset"],
         "rai:dataCollection": " ".join([f"Rendered by {facts.renderer}, rig {facts.rig.name}.", *bodies]),
-        "rai:dataLimitations": list(texts.LIMITS),
-        "rai:personalSensitiveInformation": texts.people(facts),
+        "rai:dataLimitations": list(LIMITS),
+        "rai:personalSensitiveInformation": people_text(facts),
         "distribution": [*_files(facts, publication), *_file_sets(facts, members)],
         "recordSet": [
             *(_records(split, member) for split in facts.splits for member in members),
@@ -145,7 +152,7 @@ def _records(split: Split, member: str) -> dict[str, Any]:
         "@type": "cr:RecordSet",
         "@id": name,
         "name": name,
-        "description": f"Samples of the split {split}, in the order of their keys: {texts.MEMBERS[member]}.",
+        "description": f"Samples of the split {split}, in the order of their keys: {MEMBERS[member]}.",
         "key": {"@id": f"{name}/key"},
         "field": [
             {
@@ -160,7 +167,7 @@ def _records(split: Split, member: str) -> dict[str, Any]:
                 "@type": "cr:Field",
                 "@id": f"{name}/content",
                 "name": f"{name}/content",
-                "description": texts.MEMBERS[member],
+                "description": MEMBERS[member],
                 "dataType": "sc:ImageObject" if member.endswith(".png") else "sc:Text",
                 "source": source("content"),
             },

@@ -5,10 +5,19 @@ from __future__ import annotations
 import json
 from typing import Final
 
-from bodyseg_data.cards import texts
 from bodyseg_data.cards.markdown import bullets, licence_lines, table
 from bodyseg_data.cards.set_facts import SetFacts
-from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication, camera
+from bodyseg_data.cards.texts import (
+    LIMITS,
+    MEMBERS,
+    UNKNOWN_LICENCE,
+    Publication,
+    bodies_text,
+    camera,
+    people_text,
+    summary_text,
+    terms_text,
+)
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.shards.codecs import CODECS
 
@@ -29,10 +38,10 @@ _SIZE_CLASSES: Final = (
 
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
     """Return the text of a set's README.md."""
-    parts = [_header(facts, publication), f"# {publication.title}", texts.summary(facts)]
-    parts += ["## Who the bodies are", bullets(texts.bodies(facts))]
+    parts = [_header(facts, publication), f"# {publication.title}", summary_text(facts)]
+    parts += ["## Who the bodies are", bullets(bodies_text(facts))]
     parts += [_made(facts), _splits(facts), _reading(facts), _labels()]
-    limits = [texts.people(facts), *texts.LIMITS]
+    limits = [people_text(facts), *LIMITS]
     parts += ["## Limits", bullets(limits), "## Licences", _licences(facts, publication)]
     if facts.notes:
         parts += ["## Notes on meshes", f"{len(facts.notes)} notes, listed by `bodyseg verify`."]
@@ -96,7 +105,7 @@ def _splits(facts: SetFacts) -> str:
 
 
 def _reading(facts: SetFacts) -> str:
-    members = [(f"`NAME.{member}`", texts.MEMBERS[member]) for member in (*CODECS[facts.codec].members, "json")]
+    members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.codec].members, "json")]
     files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
     return "\n".join(
         [
@@ -136,5 +145,5 @@ def _labels() -> str:
 def _licences(facts: SetFacts, publication: Publication) -> str:
     stated = "not stated" if publication.licence == UNKNOWN_LICENCE else publication.licence
     by = f", published by {publication.author}" if publication.author else ""
-    lines = [f"this set: {stated}{by}, {publication.published.isoformat()}", *texts.terms(facts)]
+    lines = [f"this set: {stated}{by}, {publication.published.isoformat()}", *terms_text(facts)]
     return bullets(lines)

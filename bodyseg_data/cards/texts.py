@@ -59,7 +59,7 @@ class Publication:
             raise BadConfig(f"a card's url must begin with https:// or http://, found {self.url!r}")
 
 
-def summary(facts: SetFacts) -> str:
+def summary_text(facts: SetFacts) -> str:
     """Two sentences on a set."""
     counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
     return (
@@ -68,17 +68,17 @@ def summary(facts: SetFacts) -> str:
     )
 
 
-def bodies(facts: SetFacts) -> list[str]:
+def bodies_text(facts: SetFacts) -> list[str]:
     """One line a source: who its bodies are."""
     return [f"{source}: {origin_of(source).bodies}" for source in facts.sources]
 
 
-def terms(facts: SetFacts) -> list[str]:
+def terms_text(facts: SetFacts) -> list[str]:
     """One line a source: licences of the data that its bodies come from."""
     return [f"{source}: {origin_of(source).terms}" for source in facts.sources]
 
 
-def people(facts: SetFacts) -> str:
+def people_text(facts: SetFacts) -> str:
     """One sentence: whether real people are in the set."""
     if all_made(facts.sources):
         return "Every body is made; no person was measured."

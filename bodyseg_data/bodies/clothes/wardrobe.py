@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.clothes import operators
 from bodyseg_data.bodies.clothes.folds import DIRECTIONS, fold_patterns
+from bodyseg_data.bodies.clothes.operators import Smoother, averaging, diffused, gathering, patch, sliding
 from bodyseg_data.bodies.clothes.outfits import Outfit
 from bodyseg_data.bodies.clothes.tailoring import cut
 from bodyseg_data.core.errors import BadMesh
@@ -55,18 +55,16 @@ class Wardrobe:
             )
         pieces = cut(rest, faces, outfit)
         self.covered: NDArray[np.bool_] = pieces.top | pieces.trousers
-        self._vertices, self._faces = operators.patch(faces, self.covered)
+        self._vertices, self._faces = patch(faces, self.covered)
         points = rest[self._vertices]
         self._free = self.covered[self._vertices]
         self._cover = self._free.astype(np.float64)[:, None]
         garment = np.where(pieces.top, 1, np.where(pieces.trousers, 2, 0))[self._vertices]
-        self._gather = operators.gathering(self._faces, len(points))
-        self._average = operators.averaging(self._faces, garment)
-        self._slide = operators.sliding(pieces.partner, pieces.slide, self._vertices)
-        self._smoother = operators.Smoother(points, self._faces, self._free, _SMOOTH_M)
-        self._stand_off = operators.diffused(
-            pieces.stand_off[self._vertices], points, self._faces, garment, _DIFFUSION_M
-        )
+        self._gather = gathering(self._faces, len(points))
+        self._average = averaging(self._faces, garment)
+        self._slide = sliding(pieces.partner, pieces.slide, self._vertices)
+        self._smoother = Smoother(points, self._faces, self._free, _SMOOTH_M)
+        self._stand_off = diffused(pieces.stand_off[self._vertices], points, self._faces, garment, _DIFFUSION_M)
         self._slack = outfit.slack * _AT_REST + pieces.crumple[self._vertices, None] * _AT_ENDS
         normals = self._normals(points)
         axes = _tangent(pieces.axis[self._vertices], normals)
