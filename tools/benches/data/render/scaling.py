@@ -1,4 +1,4 @@
-"""`bench scaling`: what a view costs, in processor time; docs/results/scaling.md calculates large sets from it."""
+"""`bench scaling`: processor time of a view, step by step; docs/results/scaling.md calculates large sets from it."""
 
 from __future__ import annotations
 
